@@ -166,7 +166,7 @@ def new_grid(
     for panel in panels[len(names) :]:
         panel.set_axis_off()
     if others := ", ".join(name.replace("_", " ") for name in quantities if name not in names):
-        figure.suptitle(f"left out, as flat: {others}", **HEAD, color=REFERENCE)
+        figure.suptitle(f"not shown (constant): {others}", **HEAD, color=REFERENCE)
     return figure, dict(zip(names, panels))
 
 

@@ -67,7 +67,7 @@ class Estimate:
         high: Upper end; for noise that cannot be identified, its upper bound.
         residual: Root mean square of the fit's residual, in the unit of the fitted data: metres or radians for
             positions, newtons or newton metres for commands.
-        why: Reason for a failed identification, in a few words; empty if it succeeded.
+        why: Reason for a failed identification; empty if it succeeded.
     """
 
     value: float = math.nan
@@ -78,7 +78,7 @@ class Estimate:
     why: str = ""
 
     def beyond(self, least: float, most: float) -> bool:
-        """Return whether the value is known, and outside a range."""
+        """Return True for an identified value outside a range."""
         return self.value < least or self.value > most
 
     @classmethod
@@ -148,12 +148,12 @@ class Windows(NamedTuple):
 
     Attributes:
         rows: Indices of the samples, (M, W).
-        there: True for existing samples, (M, W).
+        mask: True for existing samples, (M, W).
         basis: Position and speed at the beginning as two orthonormal columns, (M, W, 2).
     """
 
     rows: Numbers
-    there: Mask
+    mask: Mask
     basis: Array
 
     @classmethod
@@ -170,30 +170,24 @@ class Windows(NamedTuple):
             if len(part) > 3
         ]
         width = max(map(len, parts), default=0)
-        rows, there = np.zeros((len(parts), width), dtype=np.intp), np.zeros((len(parts), width), dtype=np.bool_)
+        rows, mask = np.zeros((len(parts), width), dtype=np.intp), np.zeros((len(parts), width), dtype=np.bool_)
         for index, part in enumerate(parts):
-            rows[index, : len(part)], there[index, : len(part)] = part, True
-        since = (time[rows] - time[rows[:, :1]]) * there
-        return cls(rows, there, np.linalg.qr(np.stack([there.astype(np.float64), since], axis=-1))[0])
+            rows[index, : len(part)], mask[index, : len(part)] = part, True
+        elapsed = (time[rows] - time[rows[:, :1]]) * mask
+        return cls(rows, mask, np.linalg.qr(np.stack([mask.astype(np.float64), elapsed], axis=-1))[0])
 
     def choose(self, position: Array, most: int) -> Windows:
-        """Return the windows with the least straight motion.
-
-        They have at most `most` samples in all; the motion is (N,).
-        """
+        """Return the windows with the most curved motion (N,), at most `most` samples in total."""
         count = max(most // max(self.rows.shape[1], 1), 1)
         if len(self.rows) <= count:
             return self
         bent = np.square(self.project(position[self.rows][:, :, None])).sum(axis=(1, 2))
         chosen = np.sort(np.argsort(-bent, kind="stable")[:count])
-        return Windows(self.rows[chosen], self.there[chosen], self.basis[chosen])
+        return Windows(self.rows[chosen], self.mask[chosen], self.basis[chosen])
 
     def project(self, values: Array) -> Array:
-        """Remove initial position and speed from values.
-
-        (M, W, P).
-        """
-        values = values * self.there[:, :, None]
+        """Remove initial position and speed from values (M, W, P)."""
+        values = values * self.mask[:, :, None]
         return np.asarray(values - self.basis @ (self.basis.swapaxes(1, 2) @ values))
 
 
@@ -227,14 +221,14 @@ class Forces:
 
         The last S columns are the derivatives of the switched forces' integrals with respect to the delay.
         """
-        time, when = self.time, self.switch + delay
+        time, switch = self.time, self.switch + delay
         # a switch at a sample belongs to the period after it
-        level = self.levels[np.searchsorted(when, time)]
-        inside = (when >= time[0]) & (when < time[-1])
-        index, jump = np.searchsorted(time, when[inside], side="right") - 1, np.diff(self.levels, axis=0)[inside]
+        level = self.levels[np.searchsorted(switch, time)]
+        inside = (switch >= time[0]) & (switch < time[-1])
+        index, jump = np.searchsorted(time, switch[inside], side="right") - 1, np.diff(self.levels, axis=0)[inside]
         duration = np.diff(time)
         switched = unit_integrals(duration) * level[:-1, None]
-        np.add.at(switched, index, unit_integrals(time[index + 1] - when[inside]) * jump[:, None])
+        np.add.at(switched, index, unit_integrals(time[index + 1] - switch[inside]) * jump[:, None])
         slopes = np.stack([level[:-1] - level[1:], duration[:, None] * level[:-1] - switched[:, 0]], axis=1)
         switched[..., -1] += self.prompt[..., 0]
         return np.concatenate([switched, self.prompt[..., 1:], slopes], axis=2)
@@ -245,7 +239,7 @@ class Forces:
         The derivatives of the first S with respect to the delay are returned too, (M W, S).
         """
         steps = np.minimum(windows.rows[:, :-1], len(self.time) - 2)
-        integrals = self.integrals(delay)[steps] * windows.there[:, 1:, None, None]
+        integrals = self.integrals(delay)[steps] * windows.mask[:, 1:, None, None]
         speed, displacement = integrals[:, :, 0], integrals[:, :, 1]
         width = np.diff(self.time)[steps][:, :, None]
         position = np.cumsum(displacement + width * (np.cumsum(speed, axis=1) - speed), axis=1)
@@ -338,12 +332,12 @@ def _assess(windows: Windows, position: Array, columns: Array, target: Array, so
     """Return a solution with its errors; the last column is that of a fitted delay."""
     residuals = solution.residuals
     _, gram, separate, _ = solve(columns, residuals)
-    count = int(windows.there.sum())
+    count = int(windows.mask.sum())
     degrees = max(count - 2 * len(windows.rows) - int(separate.sum()), 1)
     residual = max(math.sqrt(np.square(residuals).sum() / degrees), _ROUNDING * float(np.abs(position).max()))
     leverage = np.square(windows.basis).sum(axis=2).ravel() + ((columns @ gram) * columns).sum(axis=1)
     scaled = residuals / np.sqrt(1.0 - np.minimum(leverage, _MOST_LEVERAGE))
-    inner = windows.there[:, 1:]
+    inner = windows.mask[:, 1:]
     change = np.square(np.diff(residuals.reshape(windows.rows.shape), axis=1) * inner).sum() / max(int(inner.sum()), 1)
     square = np.square(residuals).sum() / count
     # the mean square of differences is twice that of noise
@@ -352,10 +346,10 @@ def _assess(windows: Windows, position: Array, columns: Array, target: Array, so
     unit = np.where(scale > 0.0, scale, 1.0)
     enlarged = np.ones(len(unit))
     if is_slow or residual < _SENSOR or count < _LEAST_SAMPLES:
-        # residuals of forces or of rounding, or too few samples to tell: the worst case, with all of one sign
+        # residuals of forces or rounding, or too few samples: worst case, all of one sign
         worst = np.abs(columns @ gram).T @ np.abs(residuals)
         enlarged = np.maximum(worst / (residual * np.sqrt(unit)), 1.0)
-    # the effect of a column beyond all others
+    # each column's effect, given all others
     effects = np.abs(columns @ (gram / unit)).max(axis=0, initial=0.0)
     return Fit(
         values=np.append(solution.values, delay),
@@ -363,7 +357,7 @@ def _assess(windows: Windows, position: Array, columns: Array, target: Array, so
         effects=np.where(separate, effects, 0.0),
         residual=residual,
         degrees=degrees,
-        residuals=scaled.reshape(windows.rows.shape) * windows.there,
+        residuals=scaled.reshape(windows.rows.shape) * windows.mask,
         is_incomplete=is_slow and bool(square > _UNEXPLAINED**2 * np.square(target).sum() / count),
     )
 
@@ -377,7 +371,7 @@ class CommandedLaw(NamedTuple):
         estimates: Gains by the parts' names, such as ("stiffness", 0) for the first face, in order.
         gains: The same gains, identified or not, (P,).
         parts: Values of the parts at unit gain, (N, P).
-        rest: Commands as applied without all parts [N, N m], (N,).
+        rest: Applied commands minus all parts [N, N m], (N,).
     """
 
     estimates: Mapping[Part, Estimate]
@@ -435,9 +429,9 @@ def fit_law(segment: Segment, axis: int, faces: Sequence[Face], anchors: Array |
     def estimate(index: int) -> Estimate:
         """Return a gain, if the law is linear and the gain separate from others."""
         if not is_linear:
-            return Estimate(why=f"commands are not those of a spring and a damper ({residual:.2g} apart)")
+            return Estimate(why=f"commands do not fit a spring and a damper (residual {residual:.2g})")
         if not solution.separate[index]:
-            return Estimate(why="nothing tells it from the other laws on the axis")
+            return Estimate(why="confounded with other laws on this axis")
         error = residual * math.sqrt(max(solution.gram[index, index], 0.0))
         return Estimate.of(float(gains[index]), error, degrees, residual)
 
@@ -450,9 +444,7 @@ def fit_law(segment: Segment, axis: int, faces: Sequence[Face], anchors: Array |
 
 
 def estimate_quantum(position: Array) -> Estimate:
-    """Return the sensor resolution from positions [m, rad].
-
-    It is the step of a lattice with all positions on it.
+    """Return the sensor resolution [m, rad], the step of the lattice of all positions.
 
     Args:
         position: Positions, (N,).
@@ -462,27 +454,25 @@ def estimate_quantum(position: Array) -> Estimate:
     size = float(np.abs(values).max())
     steps = steps[steps > 1e3 * _TINY * size]
     if len(steps) < _LEAST_STEPS:
-        return Estimate(why=f"only {len(steps) + 1} different positions")
+        return Estimate(why=f"only {len(steps) + 1} distinct positions")
     for part in range(1, _DIVISORS + 1):
         step = float(steps.min()) / part
         counts = np.rint(values / step)
         if np.abs(counts).max() > 0.0 and np.abs(values / step - counts).max() < 1e2 * _OFF_LATTICE:
             step = float(counts @ values / (counts @ counts))
             counts = np.rint(values / step)
-            left = values - step * counts
-            if np.abs(left).max() < _OFF_LATTICE * step:
-                residual = float(np.sqrt(np.square(left).mean()))
-                error = max(residual / math.sqrt(float(counts @ counts)), _TINY * step)
-                return Estimate.of(step, error, len(values) - 1, residual)
-    return Estimate(why="positions lie on no lattice")
+            error = values - step * counts
+            if np.abs(error).max() < _OFF_LATTICE * step:
+                residual = float(np.sqrt(np.square(error).mean()))
+                standard_error = max(residual / math.sqrt(float(counts @ counts)), _TINY * step)
+                return Estimate.of(step, standard_error, len(values) - 1, residual)
+    return Estimate(why="positions are not quantized")
 
 
 def estimate_noise(motion: Fit, windows: Windows, position: Array, step: float) -> Estimate:
-    """Return the sensor noise before quantization [m, rad].
+    """Return the standard deviation of white sensor noise before quantization [m, rad].
 
-    It is the standard deviation of white noise.
-
-    The quantization error, step² / 12, is subtracted: it is that of a position, or of noise, moving over many steps.
+    The quantization error, step² / 12, is subtracted; it assumes motion or noise over many steps.
 
     Args:
         motion: Fit of the motion.
@@ -490,21 +480,21 @@ def estimate_noise(motion: Fit, windows: Windows, position: Array, step: float) 
         position: Positions at the samples [m, rad], (N,).
         step: Step of the sensor; 0 for none.
     """
-    squares = np.square(motion.residuals[windows.there])
-    if squares.mean() < _DITHERED * step**2:  # at rest within a step the noise is rarely visible
+    squares = np.square(motion.residuals[windows.mask])
+    if squares.mean() < _DITHERED * step**2:  # at rest within a step, noise is rarely visible
         after, before = np.minimum(windows.rows + 1, len(position) - 1), np.maximum(windows.rows - 1, 0)
         moving = np.abs(position[after] - position[before]) > 2.0 * step
-        squares = np.square(motion.residuals[moving & windows.there])
+        squares = np.square(motion.residuals[moving & windows.mask])
     if len(squares) < _LEAST_MOVING:
-        return Estimate(why=f"only {len(squares)} samples move over the sensor's steps")
+        return Estimate(why=f"only {len(squares)} samples move by more than the resolution")
     mean, quantization = float(squares.mean()), step * step / 12.0
     if math.sqrt(mean) < _EXACT:
-        return Estimate(why="the forces explain the positions to rounding")
+        return Estimate(why="residual at rounding level")
     spread = max(float(squares.std(ddof=1)), math.sqrt(2.0) * mean) / math.sqrt(len(squares))
     # the logarithm of a variance is closer to a normal distribution
     ends = (mean * math.exp(sign * _NORMAL * spread / mean) - quantization for sign in (-1.0, 1.0))
     low, high = (math.sqrt(max(end, 0.0)) for end in ends)
     if low == 0.0:
-        return Estimate(why="it hides in the sensor's steps", low=0.0, high=max(high, math.sqrt(spread)))
+        return Estimate(why="below the sensor resolution", low=0.0, high=max(high, math.sqrt(spread)))
     value = math.sqrt(mean - quantization)
     return Estimate(value=value, standard_error=0.5 * spread / value, low=low, high=high, residual=motion.residual)

@@ -51,10 +51,7 @@ _DECIMALS = 4
 _STILL = 1e-9
 """Largest travel of an axis at rest [m, rad]."""
 _HOLDS = 0.5
-"""Least share of the breakaway force for continued friction.
-
-Above it, friction after a slip counts as going on.
-"""
+"""Share of the breakaway force above which friction after a slip counts as continuing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,16 +61,16 @@ class AxisEstimates:
     Attributes:
         inertia: Moving mass or moment of inertia, if the forces are as commanded [kg, kg m²].
         delay: Time from a sample to the switch of the force [s].
-        force_error: Constant force beyond the recorded load and carrying command [N, N m].
+        force_error: Constant force in addition to the recorded load and weight compensation [N, N m].
         noise: Standard deviation of the sensor's noise before quantization [m, rad].
         quantum: Step of the positions [m, rad].
     """
 
     inertia: Estimate = field(metadata={"row": ("mass", "kg")})
     delay: Estimate
-    force_error: Estimate = field(metadata={"row": ("force not compensated", "mN", 1e3)})
+    force_error: Estimate = field(metadata={"row": ("uncompensated force", "mN", 1e3)})
     noise: Estimate = field(metadata={"row": ("noise", "µm", 1e6)})
-    quantum: Estimate = field(metadata={"row": ("steps", "µm", 1e6)})
+    quantum: Estimate = field(metadata={"row": ("resolution", "µm", 1e6)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +87,7 @@ class WallEstimates(OfWall):
 
     stiffness: Estimate = field(metadata={"row": ("stiffness", "N/m")})
     damping: Estimate = field(metadata={"row": ("damping", "N s/m")})
-    share: Estimate = field(metadata={"row": ("of largest stable", "%", 1e2)})
+    share: Estimate = field(metadata={"row": ("of critical stiffness", "%", 1e2)})
     commanded_stiffness: Estimate = field(metadata={"row": ("commanded stiffness", "N/m", 1.0, "N")})
     commanded_damping: Estimate = field(metadata={"row": ("commanded damping", "N s/m", 1.0, "N")})
 
@@ -109,8 +106,8 @@ class Friction:
 
     stiffness: Estimate = field(metadata={"row": ("stiffness", "N/m")})
     commanded_stiffness: Estimate = field(metadata={"row": ("commanded stiffness", "N/m", 1.0, "N")})
-    breakaway: Estimate = field(metadata={"row": ("breakaway", "N", 1.0, "N")})
-    sliding: Estimate = field(metadata={"row": ("sliding", "N", 1.0, "N")})
+    breakaway: Estimate = field(metadata={"row": ("breakaway force", "N", 1.0, "N")})
+    sliding: Estimate = field(metadata={"row": ("sliding friction", "N", 1.0, "N")})
     damping: Estimate = field(metadata={"row": ("damping", "N s/m", 1.0, "N")})
 
 
@@ -171,25 +168,22 @@ class Identification:
     @property
     def delay(self) -> Estimate:
         """Delay from the axis with the smallest error [s]."""
-        delays = [estimates.delay for estimates in self.axes.values()] or [Estimate(why="nothing moves")]
+        delays = [estimates.delay for estimates in self.axes.values()] or [Estimate(why="no motion")]
         return min(delays, key=lambda delay: delay.standard_error if delay.known else math.inf)
 
     @property
     def outside(self) -> list[str]:
-        """Quantities outside the ranges in which the intervals were tested, in words.
-
-        See docs/explanation/analysis.md.
-        """
-        beyond = [
-            f"{wall.name} at {wall.share.value:.0%} of the limit" for wall in self.walls if wall.share.beyond(0.1, 0.8)
+        """Quantities outside the validated ranges of the intervals; see docs/explanation/analysis.md."""
+        outside = [
+            f"{wall.name} at {wall.share.value:.0%} of critical" for wall in self.walls if wall.share.beyond(0.1, 0.8)
         ]
         for axis, friction in self.friction.items():
             if axis in AXES[:3] and friction.breakaway.beyond(0.5, 3.0):
-                beyond.append(f"breakaway {friction.breakaway.value:.2g} N on {axis}")
+                outside.append(f"breakaway force {friction.breakaway.value:.2g} N on {axis}")
         for axis, sensor in self.axes.items():
             if axis in AXES[:3] and (sensor.noise.beyond(0.0, 5.05e-6) or sensor.quantum.beyond(0.0, 5.05e-6)):
-                beyond.append(f"noise or steps above 5 µm on {axis}")
-        return beyond
+                outside.append(f"noise or resolution above 5 µm on {axis}")
+        return outside
 
     def _rows(self) -> Iterator[_Row]:
         best = next((axis for axis, estimates in self.axes.items() if estimates.delay is self.delay), AXES[0])
@@ -207,25 +201,25 @@ class Identification:
     def table(self) -> Table:
         """Return a row for each identified quantity, and the reasons for the others below."""
         rows: list[tuple[str, ...]] = []
-        unknown: dict[tuple[str, str], list[str]] = {}
+        failures: dict[tuple[str, str], list[str]] = {}
         heading = ""
         for (owner, why), group in groupby(self._rows(), key=lambda row: (row.owner, row.estimate.why)):
             quantities = list(group)
             if why:
-                unknown.setdefault((", ".join(row.name for row in quantities), why), []).append(owner)
+                failures.setdefault((", ".join(row.name for row in quantities), why), []).append(owner)
                 continue
             if owner not in ("", heading):
                 rows.append((owner, *[""] * 4))
             heading = owner
             rows += [row.cells() for row in quantities]
         remarks = []
-        for (names, why), owners in unknown.items():
+        for (names, why), owners in failures.items():
             of = f" of {', '.join(owners)}" if any(owners) else ""
-            remarks.append(f"not identified: {names}{of}: {why}")
+            remarks.append(f"not identifiable: {names}{of}: {why}")
         if self.outside:
-            remarks.append(f"outside the ranges in which errors were tested: {', '.join(self.outside)}")
+            remarks.append(f"error estimates not validated for: {', '.join(self.outside)}")
         if self.samples < self.of:
-            remarks.append(f"from {self.samples} of {self.of} samples: docs/explanation/analysis.md says which")
+            remarks.append(f"based on {self.samples} of {self.of} samples; see docs/explanation/analysis.md")
         return Table("", ("identified", "value", "std. error", "unit", "residual"), rows, "\n".join(remarks))
 
     def as_json(self) -> dict[str, Any]:
@@ -239,8 +233,7 @@ def identify(segment: Segment, metadata: RunMetadata | None = None, *, anchors: 
 
     Each quantity has its standard error.
 
-    Each coordinate is treated separately. A long segment is represented by 20 000 samples of each, with the least
-    straight motion.
+    Each coordinate is treated separately. Of a long segment the 20 000 samples with the most curved motion are used.
 
     Args:
         segment: The segment.
@@ -304,7 +297,7 @@ class _Axis:
         self.period, self.inertia = self.metadata.period, float(self.metadata.inertia[axis])
         self.position = np.ascontiguousarray(segment.position[:, axis])
         self.used = np.zeros(len(segment), dtype=np.bool_)
-        self.used[windows.rows[windows.there]] = True
+        self.used[windows.rows[windows.mask]] = True
         faces = [face for face in self.metadata.faces if face[0] == axis]
         self.faces = [face for face in faces if self._count_inside(face) >= _LEAST_INSIDE]
         self.forces = self._forces(np.zeros((len(segment), 0)), segment.applied[:, axis])
@@ -314,24 +307,24 @@ class _Axis:
     def of(cls, segment: Segment, axis: int, anchors: Array | None) -> _Axis | Estimate:
         """Return the coordinate with its selected samples, or an estimate with the reason against it.
 
-        Of a long segment, the windows with the least straight motion are selected.
+        Of a long segment, the windows with the most curved motion are selected.
         """
         if len(segment) < _LEAST_SAMPLES:
             return Estimate(why=f"only {len(segment)} samples")
         if not np.ptp(segment.position[:, axis]) > _STILL:
-            return Estimate(why="the axis does not move")
+            return Estimate(why="no motion on this axis")
         period = segment.metadata.period
-        # after a gap the delayed commands are unknown
+        # the delayed commands after a gap are unknown
         ahead = int(split_delay(segment.metadata.delay, period)[0]) + 2
         breaks = (np.flatnonzero(np.diff(segment.tick) != 1) + 1).tolist()
         first = 0 if segment.time[0] < period else ahead
         runs = zip([first, *(index + ahead for index in breaks)], [*breaks, len(segment)])
         windows = Windows.cut(segment.time, [(start, end) for start, end in runs if end > start], period)
         windows = windows.choose(segment.position[:, axis], _MOST_SAMPLES)
-        if windows.there.sum() < _LEAST_SAMPLES:
-            return Estimate(why="too few samples without a gap")
-        needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
-        windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
+        if windows.mask.sum() < _LEAST_SAMPLES:
+            return Estimate(why="too few consecutive samples")
+        needed = np.unique(np.maximum(windows.rows[windows.mask][:, None] - np.arange(ahead + 1), 0))
+        windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.mask)
         stuck = None if anchors is None else anchors[needed]
         free = cls(segment[needed], axis, stuck, windows)
         if not free.disturbed:
@@ -371,11 +364,11 @@ class _Axis:
         knots, position, speed = (part[first:] for part in (trace.time, trace.pose[:, 0], trace.twist[:, 0]))
         width = np.diff(knots)
         bend = np.diff(position) - speed[:-1] * width
-        # of the parabola between two knots, and of its product with the time since the first
-        whole = width * (position[:-1] + 0.5 * width * speed[:-1] + bend / 3.0)
-        later = width**2 * (position[:-1] / 2.0 + width * speed[:-1] / 3.0 + bend / 4.0)
+        # integral of the parabola between two knots, and its first moment about the earlier one
+        integral = width * (position[:-1] + 0.5 * width * speed[:-1] + bend / 3.0)
+        moment = width**2 * (position[:-1] / 2.0 + width * speed[:-1] / 3.0 + bend / 4.0)
         remaining = np.repeat(knots[starts[1:]], np.diff(starts)) - knots[:-1]
-        spring = -np.add.reduceat([whole, remaining * whole - later], starts[:-1], axis=1)
+        spring = -np.add.reduceat([integral, remaining * integral - moment], starts[:-1], axis=1)
         start, end = self.position[:-1], self.position[1:]
         damper = [start - end, np.diff(self.segment.time) * start + spring[0]]
         return np.transpose([spring, damper])
@@ -388,10 +381,10 @@ class _Axis:
         """
         travel = np.ptp(self.segment.position, axis=0)
         travel[:3] /= _GYRATION
-        # coordinates act on a rotation by the product of two of them, which is left out
+        # the product of two coordinates acts on a rotation; the model omits it
         if self.axis >= 3 and np.delete(travel, self.axis).max() * travel[3:].max() > self.motion.residual:
-            return "the other coordinates act on it"
-        return "forces act that were not recorded" if self.motion.is_incomplete else ""
+            return "coupled to other axes"
+        return "unrecorded forces" if self.motion.is_incomplete else ""
 
     @cached_property
     def _why(self) -> str:
@@ -399,15 +392,15 @@ class _Axis:
         if self.disturbed:
             return self.disturbed
         factor = float(self.motion.values[0])
-        pushed = factor > 0.0 and self.motion.moves(0, factor)
-        return "" if pushed else "the force on it does not change by more than noise"
+        is_driven = factor > 0.0 and self.motion.moves(0, factor)
+        return "" if is_driven else "force variation below the noise"
 
     def estimates(self) -> AxisEstimates:
         """Return the quantities identified from the motion, independent of the law."""
         quantum = estimate_quantum(self.position[self.used])
         if self.disturbed:
-            unknown = Estimate(why=self.disturbed, residual=self.motion.residual)
-            return AxisEstimates(**_every(AxisEstimates, unknown) | {"quantum": quantum})
+            failure = Estimate(why=self.disturbed, residual=self.motion.residual)
+            return AxisEstimates(**_every(AxisEstimates, failure) | {"quantum": quantum})
         return AxisEstimates(
             inertia=self._inertia(),
             delay=self._delay(),
@@ -429,11 +422,11 @@ class _Axis:
             return Estimate(why=self._why)
         delay = self.motion.estimate(self.motion.values[-1], {-1: 1.0})
         if not self.motion.moves(-1, self.period) or delay.standard_error > _MOST_DELAY * self.period:
-            return Estimate(why="the force switches too little")
+            return Estimate(why="force changes too small")
         return delay
 
     def _force_error(self) -> Estimate:
-        """Return the constant force beyond the recorded load, with the recorded mass if none is identified."""
+        """Return the constant force in addition to the recorded load, with the recorded mass if none is identified."""
         load = float(self.metadata.load[self.axis])
         if self._why:
             mass = self.inertia
@@ -454,16 +447,13 @@ class _Axis:
     def rendered(self) -> Fit:
         """Fit of the motion by the law's parts.
 
-        The gain of each part is found from the motion.
+        Each part's gain is identified from the motion.
         """
         forces, delay = self._forces(self.law.parts, self.law.rest), float(self.motion.values[-1])
         return fit_motion(forces, self.windows, self.position, delay, self.period)
 
-    def _shown(self, name: Part) -> Estimate:
-        """Return a gain as identified from the motion.
-
-        The flotor is assumed to have the recorded mass.
-        """
+    def _from_motion(self, name: Part) -> Estimate:
+        """Return a gain identified from the motion, with the recorded mass."""
         if self._why:
             return Estimate(why=self._why, residual=self.motion.residual)
         commanded = self.law.estimates
@@ -471,22 +461,22 @@ class _Axis:
             return commanded[name]
         rendered, index = self.rendered, list(commanded).index(name)
         if rendered.degrees < _LEAST_DEGREES:
-            return Estimate(why="too few samples for all that acts on the axis")
+            return Estimate(why="too few samples for the laws on this axis")
         if not rendered.moves(index, rendered.values[index]):
-            return Estimate(why="it moves the flotor too little")
+            return Estimate(why="effect on the motion below the noise")
         return rendered.estimate(self.inertia * rendered.values[index], {index: self.inertia})
 
     def wall(self, face: Face) -> WallEstimates:
         """Return the identified quantities of a wall."""
         if face not in self.faces:
             count = self._count_inside(face)
-            unknown = Estimate(why=f"only {count} samples in it" if count else "it was not touched")
-            return WallEstimates.of(face, **_every(WallEstimates, unknown))
+            failure = Estimate(why=f"only {count} samples in contact" if count else "no contact")
+            return WallEstimates.of(face, **_every(WallEstimates, failure))
         spring, damper = ("stiffness", self.faces.index(face)), ("damping", self.faces.index(face))
         return WallEstimates.of(
             face,
-            stiffness=self._shown(spring),
-            damping=self._shown(damper),
+            stiffness=self._from_motion(spring),
+            damping=self._from_motion(damper),
             share=self._share(spring, damper),
             commanded_stiffness=self.law.estimates[spring],
             commanded_damping=self.law.estimates[damper],
@@ -497,9 +487,9 @@ class _Axis:
 
         Its stiffness includes all other springs on the axis.
         """
-        for shown in map(self._shown, gains):
-            if not shown.known:
-                return shown
+        for estimate in map(self._from_motion, gains):
+            if not estimate.known:
+                return estimate
         rendered, names, mass = self.rendered, list(self.law.estimates), self.inertia
         weights = np.zeros((3, len(rendered.values)))
         for row, gain, everywhere in zip(weights, gains, (("spring", 0), ("damper", 0))):
@@ -511,7 +501,7 @@ class _Axis:
         offsets = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * errors
         dampings, delays = np.maximum(np.array([damping, delay]) + offsets, 0.0).T
         if delays.max() > MOST_PERIODS * self.period:
-            return Estimate(why=f"the theory goes up to a delay of {MOST_PERIODS} periods")
+            return Estimate(why=f"delay above {MOST_PERIODS} periods, the limit of the theory")
         most = largest_stable_stiffness(dampings, delay=delays, period=self.period, mass=mass)
         if not most.min() > 0.0:
             return Estimate(why="no wall is stable at this damping and delay")
@@ -525,7 +515,7 @@ class _Axis:
     def friction(self) -> Friction:
         """Return the identified friction."""
         return Friction(
-            stiffness=self._shown(("stuck", 0)),
+            stiffness=self._from_motion(("stuck", 0)),
             commanded_stiffness=self.law.estimates["stuck", 0],
             breakaway=self._breakaway(),
             sliding=self.law.estimates["sliding", 0],
@@ -533,10 +523,7 @@ class _Axis:
         )
 
     def _breakaway(self) -> Estimate:
-        """Return the breakaway force.
-
-        It is between the largest force while stuck and the least force that caused slip.
-        """
+        """Return the breakaway force, between the largest force while stuck and the smallest that caused slip."""
         law, anchors = self.law, self.anchors
         stiffness = law.estimates["stuck", 0]
         if not stiffness.known or anchors is None:
@@ -547,12 +534,12 @@ class _Axis:
         next_to = self.used[:-1] & self.used[1:] & (np.diff(self.segment.tick) == 1)
         last = np.flatnonzero(stuck[:-1] & ~stuck[1:] & next_to)
         if not len(last):
-            return Estimate(why="it never slips")
+            return Estimate(why="no slip")
         ends = force[last], force[last + 1]
-        if np.median(ends[1]) > _HOLDS * np.median(ends[0]):  # it goes on sliding at its largest friction
+        if np.median(ends[1]) > _HOLDS * np.median(ends[0]):  # sliding continues at the breakaway force
             return law.estimates["sliding", 0]
         if not stiffness.value > 0.0:
-            return Estimate(why="it does not stick")
+            return Estimate(why="no sticking")
         largest = float(force[stuck & self.used].max())
         least = float((stiffness.value * np.abs(anchors[last] - self.position[last + 1])).min())
         middle, width = 0.5 * (largest + least), abs(least - largest)

@@ -60,13 +60,13 @@ class _Pieces(NamedTuple):
     Each has at most S pieces.
 
     Attributes:
-        there: True for existing pieces, (M, S).
+        mask: True for existing pieces, (M, S).
         width: Duration of each piece [s], (M, S); 0 for missing ones.
         force: Force of the actuators [N, N m], (M, S, 6).
         start: Start of each period [s], (M,).
     """
 
-    there: Mask
+    mask: Mask
     width: Array
     force: Array
     start: Array
@@ -89,9 +89,9 @@ def reconstruct(segment: Segment) -> Motion:
         InvalidRecordingError: If it has less than two samples, or they are not in order.
     """
     if len(segment.tick) < 2:
-        raise InvalidRecordingError(f"a segment must have at least 2 samples to be analysed, not {len(segment.tick)}")
+        raise InvalidRecordingError(f"a segment must have at least 2 samples for analysis, not {len(segment.tick)}")
     if not (np.diff(segment.time) > 0.0).all():
-        raise InvalidRecordingError("the samples of a recording must be in the order in which they were taken")
+        raise InvalidRecordingError("samples must be in time order")
     metadata = segment.metadata
     released = segment.time[0] < metadata.period * (1.0 - _ROUNDING)
     time = segment.time if released else segment.time - segment.time[0]
@@ -116,17 +116,17 @@ def _pieces(segment: Segment, time: Array) -> _Pieces:
     """Cut the time between samples at force switches."""
     held, extra, widths = segment.applied, segment.applied_pulse, segment.applied_pulse_width
     metadata = segment.metadata
-    when, force = recorded_switches(time, held, extra, widths, period=metadata.period, delay=metadata.delay)
-    inside = when[(when > time[0]) & (when < time[-1])]
+    times, force = recorded_switches(time, held, extra, widths, period=metadata.period, delay=metadata.delay)
+    inside = times[(times > time[0]) & (times < time[-1])]
     knots = np.unique(np.concatenate([time, inside]))[:-1]
     period = np.searchsorted(time, knots, side="right") - 1
     slot = np.arange(len(knots)) - np.searchsorted(period, period)
     shape = (len(time) - 1, int(slot.max()) + 1)
-    there, width, forces = np.zeros(shape, dtype=np.bool_), np.zeros(shape), np.zeros((*shape, 6))
-    there[period, slot] = True
+    mask, width, forces = np.zeros(shape, dtype=np.bool_), np.zeros(shape), np.zeros((*shape, 6))
+    mask[period, slot] = True
     width[period, slot] = np.diff(knots, append=time[-1])
-    forces[period, slot] = np.vstack([metadata.before, force])[np.searchsorted(when, knots, side="right")]
-    return _Pieces(there, width, forces, time[:-1])
+    forces[period, slot] = np.vstack([metadata.before, force])[np.searchsorted(times, knots, side="right")]
+    return _Pieces(mask, width, forces, time[:-1])
 
 
 def _through(position: Array, pieces: _Pieces, steady: Array, inertia: Array) -> tuple[Array, Array, Array]:
@@ -136,14 +136,14 @@ def _through(position: Array, pieces: _Pieces, steady: Array, inertia: Array) ->
     """
     width = pieces.width[:, :, None]
     push = (pieces.force + steady[:, None, :]) / inertia
-    gained = np.cumsum(width * push, axis=1)
-    speed = np.concatenate([np.zeros_like(gained[:, :1]), gained[:, :-1]], axis=1)
-    way = np.cumsum(width * (speed + 0.5 * width * push), axis=1)
-    gone = np.cumsum(width, axis=1)
-    start = (np.diff(position, axis=0) - way[:, -1]) / gone[:, -1]
-    before, elapsed = (np.concatenate([np.zeros_like(part[:, :1]), part[:, :-1]], axis=1) for part in (way, gone))
+    speed_gain = np.cumsum(width * push, axis=1)
+    speed = np.concatenate([np.zeros_like(speed_gain[:, :1]), speed_gain[:, :-1]], axis=1)
+    shift = np.cumsum(width * (speed + 0.5 * width * push), axis=1)
+    elapsed = np.cumsum(width, axis=1)
+    start = (np.diff(position, axis=0) - shift[:, -1]) / elapsed[:, -1]
+    before, elapsed = (np.concatenate([np.zeros_like(part[:, :1]), part[:, :-1]], axis=1) for part in (shift, elapsed))
     pose = position[:-1, None, :] + before + elapsed * start[:, None, :]
-    return pose, speed + start[:, None, :], start + gained[:, -1]
+    return pose, speed + start[:, None, :], start + speed_gain[:, -1]
 
 
 def _held(at_samples: Array, periods: int) -> Array:
@@ -160,18 +160,18 @@ def _joined(
     position: Array, pieces: _Pieces, pose: Array, twist: Array, end: Array, finish: float
 ) -> tuple[Trace, Numbers]:
     """Return one curve, with each sample's knot index."""
-    there = np.column_stack([pieces.there, np.ones(len(end), dtype=np.bool_)])
+    mask = np.column_stack([pieces.mask, np.ones(len(end), dtype=np.bool_)])
     time = np.append(pieces.start, finish)
     elapsed = np.cumsum(pieces.width, axis=1)
     knots = np.column_stack([time[:-1], time[:-1, None] + elapsed[:, :-1], time[1:]])
-    last = pieces.there.sum(axis=1) - 1
+    last = pieces.mask.sum(axis=1) - 1
     wrench = np.concatenate([pieces.force, pieces.force[np.arange(len(end)), last][:, None]], axis=1)
     poses = np.concatenate([pose, position[1:, None, :]], axis=1)
     twists = np.concatenate([twist, end[:, None, :]], axis=1)
-    counts = there.sum(axis=1)
+    counts = mask.sum(axis=1)
     total = int(counts.sum())
     starts = np.append(np.cumsum(counts) - counts, total - 1)
-    return Trace(knots[there], poses[there], twists[there], wrench[there]), starts
+    return Trace(knots[mask], poses[mask], twists[mask], wrench[mask]), starts
 
 
 def _from_release(trace: Trace, metadata: RunMetadata) -> Trace:
@@ -192,10 +192,7 @@ _HARDNESS_WINDOW = 0.005
 """Window of the force rise for the hardness [s]."""
 
 _REST = 0.1
-"""Final share of a segment that counts as rest.
-
-The flotor must rest over it to have settled.
-"""
+"""Final share of a segment over which a settled flotor is at rest."""
 _CONTACTS_SHOWN, _STICKS_SHOWN = 8, 8
 _NOTHING = 1e-12
 """Figure below which a difference is rounding, in SI units."""
@@ -366,16 +363,16 @@ class SegmentFigures:
         """Return the tables of walls, contacts, axes and friction.
 
         Args:
-            beside: Figures of the simulation, for rows of their own; None for none.
+            beside: Figures of the simulation, for rows beside; None for none.
         """
         tables = []
-        for axes in (AXES[:3], AXES[3:]):  # they have units of their own
+        for axes in (AXES[:3], AXES[3:]):  # translations and rotations differ in units
             if faces := [face for face in self.faces if face.axis in axes]:
                 tables += [_walls(faces, beside), _contacts(faces)]
         if not self.faces:
-            tables = [Table("", [], [], "no wall was touched" if self.untouched else "there are no walls")]
+            tables = [Table("", [], [], "no wall contact" if self.untouched else "no walls")]
         elif self.untouched:
-            tables[-1] = tables[-1]._replace(note=f"{tables[-1].note}\nwalls that were not touched: {self.untouched}")
+            tables[-1] = tables[-1]._replace(note=f"{tables[-1].note}\nwalls without contact: {self.untouched}")
         return [*tables, self._axes(beside), *([_friction(self.friction)] if self.friction else [])]
 
     def _axes(self, beside: SegmentFigures | None) -> Table:
@@ -385,9 +382,9 @@ class SegmentFigures:
         work = ("work of the hand", energy.hand) if by_hand else ("unrecorded work", energy.others)
         rows = [
             axis_row("travel", self.travel, 1e3, "mm, mrad"),
-            axis_row("energy taken", energy.taken, 1e3, "mJ"),
+            axis_row("energy absorbed", energy.taken, 1e3, "mJ"),
             *([] if beside is None else [axis_row("  simulated", beside.energy.taken, 1e3, "mJ")]),
-            axis_row("  least", energy.least, 1e3, "mJ"),
+            axis_row("  minimum", energy.least, 1e3, "mJ"),
             axis_row(*work, 1e3, "mJ"),
             axis_row("unrecorded force", self.unexplained, 1e3, "mN, mN m"),
         ]
@@ -395,9 +392,11 @@ class SegmentFigures:
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
-        kept = {name: plain(getattr(self, name)) for name in ("samples", "missed", "start", "end", "faces", "friction")}
+        fields = {
+            name: plain(getattr(self, name)) for name in ("samples", "missed", "start", "end", "faces", "friction")
+        }
         axes = {"travel": self.travel, "peak_force": self.peak_force, "unexplained_force": self.unexplained}
-        return {**kept, **by_axis(axes), "energy": by_axis(self.energy._asdict())}
+        return {**fields, **by_axis(axes), "energy": by_axis(self.energy._asdict())}
 
 
 def by_axis(values: Mapping[str, Array]) -> dict[str, Any]:
@@ -414,8 +413,9 @@ def _walls(faces: Sequence[FaceFigures], beside: SegmentFigures | None) -> Table
     """Return the table of walls, and of their simulation."""
     axis = faces[0].axis
     small, force = unit_of("mm", axis), unit_of("N", axis)
-    hard = "N/mm" if axis in AXES[:3] else unit_of("N/m", axis)
-    units = {"depth": small, "rebound": small, "peak": force, "settling": "ms, 2 %", "rate": hard, "extended": hard}
+    stiff = "N/mm" if axis in AXES[:3] else unit_of("N/m", axis)
+    units = {"penetration": small, "rebound": small, "peak force": force, "settling time": "ms"}
+    units |= {"rate hardness": stiff, "extended hardness": stiff}
     rows = []
     for face in faces:
         rows.append((face.name, *face.row()))
@@ -426,11 +426,11 @@ def _walls(faces: Sequence[FaceFigures], beside: SegmentFigures | None) -> Table
 
 
 def _contacts(faces: Sequence[FaceFigures]) -> Table:
-    """Return the table of contacts, the first ones, by time."""
+    """Return the table of the first contacts, by time."""
     small, force = unit_of("mm", faces[0].axis), unit_of("N", faces[0].axis)
-    units = {"at": "s", "for": "ms", "approach": f"{small}/s", "depth": small, "peak": force}
+    units = {"time": "s", "duration": "ms", "approach speed": f"{small}/s", "penetration": small, "peak force": force}
     contacts = [(one.start, face.name, one) for face in faces for one in face.contacts]
-    contacts.sort(key=lambda row: (round(row[0], 7), row[1]))  # rounding does not order those at the same time
+    contacts.sort(key=lambda row: (round(row[0], 7), row[1]))  # rounding must not order simultaneous ones
     rows = []
     for start, name, one in contacts[:_CONTACTS_SHOWN]:
         figures = (one.duration * 1e3, one.approach_speed * 1e3, one.penetration * 1e3, one.peak_force)
@@ -449,7 +449,7 @@ def _friction(axes: Mapping[str, StickSlip]) -> Table:
         more = len(friction.sticks) - len(positions)
         stuck = f"{', '.join(positions)}{f' and {more} more' if more else ''} {unit_of('mm', axis)}"
         rows.append((axis, friction.slips, longest, stuck))
-    return Table("", ("friction", "slips", "longest stuck [ms]", "stuck at"), rows)
+    return Table("", ("friction", "slips", "longest stick [ms]", "stick positions"), rows)
 
 
 def face_figures(trace: Trace, face: Face, *, rest: float | None = None) -> FaceFigures | None:
@@ -462,7 +462,7 @@ def face_figures(trace: Trace, face: Face, *, rest: float | None = None) -> Face
     """
     axis, normal, edge = face
     line, begin = trace.along(axis), float(trace.time[0])
-    # relative to the wall, from time 0: it fills positions up to 0
+    # relative to the wall, which fills positions up to 0, from time 0
     line = Trace(line.time - begin, normal * (line.pose - edge), normal * line.twist, normal * line.wrench)
     curve = _Curve.of(line)
     if not curve.inside.any():
@@ -493,27 +493,24 @@ def _hardness(line: Trace, contacts: Sequence[Contact]) -> Hardness:
     A grazing contact has no hardness.
     """
     speeds = [contact.approach_speed for contact in contacts]
-    unknown = Hardness(np.array(np.nan), np.array(np.nan))
+    undefined = Hardness(np.array(np.nan), np.array(np.nan))
     if np.isnan(speeds).all():
-        return unknown
+        return undefined
     index = int(np.nanargmax(speeds))
-    if index:  # from the middle between the previous contact and this one
+    if index:  # start midway between the previous contact and this one
         before, this = contacts[index - 1], contacts[index]
         start = 0.5 * (before.start + before.duration + this.start)
         pose, twist, wrench = line.at(start)
-        rest = line.time > start
-        time = np.append(0.0, line.time[rest] - start)
+        later = line.time > start
+        time = np.append(0.0, line.time[later] - start)
         parts = ((pose, line.pose), (twist, line.twist), (wrench, line.wrench))
-        line = Trace(time, *(np.concatenate([first, part[rest]]) for first, part in parts))
+        line = Trace(time, *(np.concatenate([first, part[later]]) for first, part in parts))
     is_long = float(line.time[-1]) > _HARDNESS_WINDOW
-    return perceived_hardness(line, _HARDNESS_WINDOW, axis=0) if is_long else unknown
+    return perceived_hardness(line, _HARDNESS_WINDOW, axis=0) if is_long else undefined
 
 
 class _Curve(NamedTuple):
-    """One axis on its knots and turning points.
-
-    The motion is monotonic between them.
-    """
+    """One axis at its knots and turning points, monotonic between them."""
 
     time: Array
     position: Array
@@ -527,8 +524,8 @@ class _Curve(NamedTuple):
         turn_time, turn = (part[:, 0] for part in line.turning_points())
         knots, position, speed = line.time, line.pose[:, 0], line.twist[:, 0]
         turned = speed[:-1] * speed[1:] < 0.0
-        times, positions = _woven(knots, turn_time), _woven(position, turn)
-        speeds = _woven(speed, np.where(turned, 0.0, speed[:-1]))
+        times, positions = _interleave(knots, turn_time), _interleave(position, turn)
+        speeds = _interleave(speed, np.where(turned, 0.0, speed[:-1]))
         return cls(times, positions, speeds, np.repeat(line.wrench[:, 0], 2)[:-1], positions <= 0.0)
 
     def contacts(self) -> list[Contact]:
@@ -544,7 +541,7 @@ class _Curve(NamedTuple):
         contacts = []
         for (first, start, speed), (last, end) in zip(entered, left, strict=True):
             depth = -float(self.position[first : last + 1].min())
-            # from the piece on in which the wall is entered
+            # from the piece of the entry on
             force = float(np.abs(self.force[max(first - 1, 0) : max(last, first) + 1]).max())
             contacts.append(Contact(start, end - start, speed, depth, force))
         return contacts
@@ -565,11 +562,11 @@ class _Curve(NamedTuple):
         return float(self.time[index] + elapsed), crossing
 
 
-def _woven(knots: Array, between: Array) -> Array:
+def _interleave(knots: Array, between: Array) -> Array:
     """Return values at knots interleaved with values between them."""
-    woven = np.empty(2 * len(knots) - 1)
-    woven[0::2], woven[1::2] = knots, between
-    return woven
+    values = np.empty(2 * len(knots) - 1)
+    values[0::2], values[1::2] = knots, between
+    return values
 
 
 def segment_figures(
@@ -581,12 +578,12 @@ def segment_figures(
         motion: The motion through them.
         segment: The samples.
         anchors: Stick positions at each sample [m, rad], (N, 6), NaN while sliding; None without friction.
-        rest: Rest position at a wall [m, rad]; found from the samples by default.
+        rest: Rest position at a wall [m, rad]; computed from the samples by default.
     """
     trace, metadata, ticks = motion.trace, segment.metadata, segment.tick
     faces = [figures for face in metadata.faces if (figures := face_figures(trace, face, rest=rest)) is not None]
-    lines = np.full((len(ticks), len(AXES)), np.nan) if anchors is None else anchors
-    stuck = np.isfinite(lines)
+    sticks = np.full((len(ticks), len(AXES)), np.nan) if anchors is None else anchors
+    stuck = np.isfinite(sticks)
     return SegmentFigures(
         samples=len(ticks),
         missed=round(float(ticks[-1] - ticks[0])) + 1 - len(ticks),
@@ -599,7 +596,7 @@ def segment_figures(
         energy=_energy(motion, segment),
         unexplained=np.sqrt((motion.unexplained**2).mean(axis=0)),
         friction={
-            AXES[axis]: _stick_slip(motion.time, stuck[:, axis], lines[:, axis])
+            AXES[axis]: _stick_slip(motion.time, stuck[:, axis], sticks[:, axis])
             for axis in np.flatnonzero(stuck.any(axis=0))
         },
     )

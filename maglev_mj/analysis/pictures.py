@@ -63,11 +63,11 @@ def sticks(run: Run) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    places = run.motion.trace.pose[run.motion.starts]
-    anchors = np.full_like(places, np.nan) if run.anchors is None else run.anchors
+    positions = run.motion.trace.pose[run.motion.starts]
+    anchors = np.full_like(positions, np.nan) if run.anchors is None else run.anchors
     slips = {axis: friction.slips for axis, friction in run.figures.friction.items()}
     titles = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
-    return staircases(run.motion.time, places, anchors, titles or {0: "no friction"})
+    return staircases(run.motion.time, positions, anchors, titles or {0: "no friction"})
 
 
 def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int, str]) -> Any:
@@ -77,15 +77,15 @@ def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int
         time: Of the samples [s], (K,).
         position: Positions [m, rad], (K, 6).
         anchors: Stick positions [m, rad], (K, 6); NaN where an axis does not stick.
-        titles: Words of each panel's title, by the index of its axis.
+        titles: Title of each panel, by axis index.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    found = {AXES[axis]: ([1e3 * position[:, axis]], unit_of("mm", axis)) for axis in titles}
-    figure, panels = new_grid(found, "time (s)", high=3, row=2.1, more=1.1)
+    curves = {AXES[axis]: ([1e3 * position[:, axis]], unit_of("mm", axis)) for axis in titles}
+    figure, panels = new_grid(curves, "time (s)", high=3, row=2.1, more=1.1)
     for name, panel in panels.items():
-        panel.plot(time, *found[name][0], color=FIRST, linewidth=1.0, label="position")
+        panel.plot(time, *curves[name][0], color=FIRST, linewidth=1.0, label="position")
         panel.step(
             time, 1e3 * anchors[:, AXES.index(name)], color=STUCK, linewidth=2.0, where="post", label="stick position"
         )
@@ -96,18 +96,15 @@ def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int
 
 
 def _over_time(report: SegmentReport, axis: int, window: tuple[float, float], *, marks: bool) -> Any:
-    """Draw position and force over a time window [s].
-
-    Of recording and simulation; a force that is flat is left out.
-    """
+    """Draw position and force of recording and simulation over a time window [s]; a constant force is not shown."""
     traces = [run.motion.trace for run in (report.recorded, report.simulated) if run is not None]
     inside = [(one, (one.time >= window[0]) & (one.time <= window[1])) for one in traces]
-    place, effort = (f"position along {AXES[axis]}", "force") if axis < 3 else (AXES[axis], "torque")
-    found = {
-        place: ([1e3 * one.pose[rows, axis] for one, rows in inside], unit_of("mm", axis)),
-        f"{effort} of the actuators": ([one.wrench[rows, axis] for one, rows in inside], unit_of("N", axis)),
+    coordinate, effort = (f"position along {AXES[axis]}", "force") if axis < 3 else (AXES[axis], "torque")
+    curves = {
+        coordinate: ([1e3 * one.pose[rows, axis] for one, rows in inside], unit_of("mm", axis)),
+        f"actuator {effort}": ([one.wrench[rows, axis] for one, rows in inside], unit_of("N", axis)),
     }
-    figure, panels = new_grid(found, "time (s)", high=2, more=0.8, always=place)
+    figure, panels = new_grid(curves, "time (s)", high=2, more=0.8, always=coordinate)
     upper, *lower = panels.values()
     sides = [("recording", report.recorded, FIRST, "-", 3), ("simulation", report.simulated, SECOND, "--", 4)]
     for label, run, color, dashes, order in sides:
@@ -118,7 +115,7 @@ def _over_time(report: SegmentReport, axis: int, window: tuple[float, float], *,
         first, last = max(window[0], float(trace.time[0])), min(window[1], float(trace.time[-1]))
         if last <= first:
             continue
-        # every switch too, for a pulse may fall between two points of any grid
+        # with every switch: a short pulse may fall between two points of the grid
         knots = trace.time[(trace.time >= first) & (trace.time <= last)]
         time = np.union1d(np.linspace(first, last, _POINTS), knots)
         pose, _, wrench = trace.at(time)
@@ -144,23 +141,20 @@ def _describe(report: SegmentReport) -> str:
 def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:
     """Draw the samples, if few enough to tell apart."""
     time = run.motion.time
-    shown = (time >= window[0]) & (time <= window[1])
-    if shown.sum() <= _MOST_DOTS:
-        places = run.motion.trace.pose[run.motion.starts][:, axis]
-        panel.plot(time[shown], places[shown] * 1e3, ".", color=FIRST, markersize=4.0, zorder=5, label="samples")
+    inside = (time >= window[0]) & (time <= window[1])
+    if inside.sum() <= _MOST_DOTS:
+        positions = run.motion.trace.pose[run.motion.starts][:, axis]
+        panel.plot(time[inside], positions[inside] * 1e3, ".", color=FIRST, markersize=4.0, zorder=5, label="samples")
 
 
 def _marks(panel: Any, run: Run, axis: int) -> None:
-    """Label contacts with their depth, deepest first.
-
-    As far as there is room beside one another.
-    """
+    """Label contacts with their depth, deepest first, without overlap."""
     contacts = [(contact, face) for face in run.figures.faces if face.axis == AXES[axis] for contact in face.contacts]
     contacts.sort(key=lambda one: -round(one[0].penetration, 9))
-    room = _APART * (run.figures.end - run.figures.start)
+    spacing = _APART * (run.figures.end - run.figures.start)
     marked: list[float] = []
     for contact, face in contacts:
-        if len(marked) == _MOST_MARKS or any(abs(contact.start - other) < room for other in marked):
+        if len(marked) == _MOST_MARKS or any(abs(contact.start - other) < spacing for other in marked):
             continue
         marked.append(contact.start)
         below = face.normal > 0.0
@@ -180,13 +174,13 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
 def _walls(panel: Any, report: SegmentReport, axis: int) -> None:
     """Shade the walls of an axis near the range shown."""
     bottom, top = panel.get_ylim()
-    room = 0.08 * (top - bottom)
+    margin = 0.08 * (top - bottom)
     for _, normal, edge in (face for face in report.metadata.faces if face[0] == axis):
-        place = edge * 1e3
-        if normal > 0.0 and place > bottom - room:
-            bottom = min(bottom, place - room)
-            panel.axhspan(bottom - 1e3, place, **SHADE)
-        elif normal < 0.0 and place < top + room:
-            top = max(top, place + room)
-            panel.axhspan(place, top + 1e3, **SHADE)
+        edge *= 1e3
+        if normal > 0.0 and edge > bottom - margin:
+            bottom = min(bottom, edge - margin)
+            panel.axhspan(bottom - 1e3, edge, **SHADE)
+        elif normal < 0.0 and edge < top + margin:
+            top = max(top, edge + margin)
+            panel.axhspan(edge, top + 1e3, **SHADE)
     panel.set_ylim(bottom, top)

@@ -30,24 +30,22 @@ from maglev_mj.session import live_plant
 
 _STILL = 1e-9
 _NOTHING = 1e-12
-_UNMEASURED_HAND = (
-    "nobody measures a hand on the device, which parts the two; one sample ahead tells how good the model is"
-)
+_UNMEASURED_HAND = "the hand on the device is not measured: judge the model by the one-step prediction"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Comparison:
-    """Distance between a recording and its simulation.
+    """Deviation of a simulation from its recording.
 
     Attributes:
-        same: True if every position is the same to the last bit.
-        rms: Root mean square of the distance on each axis [m, rad], (6,).
-        most: Largest distance on each axis [m, rad], (6,).
-        when: Time of the largest distance [s], (6,).
-        one_step_rms: Root mean square of the one-step prediction error on each axis [m, rad], (6,), predicted from the
-            sample before, its speed and the recorded forces; NaN with less than three samples.
+        same: True if all positions are bit-identical.
+        rms: RMS deviation on each axis [m, rad], (6,).
+        most: Maximum deviation on each axis [m, rad], (6,).
+        when: Time of the maximum deviation [s], (6,).
+        one_step_rms: RMS one-step prediction error on each axis [m, rad], (6,), from the previous sample, its speed and
+            the recorded forces; NaN with fewer than three samples.
         samples: Number of samples recorded.
-        compared: Number of samples simulated; less than all if the simulation failed.
+        compared: Number of samples simulated; fewer than recorded if the simulation failed.
         device: True for a recording of a device, with an unmeasured hand.
     """
 
@@ -62,44 +60,41 @@ class Comparison:
 
     @property
     def worst(self) -> int:
-        """Index into AXES of the largest distance.
-
-        Of the translations, unless only rotations differ.
-        """
+        """Index into AXES of the maximum deviation, among the translations unless only rotations differ."""
         group = slice(0, 3) if self.most[:3].any() else slice(3, 6)
         return int(np.argmax(self.most[group])) + group.start
 
     @property
     def sentence(self) -> str:
-        """Result of the comparison in one sentence."""
+        """Verdict in one sentence."""
         if self.compared == 0:
-            return "the simulation failed at once: there is nothing to compare"
+            return "no comparison: the simulation failed at the first sample"
         if self.same:
-            return "the recording and its simulation are the same to the last bit"
+            return "recording and simulation are bit-identical"
         axis = self.worst
         unit = unit_of("µm", axis)
         return (
-            f"the recording and its simulation are {self.rms[axis] * 1e6:.4g} {unit} apart (RMS), "
-            f"{self.most[axis] * 1e6:.4g} {unit} at most, on {AXES[axis]} at {self.when[axis]:.4g} s"
+            f"deviation of the simulation on {AXES[axis]}: {self.rms[axis] * 1e6:.4g} {unit} RMS, "
+            f"max. {self.most[axis] * 1e6:.4g} {unit} at {self.when[axis]:.4g} s"
         )
 
     def table(self) -> Table:
-        """Return the distances on each axis."""
-        rows = [axis_row("one sample ahead", self.one_step_rms, 1e6, "µm, µrad")]
+        """Return the deviations on each axis."""
+        rows = [axis_row("one-step prediction", self.one_step_rms, 1e6, "µm, µrad")]
         if not self.same and self.compared:
             times = (f"{when:.3f}" if most >= _NOTHING else "-" for most, when in zip(self.most, self.when))
             rows = [
                 axis_row("RMS", self.rms, 1e6, "µm, µrad"),
-                axis_row("at most", self.most, 1e6, "µm, µrad"),
-                ("  at", *times, "s"),
+                axis_row("maximum", self.most, 1e6, "µm, µrad"),
+                ("  time", *times, "s"),
                 *rows,
             ]
         remarks = [self.sentence]
         if 0 < self.compared < self.samples:
-            remarks.append(f"the simulation failed after {self.compared} of {self.samples} samples")
+            remarks.append(f"simulation failed after {self.compared} of {self.samples} samples")
         if self.device:
             remarks.append(_UNMEASURED_HAND)
-        return Table("", ("apart", *AXES, ""), rows, "\n".join(remarks))
+        return Table("", ("deviation", *AXES, ""), rows, "\n".join(remarks))
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
@@ -109,9 +104,7 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One side of a comparison: recording or simulation.
-
-    It covers the requested time.
+    """One side of a comparison, recording or simulation, over the analysed interval.
 
     Attributes:
         motion: Motion of the flotor.
@@ -133,9 +126,9 @@ class SegmentReport(Result):
         metadata: Metadata of the run.
         recorded: Motion and figures of the samples.
         simulated: Motion and figures of the simulation; None if none was requested, or it failed at once.
-        comparison: Distance between both; None if none was requested.
+        comparison: Deviation between both; None if none was requested.
         identified: Identified walls, friction, mass, delay and sensor.
-        wall: Margin of the simulated scene's wall; None without one, for a device, or where the scene is not known.
+        wall: Margin of the simulated scene's wall; None without one, for a device, or if the scene is not available.
     """
 
     kind: str
@@ -152,7 +145,7 @@ class SegmentReport(Result):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return time, recorded and simulated positions, (N,) each.
 
-        A simulation that ended early goes on with NaN.
+        A simulation that ended early is padded with NaN.
         """
         sides = {"recorded": self.recorded, "simulated": self.simulated}
         time = self.recorded.motion.time
@@ -173,14 +166,14 @@ class SegmentReport(Result):
     def table(self) -> Table:
         """Return the tables of figures, comparison and identified quantities.
 
-        The figures of the simulation stand below those of the recording if they differ.
+        The simulation's figures are rows below the recording's if they differ.
         """
         figures, comparison = self.recorded.figures, self.comparison
         other = None if comparison is not None and comparison.same else self.simulated
         below = figures.tables(None if other is None else other.figures)
         if comparison is not None:
             below.append(comparison.table())
-        span = f"{figures.samples} samples, {figures.start:.4g} to {figures.end:.4g} s, {figures.missed} missed"
+        span = f"{figures.samples} samples, {figures.start:.4g} to {figures.end:.4g} s, {figures.missed} lost"
         return Table(f"{self.run_named}: {span}", [], [], below=[*below, self.identified.table()])
 
     def plot(self, path: Path | None = None, axis: str | None = None) -> Any:
@@ -198,9 +191,7 @@ class SegmentReport(Result):
         return save(whole_run(self, self.axis(axis)), path)
 
     def axis(self, name: str | None = None) -> int:
-        """Return the index of the axis to draw.
-
-        It is that named, or the most significant one.
+        """Return the index of the named axis, or of the most significant one.
 
         This is the scene's own axis if a wall on it was touched, else the first axis with a touched wall, else the axis
         with the largest travel, of the translations unless only rotations moved.
@@ -212,7 +203,7 @@ class SegmentReport(Result):
         if name is not None:
             moving = [AXES[index] for index in np.flatnonzero(figures.travel > _STILL)]
             if name not in moving:
-                allowed = f"one that moves, of {', '.join(moving)}" if moving else "left out, for none moves"
+                allowed = f"one of those with motion ({', '.join(moving)})" if moving else "omitted, as none has motion"
                 raise ParameterError(f"axis must be {allowed}, not {name!r}")
             return AXES.index(name)
         touched = [face.axis for face in figures.faces]
@@ -248,14 +239,13 @@ def analyse(
 
     Args:
         segment: The segment.
-        rebuild: Function from a setup and a hand to plant and controller; None if there is none: then nothing is
-            simulated.
+        rebuild: Function from a setup and a hand to plant and controller; None to simulate nothing.
         anchors: Stick positions at each sample [m, rad], (N, 6); None without friction.
         begin: Start of the analysis, in the segment's time [s].
         end: End of the analysis [s]; None for the segment's end.
         simulated: True to run the simulation of the same parameters and compare.
-        rest: Rest position at a wall [m, rad]; found from the samples by default.
-        scene: Scene class of a user's own recording.
+        rest: Rest position at a wall [m, rad]; computed from the samples by default.
+        scene: Scene class of a user-defined scene.
 
     Raises:
         InvalidRecordingError: If it has less than two samples.
@@ -280,10 +270,10 @@ def analyse(
         if until - first >= 1:
             other = _run(twin, reconstruct(twin), None, (first, until), rest)
     run, wall = _run(segment, whole, anchors, (first, last), rest), None
-    if segment.setup["kind"] != "device":  # with the delay of a line, which no setup has
+    if segment.setup["kind"] != "device":  # its link delay is not in the setup
         with suppress(MaglevError, KeyError):
-            known = recorded_scene(segment.setup["scene"], segment.setup["parameters"], scene)
-            wall = wall_margin(known, held=scripted(segment.setup))
+            recorded = recorded_scene(segment.setup["scene"], segment.setup["parameters"], scene)
+            wall = wall_margin(recorded, held=scripted(segment.setup))
     return SegmentReport(
         kind=segment.setup["kind"],
         metadata=segment.metadata,
@@ -315,24 +305,22 @@ def _run(segment: Segment, whole: Motion, anchors: Array | None, rows: tuple[int
 
 
 def simulate(segment: Segment, motion: Motion, rebuild: Rebuild, scene: type[Scene] | None = None) -> Segment:
-    """Simulate a recorded run again.
-
-    It has the same laws, the recorded hand, and the recorded start.
+    """Simulate a recorded run with the same laws, hand and start.
 
     A device is replaced by the simulated one, from the first sample at the speed of the first two, without a hand.
-    Samples missing in the recording are left out.
+    Samples missing in the recording are skipped.
 
     Args:
         segment: The recording.
         motion: Its motion.
         rebuild: Function from a setup and a hand to plant and controller.
-        scene: Scene class of a user's own recording.
+        scene: Scene class of a user-defined scene.
 
     Returns:
         The simulated samples: fewer than recorded if the simulation failed.
 
     Raises:
-        RecordingError: If the setup is not known here.
+        RecordingError: If the setup is unknown.
         ParameterError: If a plant cannot be made at the recorded start.
     """
     run = segment.whole
@@ -350,12 +338,12 @@ def simulate(segment: Segment, motion: Motion, rebuild: Rebuild, scene: type[Sce
             raise
         except MaglevError:
             pass  # the comparison reports the number of samples
-    kept = rows[rows < len(recorder)]
-    return recorder.segment()[kept].replace(tick=segment.tick[: len(kept)], time=segment.time[: len(kept)])
+    rows = rows[rows < len(recorder)]
+    return recorder.segment()[rows].replace(tick=segment.tick[: len(rows)], time=segment.time[: len(rows)])
 
 
 def compare(segment: Segment, simulated: Segment, motion: Motion) -> Comparison:
-    """Return the distance between a recording and its simulation.
+    """Return the deviation of a simulation from its recording.
 
     Args:
         segment: The recording, N samples.

@@ -37,20 +37,19 @@ class DeviceCard(Result):
     Arrays are by hand (H,), delay (D,), damping (B,) and frequency (F,).
 
     Attributes:
-        title: Rate, delay, mass and wanted wall in words.
+        title: Rate, delay, mass and target wall in words.
         hands: Names of the hands, "none" for the free flotor.
         delays: None, the device's, and a period more [s].
         walls: For each hand the stiffest stable wall at each delay, (D,) each: the top of the Z-width.
         damping: Dampings of the curves [N s/m].
         limits: Largest stable stiffness of each hand at the device's delay [N/m], (H, B).
-        impedance: Frequency [Hz], and sizes [N s/m] of the wanted impedance, damping + stiffness/(j omega), of the one
-            that a hand meets by theory, and in flights of the exact plant; (4, F). NaN for an unstable wall.
-        transparent: Highest frequency up to which the rendered impedance is within 3 dB of the wanted one [Hz]; 0 for
-            none.
-        masses: Smallest and largest virtual mass behind a coupling of the wanted gains [kg], (H, 2); infinite from
+        impedance: Frequency [Hz], and magnitudes [N s/m] of the target impedance, damping + stiffness/(j omega), and of
+            the rendered one in theory and in simulation on the exact plant; (4, F). NaN for an unstable wall.
+        transparent: Frequency up to which the rendered impedance is within 3 dB of the target [Hz]; 0 for none.
+        masses: Smallest and largest virtual mass behind a coupling of the target gains [kg], (H, 2); infinite from
             1000 kg on, NaN for none.
         force_bandwidth: Frequency at which hold and drivers lose 3 dB of a force [Hz].
-        force_resolution: Step of the force by one step of the sensor, at the wanted gains [N].
+        force_resolution: Step of the force by one step of the sensor, at the target gains [N].
     """
 
     title: str
@@ -64,7 +63,7 @@ class DeviceCard(Result):
     masses: Array
     force_bandwidth: float
     force_resolution: float
-    units: ClassVar = {"frequency": "Hz", "wanted": "N s/m", "rendered": "N s/m", "flown": "N s/m"}
+    units: ClassVar = {"frequency": "Hz", "target": "N s/m", "rendered": "N s/m", "simulated": "N s/m"}
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the impedances over frequency."""
@@ -78,29 +77,29 @@ class DeviceCard(Result):
 
     def table(self) -> Table:
         """Return figures, walls and masses of each hand, and impedances."""
-        figures = [("transparent within 3 dB up to", self.transparent, "Hz")]
+        figures = [("transparency bandwidth, 3 dB", self.transparent, "Hz")]
         figures += [("force bandwidth, 3 dB", self.force_bandwidth, "Hz")]
-        figures += [("force of one sensor step", self.force_resolution, "N")]
+        figures += [("force resolution (one sensor step)", self.force_resolution, "N")]
         hands = [
             (hand, *(f"{k:.0f} at {b:.0f}" for k, b in zip(wall.stiffness, wall.damping)), *mass.tolist())
             for hand, wall, mass in zip(self.hands, self.walls, self.masses)
         ]
-        heads = "hand", *(f"{delay * 1e3:g} ms" for delay in self.delays), "least mass [kg]", "largest"
-        title = "Stiffest stable wall [N/m] at its damping [N s/m]; virtual mass, - for no limit"
-        note = "stable, not passive: without damping of its own the flotor renders no passive wall"
-        few = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
+        heads = "hand", *(f"delay {delay * 1e3:g} ms" for delay in self.delays), "min. mass [kg]", "max."
+        title = "Stiffest stable wall [N/m] at its damping [N s/m]; virtual mass (- for unlimited)"
+        note = "stable, not passive: a flotor without physical damping renders no passive wall"
+        some = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
         tables = (
             Table(title, heads, hands, note),
-            Table("Impedance", [with_unit(*one) for one in self.units.items()], few),
+            Table("Impedance", [with_unit(*unit) for unit in self.units.items()], some),
         )
         return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables)
 
 
 def device_card(scene: Scene) -> DeviceCard:
-    """Return the card of a scene's device, by theory and by flights of the exact plant.
+    """Return the card of a scene's device, by theory and by simulation on the exact plant.
 
-    The wanted wall has the scene's stiffness and damping, and the sensor its `quantize`; where it has none, those of
-    `drop` and of Table 1.
+    The target wall has the scene's stiffness and damping, the sensor its `quantize`; defaults are those of `drop` and
+    of Table 1.
 
     Args:
         scene: The scene.
@@ -119,31 +118,33 @@ def device_card(scene: Scene) -> DeviceCard:
     period, mass = scene.period, float(inertia_of(scene)[0])
     delays = np.array([0.0, scene.delay, min(scene.delay + period, MOST_PERIODS * period)])
     loops = [SampledLoop(period=period, delay=scene.delay, mass=mass, hand=get_hand(name)) for name in HANDS]
-    near: list[Any] = [{"period": period, "mass": mass, "hand": loop.hand} for loop in loops]
-    walls = tuple(largest_stable_stiffness(delay=delays, **loop) for loop in near)
+    keywords: list[Any] = [{"period": period, "mass": mass, "hand": loop.hand} for loop in loops]
+    walls = tuple(largest_stable_stiffness(delay=delays, **loop) for loop in keywords)
     damping = np.linspace(0.0, 1.3 * max(wall.damping[1] for wall in walls), 121)
-    limits = np.array([largest_stable_stiffness(damping, delay=scene.delay, **loop) for loop in near])
+    limits = np.array([largest_stable_stiffness(damping, delay=scene.delay, **loop) for loop in keywords])
     cycles = np.unique(np.geomspace(1.0, 0.45 * _WINDOW, 120).round())
     frequency = cycles / (_WINDOW * period)
     omega = 2.0 * np.pi * frequency
     rendered = 1.0 / (omega * np.abs([*loops[0].compliances(k, b, frequency.tolist())]))
-    wanted = np.hypot(b, k / omega)
-    alike = np.logical_and.accumulate(np.abs(np.log(rendered / wanted)) < -math.log(_LOSS))
-    transparent = float(np.max(frequency, where=alike, initial=0.0))
-    impedance = np.array([frequency, wanted, rendered, fly_impedance(scene, mass, k, b, cycles)])
+    target = np.hypot(b, k / omega)
+    within = np.logical_and.accumulate(np.abs(np.log(rendered / target)) < -math.log(_LOSS))
+    transparent = float(np.max(frequency, where=within, initial=0.0))
+    impedance = np.array([frequency, target, rendered, fly_impedance(scene, mass, k, b, cycles)])
     masses = np.array([mass_range(loop, k, b) for loop in loops])
-    lost = lambda f: np.sinc(f * period) < _LOSS * np.hypot(1.0, f / Spec.driver_bandwidth.value)  # noqa: E731
-    fast = float(bisect(lost, np.zeros(()), np.array(0.5 / period), 50))
-    title = f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg, wanted {k:g} N/m and {b:g} N s/m"
+    attenuated = lambda f: np.sinc(f * period) < _LOSS * np.hypot(1.0, f / Spec.driver_bandwidth.value)  # noqa: E731
+    bandwidth = float(bisect(attenuated, np.zeros(()), np.array(0.5 / period), 50))
+    title = f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg; target wall {k:g} N/m, {b:g} N s/m"
     step = quantum * (k + b / period)
-    return DeviceCard(title, tuple(HANDS), delays, walls, damping, limits, impedance, transparent, masses, fast, step)
+    return DeviceCard(
+        title, tuple(HANDS), delays, walls, damping, limits, impedance, transparent, masses, bandwidth, step
+    )
 
 
 def fly_impedance(scene: Scene, mass: float, stiffness: float, damping: float, cycles: Array) -> Array:
-    """Return the impedance that sine hands meet on the exact plant [N s/m].
+    """Return the impedance on the exact plant under a sinusoidal hand force [N s/m].
 
-    It is NaN for a wall that does not settle. Each number of cycles in 400 samples has a device; a hand's force is
-    constant from sample to sample.
+    NaN for a wall that does not settle. One device per number of cycles in 400 samples; the force is constant between
+    samples.
     """
     spectral_radius = SampledLoop(period=scene.period, delay=scene.delay, mass=mass).spectral_radius(stiffness, damping)
     settle = math.ceil(math.log(_SETTLED) / math.log(spectral_radius)) if spectral_radius < 1.0 else _LONGEST
@@ -159,19 +160,19 @@ def fly_impedance(scene: Scene, mass: float, stiffness: float, damping: float, c
 
 
 def mass_range(loop: SampledLoop, stiffness: float, damping: float) -> tuple[float, float]:
-    """Return the smallest and largest virtual mass of the heaviest stable range [kg].
+    """Return the smallest and largest virtual mass of the heaviest stable range [kg], to 0.4 %.
 
-    The mass is simulated in the controller, coupled to the flotor by spring and damper, and found to 0.4 %.
+    The mass is simulated in the controller, coupled to the flotor by spring and damper.
     """
-    roots = np.linalg.eigvals(replace(loop, design=virtual_mass(_MASSES)).matrix(stiffness, damping))
-    drifts = 0 if loop.hand else 2  # both masses together move freely: a double root at 1, by structure
-    kept = np.argsort(np.abs(roots - 1.0))[:, drifts:]
-    good = is_stable(np.abs(np.take_along_axis(roots, kept, axis=-1)).max(axis=-1))
-    if not good.any():
+    poles = np.linalg.eigvals(replace(loop, design=virtual_mass(_MASSES)).matrix(stiffness, damping))
+    drifts = 0 if loop.hand else 2  # the free motion of both masses is a double pole at 1
+    order = np.argsort(np.abs(poles - 1.0))[:, drifts:]
+    stable = is_stable(np.abs(np.take_along_axis(poles, order, axis=-1)).max(axis=-1))
+    if not stable.any():
         return math.nan, math.nan
-    last = np.flatnonzero(good)[-1]
-    first = np.max(np.flatnonzero(~good[:last]), initial=-1) + 1
-    return _MASSES[first], math.inf if good[-1] else _MASSES[last]
+    last = np.flatnonzero(stable)[-1]
+    first = np.max(np.flatnonzero(~stable[:last]), initial=-1) + 1
+    return _MASSES[first], math.inf if stable[-1] else _MASSES[last]
 
 
 def virtual_mass(mass: Array) -> Design:
@@ -182,10 +183,10 @@ def virtual_mass(mass: Array) -> Design:
 
     def design(stiffness: Array, damping: Array, period: Array) -> LinearController:
         force = np.array([damping / period, stiffness, damping, -stiffness - damping / period])
-        whole = np.zeros((mass.size, 3, 4))
-        whole[:, 0, 3] = 1.0
-        whole[:, 2] = [0.0, 0.0, 1.0, 0.0] - force * (period / mass)[:, None]
-        whole[:, 1] = [0.0, 1.0, 0.0, 0.0] + whole[:, 2] * period
-        return LinearController(whole[..., :3], whole[..., 3], force[:3], force[3])
+        states = np.zeros((mass.size, 3, 4))
+        states[:, 0, 3] = 1.0
+        states[:, 2] = [0.0, 0.0, 1.0, 0.0] - force * (period / mass)[:, None]
+        states[:, 1] = [0.0, 1.0, 0.0, 0.0] + states[:, 2] * period
+        return LinearController(states[..., :3], states[..., 3], force[:3], force[3])
 
     return design

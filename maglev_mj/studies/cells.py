@@ -73,10 +73,10 @@ class _Processes(Executor):
     """
 
     def __init__(self, count: int) -> None:
-        from concurrent.futures import ProcessPoolExecutor  # a browser's Python has no processes
+        from concurrent.futures import ProcessPoolExecutor  # not available in a browser
         from multiprocessing import get_context
 
-        quiet = (signal.SIGINT, signal.SIG_IGN)  # for systems where interrupts cannot be held
+        quiet = (signal.SIGINT, signal.SIG_IGN)  # where interrupts cannot be held
         start_tracker()
         self._pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=signal.signal, initargs=quiet)
 
@@ -85,12 +85,12 @@ class _Processes(Executor):
             return self._pool.submit(function, *args, **keywords)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        given_up = {} if wait else dict(self._pool._processes or {})
+        abandoned = {} if wait else dict(self._pool._processes or {})
         manager: Any = self._pool._executor_manager_thread
-        self._pool.shutdown(wait, cancel_futures=cancel_futures)  # first: of a cancelled job no death may be told
-        for process in given_up.values():  # the end of the program would wait for their jobs
+        self._pool.shutdown(wait, cancel_futures=cancel_futures)  # first: a cancelled job must not report a dead worker
+        for process in abandoned.values():  # otherwise exit waits for their jobs
             process.kill()
-        if manager is not None:  # which tells of deaths if this is gone before
+        if manager is not None:  # it reports dead workers if it outlives this object
             manager.join()
 
 
@@ -154,7 +154,7 @@ def chosen_workers(workers: Workers | int | None) -> Workers:
     A number gives processes of this machine; None gives this process.
 
     Raises:
-        ParameterError: If it is neither.
+        ParameterError: If it is something else.
     """
     if isinstance(workers, int | Integral):
         return local_workers(int(workers))
@@ -170,11 +170,11 @@ def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ())
 
     Args:
         address: Address of its scheduler.
-        files: Module, or modules, of the user's own that jobs import (.py, .zip or .egg); workers that join later get
+        files: User-defined modules that jobs import (.py, .zip or .egg); workers that join later get
             them too.
 
     Raises:
-        ParameterError: If nothing answers there, or a file is not there or fails on import.
+        ParameterError: If nothing answers there, or a file is missing or fails on import.
         WorkersError: If a worker has other code than this process; it names each.
         MissingPackageError: If Dask is not installed.
 
@@ -186,7 +186,7 @@ def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ())
     require(("distributed",), "distributed", "a cluster needs Dask")
     from distributed import KilledWorker
 
-    # when it loses the scheduler it logs tracebacks; `_cause` reports it in one line
+    # its tracebacks on a lost scheduler are replaced by the one line of `_cause`
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         client = _client(address)
@@ -265,7 +265,7 @@ class Study:
 
     def __post_init__(self) -> None:
         if not callable(self.function):
-            raise ParameterError(f"function must be one from cells to results, not {self.function!r}")
+            raise ParameterError(f"function must map cells to results, not be {self.function!r}")
         check_instance("cells", self.cells, Sequence, "a list of cells")
         self.record.begin(self.cells)
         self.done = int(self.record.done.sum())
@@ -282,7 +282,7 @@ class Study:
             for index in lost:
                 alone = deque([range(index, index + 1)])
                 if self._run_in_pool(alone, 1) or alone:
-                    self.record.put(np.array([index]), pack([{"error": "its worker died 2 times"}]))
+                    self.record.put(np.array([index]), pack([{"error": "worker died twice"}]))
                     self._count(1)
         except KeyboardInterrupt:
             raise StudyInterrupted(self.record) from None
@@ -307,7 +307,7 @@ class Study:
                         some = self.cells[jobs[0].start : jobs[0].stop]
                         running[pool.submit(_in_columns, self.function, some)] = jobs[0]
                         jobs.popleft()
-                    except self.workers.deaths:  # since the last result
+                    except self.workers.deaths:  # a worker died since the last result
                         broken = True
                 for future in wait(running, _WRITING, FIRST_COMPLETED).done:
                     job = running.pop(future)
@@ -318,12 +318,11 @@ class Study:
             stopped = isinstance(error, KeyboardInterrupt)
             running = {future: job for future, job in running.items() if not future.cancel()}
             for future in wait(running, _STOPPING if stopped else None).done:
-                with suppress(Exception):  # the first failure is raised already
+                with suppress(Exception):  # the first failure is raised below
                     self._collect(future, running.pop(future))
             raise
         finally:
-            # idle workers end at once; otherwise they could disturb a program that ends meanwhile. After an interrupt a
-            # job may have been submitted that is not among the running ones
+            # wait for idle workers: they end at once. After an interrupt a job may be submitted but not in `running`
             pool.shutdown(wait=not (running or stopped), cancel_futures=True)
         return lost
 
@@ -345,10 +344,10 @@ class Study:
 
 def _in_columns(function: Callable[[Any], Any], cells: Sequence[Cell]) -> Columns:
     """Return the results of some cells in columns."""
-    made = function(cells)
-    results = list(made) if isinstance(made, Iterable) else []
+    output = function(cells)
+    results = list(output) if isinstance(output, Iterable) else []
     if len(results) != len(cells):
-        raise ParameterError(f"function must return a result for each of its {len(cells)} cells, not {made!r}")
+        raise ParameterError(f"function must return one result per cell ({len(cells)}), not {output!r}")
     return pack(results)
 
 
@@ -356,9 +355,9 @@ def _send(client: Any, file: Path) -> None:
     """Send a module to the workers, which import it."""
     try:
         if file.suffix not in (".py", ".zip", ".egg"):
-            raise ValueError("it is no .py, .zip or .egg")
+            raise ValueError("not a .py, .zip or .egg file")
         client.upload_file(str(file))
-    except Exception as error:  # of the import, anything
+    except Exception as error:  # an import can raise anything
         raise ParameterError(f"files must be modules that workers can import, not {str(file)!r}: {error}") from None
 
 
@@ -367,29 +366,29 @@ def _client(address: str) -> Any:
 
     Raises OSError, TimeoutError or ValueError if there is no answer.
     """
-    import asyncio  # as long to load as all of this module
+    import asyncio  # slow to import
 
     from distributed import Client
     from distributed.core import connect
 
-    async def knock() -> None:  # a client without a scheduler would keep trying as the program ends
-        door = await connect(address, timeout=_CONNECTING)
-        await door.close()
+    async def probe() -> None:  # a client without a scheduler would keep reconnecting at exit
+        connection = await connect(address, timeout=_CONNECTING)
+        await connection.close()
 
-    asyncio.run(knock())
+    asyncio.run(probe())
     return Client(address, set_as_default=False)
 
 
 def _check_code(client: Any) -> None:
     """Raise a WorkersError that names each worker of other code."""
-    found = client.run(versions, on_error="return")  # an older worker may fail to
-    wrong = {worker: _other(theirs) for worker, theirs in sorted(found.items())}
-    if said := "; ".join(f"{worker}: {other}" for worker, other in wrong.items() if other):
-        raise WorkersError(f"workers must have the code of this process: {said}")
+    reports = client.run(versions, on_error="return")  # an older worker may lack the function
+    wrong = {worker: _other(theirs) for worker, theirs in sorted(reports.items())}
+    if mismatches := "; ".join(f"{worker}: {other}" for worker, other in wrong.items() if other):
+        raise WorkersError(f"workers must run the code of this process: {mismatches}")
 
 
 def _other(theirs: Versions | Exception) -> str:
-    return f"not known ({theirs})" if isinstance(theirs, Exception) else differences(theirs, versions())
+    return f"code not available ({theirs})" if isinstance(theirs, Exception) else differences(theirs, versions())
 
 
 def _cause(address: str, error: Exception) -> Exception:
@@ -402,10 +401,10 @@ def _cause(address: str, error: Exception) -> Exception:
     try:
         with _client(address) as client:
             _check_code(client)
-    except WorkersError as found:
-        return found
+    except WorkersError as mismatch:
+        return mismatch
     except (OSError, TimeoutError, ValueError):
-        return WorkersError(f"the Dask scheduler at {address} is gone")
+        return WorkersError(f"the Dask scheduler at {address} is no longer reachable")
     # cancelled jobs mean that a new scheduler has replaced the old one
     return (
         WorkersError(f"the Dask scheduler at {address} has lost its jobs")
@@ -422,5 +421,5 @@ def _run_with_code(code: Versions, function: Callable[..., Any], *args: Any, **k
     if other := differences(versions(), code):
         from distributed import get_worker
 
-        raise WorkersError(f"workers must have the code of this process: {get_worker().address}: {other}")
+        raise WorkersError(f"workers must run the code of this process: {get_worker().address}: {other}")
     return function(*args, **keywords)

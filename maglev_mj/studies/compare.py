@@ -55,9 +55,9 @@ LAWS: Mapping[str, LawMaker] = {
 """Published laws by name; colgate is pd at the largest passive stiffness, without damping."""
 
 
-_MARGINS = {"stiffness": "N/m", "noise": "N", "spectral_radius": "", "stiffest": "N/m", "margin": ""}
+_MARGINS = {"stiffness": "N/m", "noise": "N", "spectral_radius": "", "critical_stiffness": "N/m", "margin": ""}
 """Unit of each figure of `Comparison.margins`."""
-_AT_REST = "at rest in the wall: static stiffness and force noise, spectral radius, stiffest stable gain and its margin"
+_AT_REST = "at rest in the wall: static stiffness, force noise, spectral radius, critical stiffness and margin"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +67,9 @@ class Comparison(Variants):
     Attributes:
         margins: Figures of each law at rest in the wall, in the scene's hand: `stiffness` against a slow push [N/m];
             `noise`, the standard deviation of the force over a quantized sensor [N], see `hum`; `spectral_radius`,
-            that of the wall alone, below 1 for a stable wall; `stiffest`, the stiffness gain at which that
-            changes, the other gains as they are [N/m]; and `margin`, that over the law's own gain. The last two are
-            NaN if it does not change up to tenfold, and for a law without a stiffness.
+            that of the wall alone, below 1 for a stable wall; `critical_stiffness`, the stiffness gain at
+            which stability changes, other gains unchanged [N/m]; and `margin`, its ratio to the law's gain. The last
+            two are NaN if nothing changes up to ten times the gain, and for a law without a stiffness.
         scene: The scene with its own wall.
     """
 
@@ -107,10 +107,10 @@ class Comparison(Variants):
             for label, phases in self.phases.items()
         ]
         head = [with_unit(name.replace("_", " "), one.unit) for name, one in figures.items()]
-        still = ["law", *map(with_unit, _MARGINS, _MARGINS.values())]
+        still = ["law", *(with_unit(name.replace("_", " "), unit) for name, unit in _MARGINS.items())]
         below = Table(_AT_REST, still, [[label, *one.values()] for label, one in self.margins.items()])
         count = len(next(iter(self.phases.values())).phases)
-        over = f"plant {self.first.plant}: median (10 to 90 %) over {count} phases"
+        over = f"plant {self.first.plant}: median (10th to 90th percentile) over {count} sampling phases"
         return Table(f"{self.scene.describe()}, {over}", ["law", *head], rows, below=[below])
 
 
@@ -150,12 +150,12 @@ def compare(
     """
     chosen = get_scene(scene)
     if not isinstance(chosen, WallScene) or not isinstance(chosen.laws()[0], Wall):
-        raise ParameterError(f"scene must be one whose first law is a wall, such as drop or press, not {chosen.name}")
+        raise ParameterError(f"scene must have a wall as its first law, such as drop or press, not {chosen.name}")
     number("stiffness", chosen.stiffness, above=0.0)
     named = [(label, _named(law)[1]) for label, law in laws.items()] if isinstance(laws, Mapping) else map(_named, laws)
     variants = {label: _with_law(chosen, label, law) for label, law in named}
     if len(variants) < max(len(laws), 1):
-        raise ParameterError(f"law must be given, each once, and not be {', '.join(variants) or 'none'} alone")
+        raise ParameterError(f"laws must be at least one, without duplicates, not {', '.join(variants) or 'none'}")
     margins = {label: _margins(variant) for label, variant in variants.items()}
     found = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
     return Comparison(found.runs, found.phases, margins=margins, scene=chosen)
@@ -164,7 +164,7 @@ def compare(
 def _named(law: str | LawMaker) -> tuple[str, LawMaker]:
     """Return the label of a law and the law."""
     if isinstance(law, str) and ".py" not in law:
-        check_one_of("law", LAWS, law, ", or a class of Law as FILE.py:CLASS")
+        check_one_of("law", LAWS, law, ", or your own FILE.py[:CLASS]")
         return law, LAWS[law]
     own = class_in_file(law, Law) if isinstance(law, str) else law
     return getattr(own, "__name__", str(own)), own
@@ -198,7 +198,7 @@ def _passive(scene: WallScene) -> dict[str, float]:
     damping = 0.0 if hand is None else hand.grip_damping if hand.soft else hand.damping  # next to the flotor
     stiffness = float(colgate(0.0, period=scene.period + 2.0 * scene.delay, physical_damping=damping))
     if not stiffness:
-        raise ParameterError("law colgate must have a hand with damping: without one, no stiffness is passive but 0")
+        raise ParameterError("law colgate must have a hand with damping: without it, only zero stiffness is passive")
     return {"stiffness": stiffness, "damping": 0.0, "pulse": 0.0}
 
 
@@ -213,7 +213,7 @@ def _made(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> Law:
     takes, fixed = signature(maker).parameters, getattr(maker, "keywords", {})
     for name, one in takes.items():
         if one.default is Parameter.empty and name not in numbers:
-            raise ParameterError(f"law {label} must have a default for {name}: {scene.name} has {', '.join(numbers)}")
+            raise ParameterError(f"law {label} must have a default for {name}; {scene.name} has {', '.join(numbers)}")
     return maker(**{name: value for name, value in numbers.items() if name in takes and name not in fixed})
 
 

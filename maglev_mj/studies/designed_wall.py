@@ -44,13 +44,13 @@ class Contact(Parameters):
         ParameterError: If a value is outside its bounds.
     """
 
-    pulse: bool = param("braking pulse at the crossing sample, sized to stop the lightest flotor", default=False)
-    pulse_width: float = param("how long the pulse lasts", "s", default=0.003, above=0.0, at_most=1.0)
+    pulse: bool = param("braking pulse on entering the wall, sized to stop the lightest flotor", default=False)
+    pulse_width: float = param("pulse duration", "s", default=0.003, above=0.0, at_most=1.0)
     quantize: float = WallScene.like("quantize", default=Spec.translation_resolution.value)
     force_limit: float | None = WallScene.like(
-        "force_limit", help="largest force of the actuators, or none", default=Spec.largest_vertical_force.value
+        "force_limit", help="force limit along z, or none", default=Spec.largest_vertical_force.value
     )
-    speed: float = param("speed of approach", "m/s", default=0.2, above=0.0, at_most=10.0)
+    speed: float = param("approach speed", "m/s", default=0.2, above=0.0, at_most=10.0)
 
     def pulse_of(self, wall: DesignedWall) -> float:
         """Return the pulse damping [N s/m] for the lightest flotor.
@@ -116,32 +116,32 @@ class DesignResult(Result):
         """Return gains, margins, contact and simulated check of the wall."""
         wall, contact, needs = self.wall, self.contact, self.wall.requirements
         law = "PD wall" if wall.pole is None else f"{wall.law} wall, poles at {wall.pole:g},"
-        slow = "" if wall.pole is None else f"{wall.rendered:.0f} N/m against a slow push"
-        far = "beyond the device's range" if self.depth > RANGE[2] else "worst of corners, hands, phases"
-        limit = "the limit" if contact.force_limit is not None and self.peak >= contact.force_limit else ""
+        slow = "" if wall.pole is None else f"static stiffness {wall.rendered:.0f} N/m"
+        far = "outside the range of motion" if self.depth > RANGE[2] else "worst over corners, hands, phases"
+        limit = "at the force limit" if contact.force_limit is not None and self.peak >= contact.force_limit else ""
         rows: list[tuple[str, float, str, str]] = [
             ("stiffness", wall.stiffness, "N/m", slow),
             ("damping", wall.damping, "N s/m", ""),
             ("spectral radius", wall.spectral_radius, "", str(wall.worst)),
-            ("least dynamic stiffness", wall.dynamic_stiffness, "N/m", str(wall.softest)),
-            ("hum, at rest", self.hum, "N", f"{contact.quantize * 1e6:g} µm sensor, hand {needs.hands[0]}"),
-            (f"depth, at {contact.speed:g} m/s", self.depth * 1e3, "mm", far),
-            ("peak force, likewise", self.peak, "N", limit),
+            ("minimum dynamic stiffness", wall.dynamic_stiffness, "N/m", str(wall.softest)),
+            ("force noise at rest", self.hum, "N", f"{contact.quantize * 1e6:g} µm sensor, hand {needs.hands[0]}"),
+            (f"penetration at {contact.speed:g} m/s", self.depth * 1e3, "mm", far),
+            (f"peak force at {contact.speed:g} m/s", self.peak, "N", limit),
         ]
         if contact.pulse:
-            words = f"further, for {contact.pulse_width * 1e3:g} ms, from {self.gate * 1e3:.1f} mm/s on"
+            words = f"added for {contact.pulse_width * 1e3:g} ms, above {self.gate * 1e3:.1f} mm/s"
             rows.insert(2, ("pulse", self.pulse, "N s/m", words))
         if self.reference is not None:
-            words = f"{self.reference.dynamic_stiffness:.0f} N/m dynamic"
-            rows.append(("PD alone would reach", self.reference.stiffness, "N/m", words))
+            words = f"dynamic stiffness {self.reference.dynamic_stiffness:.0f} N/m"
+            rows.append(("stiffest PD wall", self.reference.stiffness, "N/m", words))
         if wall.island is not None:
-            rows.append(("island, not used: from", wall.island, "N/m", "on, stable again in some of the cases"))
+            rows.append(("stable island, not used", wall.island, "N/m", "and above: stable again in some cases"))
         growing = [str(case) for case, grows in zip(self.cases, self.grows) if grows]
         more = [f"and {len(growing) - _MOST_LISTED} more"] if len(growing) > _MOST_LISTED else []
-        note = f"{len(self.cases)} cases simulated, in and out of contact: {len(growing) or 'none'} grow or go on"
-        title = f"Stiffest {law} at {1.0 / needs.period:g} Hz, every spectral radius at most {needs.spectral_radius:g}"
+        note = f"{len(self.cases)} cases simulated, in and out of contact; not settling: {len(growing) or 'none'}"
+        title = f"Stiffest {law} at {1.0 / needs.period:g} Hz with spectral radius at most {needs.spectral_radius:g}"
         return Table(
-            f"{title}, over the product of {needs.cases_named}",
+            f"{title} in all combinations of {needs.cases_named}",
             ("", "value", "unit", ""),
             rows,
             "\n".join([note, *growing[:_MOST_LISTED], *more]),
@@ -178,7 +178,7 @@ def evaluate_wall(
         ParameterError: If an observer is to give a pulse.
     """
     if contact.pulse and wall.pole is not None:
-        raise ParameterError("pulse must be left out for an observer: it gives none")
+        raise ParameterError("pulse must be off for an observer wall, which has none")
     needs = wall.requirements
     cases = [*needs.grid(3), wall.worst, *needs.random(_RANDOM, seed)]
     grows = growing_cases(wall, contact, cases, seed=seed)

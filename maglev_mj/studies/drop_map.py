@@ -44,12 +44,12 @@ class Ending(IntEnum):
 
     It settles if the samples of its last quarter swing by at most ten steps of the sensor, or a thousandth of the
     range if that is more. It also settles if it has not left the wall in the second half, and swings by less than 0.8
-    of the quarter before. Otherwise it gains energy if it rises above its release height in the last quarter.
+    of the quarter before. Otherwise it rises if it exceeds its release height in the last quarter.
     """
 
     SETTLES = 0
-    GOES_ON = 1
-    GAINS = 2
+    PERSISTS = 1
+    RISES = 2
 
 
 class DropMapParameters(StabilityParameters):
@@ -68,8 +68,8 @@ class DropMapParameters(StabilityParameters):
         at_most=1.0,
     )
     pulse: float = WallScene.like("pulse", default=0.0, live=False)
-    pulse_width: float = param("how long the pulse lasts", "s", default=0.003, above=0.0, at_most=1.0)
-    force_limit: float | None = WallScene.like("force_limit", help="largest force of the actuators along z")
+    pulse_width: float = param("pulse duration", "s", default=0.003, above=0.0, at_most=1.0)
+    force_limit: float | None = WallScene.like("force_limit", help="force limit along z, or none")
     quantize: float = WallScene.like("quantize")
 
     @property
@@ -143,20 +143,25 @@ class DropMap(GainMap):
         p, settles, stable, up_to = self.parameters, self.settles, self.stable_by_theory, self.settles_up_to
         best, counts = int(np.argmax(up_to)), {one: int((self.ending == one).sum()) for one in Ending}
         rows = [
-            ("stiffest up to which all settle", up_to[best], self.damping[best], "" if up_to[best] else "none settles"),
             (
-                "stiffest stable wall by theory",
+                "stiffest wall with all softer ones settling",
+                up_to[best],
+                self.damping[best],
+                "" if up_to[best] else "none settle",
+            ),
+            (
+                "stiffest stable wall (theory)",
                 float(self.maximum.stiffness),
                 float(self.maximum.damping),
                 "on a jump" if self.maximum.on_jump else "",
             ),
         ]
         note = (
-            f"grid: {settles.size} walls, {stable.sum()} stable by theory\n{counts[Ending.SETTLES]} settle: {SAMPLES} "
-            f"samples on they swing by at most {p.band * 1e6:g} µm, or ever less without leaving the wall; "
-            f"{counts[Ending.GOES_ON]} go on; {counts[Ending.GAINS]} rise above where they were released\n"
-            f"{(stable & ~settles).sum()} are stable by theory and do not settle, {(~stable & settles).sum()} settle "
-            "and are unstable by theory"
+            f"grid: {settles.size} walls, {stable.sum()} stable by theory\nsimulation: {counts[Ending.SETTLES]} settle "
+            f"in {SAMPLES} samples (to {p.band * 1e6:g} µm, or decaying in contact), {counts[Ending.PERSISTS]} keep "
+            f"moving, {counts[Ending.RISES]} rise above the release height\n"
+            f"disagreement: {(stable & ~settles).sum()} stable by theory do not settle, {(~stable & settles).sum()} "
+            "unstable by theory settle"
         )
         head = "", "stiffness [N/m]", "damping [N s/m]", ""
         return Table(f"Drops on PD walls, {p.loop_named}: {p.described}", head, rows, note)
@@ -197,7 +202,7 @@ def run_drop_map(
     judge = partial(_judge_parts, parameters, stiffness, damping)
     results = run_cells(judge, parts, record=record, workers=workers, progress=progress_of_walls)
     if lost := [result for result in results if "swing" not in result]:
-        raise MaglevError(f"a part of the map has no verdicts: {lost[0]!r}")
+        raise MaglevError(f"map part without verdicts: {lost[0]!r}")
     shape = stiffness.size, damping.size
     swing, ending = (
         np.concatenate([result[name] for result in results]).reshape(shape) for name in ("swing", "ending")
@@ -276,5 +281,5 @@ class _Quarters:
         before, swing = self._most - self._least
         inside = self._most.max(axis=0) <= 0.0
         settles = (swing <= p.band) | (inside & (swing < _DYING * before))
-        gains = self._most[1] > p.height
-        return swing, np.where(settles, Ending.SETTLES, np.where(gains, Ending.GAINS, Ending.GOES_ON))
+        rises = self._most[1] > p.height
+        return swing, np.where(settles, Ending.SETTLES, np.where(rises, Ending.RISES, Ending.PERSISTS))

@@ -48,10 +48,7 @@ from maglev_mj.studies.levels import (
 from maglev_mj.theory.closed_loop import SampledLoop
 
 MARGIN = 1.25
-"""Safety factor on the worst error seen.
-
-It covers cases not simulated.
-"""
+"""Safety factor on the worst error, for cases not simulated."""
 
 _JUMP = 100.0
 _REFERENCE_STEP = 2e-5
@@ -101,7 +98,7 @@ class Preset(NamedTuple):
 
 
 _PRESETS = (
-    Preset("drop-no-pulse", Drop(pulse=0.0), 1e-4, "what the paper's figure 3 can be read to"),
+    Preset("drop-no-pulse", Drop(pulse=0.0), 1e-4, "reading accuracy of the paper's figure 3"),
     Preset(
         "press",
         Press(hits=1, interval=0.2, height=0.001, press=1.0, pulse=0.0, duration=0.5),
@@ -257,13 +254,13 @@ class FidelityResult(Result):
         preset, chosen, last = self.preset, self.level, self.levels[-1]
         own = f" ({preset.reason})" if self.tolerance == preset.tolerance else ""
         title = (
-            f"Fidelity of {preset.name}: {preset.scene.describe()}; to be kept: {_micro(self.tolerance):g} µm, as the "
+            f"Fidelity of {preset.name}: {preset.scene.describe()}; tolerance: {_micro(self.tolerance):g} µm of coil "
         )
-        remarks = {row.level: f"diverges in {row.diverged}" if row.diverged else "" for row in self.levels}
+        remarks = {row.level: f"{row.diverged} diverged" if row.diverged else "" for row in self.levels}
         below = [_added(self.levels)]
         if chosen is None:
-            unstable = "; the loop diverges on the exact plant at these gains or near them"
-            notes = [f"no level keeps the tolerance{unstable if math.isinf(last.worst) else ''}"]
+            unstable = "; the loop diverges on the exact plant at or near these gains"
+            notes = [f"no level meets the tolerance{unstable if math.isinf(last.worst) else ''}"]
         else:
             remarks[chosen.level] = "chosen"
             notes = self._advice(chosen)
@@ -280,30 +277,30 @@ class FidelityResult(Result):
             for row in self.levels
         ]
         legend = (
-            "each level adds to those above it; changes and force: in the scene itself; worst: over all cases, from "
-            "any line below it; keeps: share of the cases that keep the tolerance with the margin; cost: of a "
-            "simulated ms"
+            "each level includes all above it; change, force: against the level above it, in the scene itself; worst: "
+            "max. deviation from any level below it, over all cases; within: cases within tolerance / margin; cost: "
+            "computing time per simulated ms"
         )
-        head = "level", "changes [µm]", "worst [µm]", "keeps [%]", "force [N]", "cost [µs]", ""
+        head = "level", "change [µm]", "worst [µm]", "within [%]", "force [N]", "cost [µs]", ""
         note = "\n".join([*self._range_lines(), legend, *notes])
-        return Table(f"{title}greatest displacement of a coil{own}", head, rows, note, below)
+        return Table(f"{title}displacement{own}", head, rows, note, below)
 
     def _range_lines(self) -> list[str]:
         """Return remarks about the cases: kinds, numbers, contact with stops."""
         over, count, scene = self.over, len(self.cases), self.preset.scene
-        whole = f"{count} cases of the whole device: {over.phases} "
-        whole += "phases with a jitter seed each" if scene.takes_phase else "jitter seeds"
+        device = f"{count} cases of the whole device: {over.phases} "
+        device += "sampling phases, each with its own jitter seed" if scene.takes_phase else "jitter seeds"
         if has_gains(scene) and over.around:
-            whole += f", times 5 pairs of gains (given, and {over.around:.3g} of each up and down)"
-        exact = f"and {self.screened} on the exact plant in the same range: lag, limit, sensor's steps, jitter"
+            device += f", times 5 gain pairs (nominal, and ±{100.0 * over.around:.3g} % of each)"
+        exact = f"{self.screened} cases on the exact plant in the same range: lag, limit, sensor resolution, jitter"
         if not self.screened:
-            exact = f"none on the exact plant, which takes many devices at once: {self.unscreened}"
-        kept = f"kept if {MARGIN:g} times the worst of {over.share:.4g} of these is: the margin for cases not looked at"
+            exact = f"no cases on the exact plant, whose batches the laws must support: {self.unscreened}"
+        criterion = f"criterion: {100.0 * over.share:.4g} % of cases within tolerance / {MARGIN:g} (margin for others)"
         stops = (
-            f"THE MOTION MEETS THE METAL STOPS of the model in {self.met_stops} of {count} cases: levels without stops "
-            "are those of another motion"
+            f"Warning: metal stops reached in {self.met_stops} of {count} cases: levels without stops simulate a "
+            "different motion"
         )
-        return [whole, exact, kept, *([stops] if self.met_stops else [])]
+        return [device, exact, criterion, *([stops] if self.met_stops else [])]
 
     def _steps_table(self, chosen: LevelResult) -> Table:
         rows = [
@@ -320,30 +317,30 @@ class FidelityResult(Result):
         ]
         diverged = sum(not math.isfinite(step.error) for step in self.steps)
         title = (
-            f"On the level {chosen.level}, cheapest first: longest step (- for an interval), error against 20 µs "
-            f"of RK4, shift of the stability boundary (at most {100.0 * self.over.boundary:.3g} % allowed), worst over "
-            "all cases"
+            f"Integrators on level {chosen.level}, cheapest first; step: longest (- for one per interval); error: "
+            f"against RK4 at 20 µs; shift: of the stability boundary (at most {100.0 * self.over.boundary:.3g} %); "
+            "worst: over all cases"
         )
         head = "integrator", "step [ms]", "error [µm]", "shift [%]", "worst [µm]", "cost [µs]", ""
-        return Table(title, head, rows, f"{diverged} diverge" if diverged else "")
+        return Table(title, head, rows, f"{diverged} diverged" if diverged else "")
 
     def _advice(self, chosen: LevelResult) -> list[str]:
         """Return the step to take, and how far its model goes."""
         best = self.cheapest
         if best is None:
-            return [f"no integrator keeps tolerance and boundary on the level {chosen.level}"]
+            return [f"no integrator meets tolerance and boundary on level {chosen.level}"]
         cases = "the cases"
         if self.unscreened:
             count = min(len(self.cases), DEAR_CASES) if level_index(chosen.level) >= DEAR else len(self.cases)
-            cases = f"{count} cases of the whole device{f' alone, as {self.unscreened}' if self.screened else ''}"
-        others = "how far others go is not known"
+            cases = f"{count} cases of the whole device{f' only: {self.unscreened}' if self.screened else ''}"
+        others = "no bound for the others"
         if self.furthest is not None:
-            jumps = ", where a sample just meets the wall or misses it" if self.jump else ""
-            others = f"none expected beyond {_micro(self.furthest):.4g} µm{jumps}"
+            jumps = ", where a sample just meets or misses the wall" if self.jump else ""
+            others = f"largest expected {_micro(self.furthest):.4g} µm{jumps}"
         return [
-            f"take {chosen.level} with {stepping_name(best.integrator, best.step)}: {1e3 * best.cost:.1f} µs a ms",
-            f"within {_micro(MARGIN * (best.missing or 0.0)):.3g} µm in {self.over.share:.4g} of {cases}, the margin "
-            f"of {MARGIN:g} included; {others}",
+            f"use {chosen.level}, {stepping_name(best.integrator, best.step)}; {1e3 * best.cost:.1f} µs per ms",
+            f"error, with the margin of {MARGIN:g}: at most {_micro(MARGIN * (best.missing or 0.0)):.3g} µm in "
+            f"{100.0 * self.over.share:.4g} % of {cases}; {others}",
         ]
 
     @property
@@ -370,8 +367,7 @@ def levels_table(found: Mapping[str, Sequence[LevelResult]]) -> Table:
         cost = f"{number_text(min(costs), 3, 2)} to {number_text(max(costs), 3, 2)}"
         rows.append((each[0].level, *(_micro(row.changes) for row in each), cost))
     title = (
-        "What each level changes in each scene, against the level below: greatest displacement of a coil [µm]; and the "
-        "cost of a simulated ms [µs]"
+        "Change by each level against the one above it, by scene: coil displacement [µm]; cost per simulated ms [µs]"
     )
     return Table(title, ("level", *found, "cost"), rows, below=[_added(next(iter(found.values())))])
 
@@ -417,8 +413,8 @@ def measure_fidelity(
 
     Example:
         >>> from maglev_mj import Range, find_scene, measure_fidelity
-        >>> found = measure_fidelity(find_scene("let-go")(duration=0.005), over=Range(phases=1))
-        >>> found.level.level
+        >>> fidelity = measure_fidelity(find_scene("let-go")(duration=0.005), over=Range(phases=1))
+        >>> fidelity.level.level
         'axes'
     """
     preset, over = preset_of(scene), over or Range()
@@ -426,7 +422,7 @@ def measure_fidelity(
     check_instance("over", over, Range, "a Range, such as Range(phases=1)")
     number("share", over.share, above=0.0, at_most=1.0)
     number("boundary", over.boundary, above=0.0)
-    kept = preset.tolerance if tolerance is None else number("tolerance", tolerance, above=0.0)
+    allowed = preset.tolerance if tolerance is None else number("tolerance", tolerance, above=0.0)
     cases = choice_cases(scene, over.phases, over.around, checked_phase(phase))
     dear = (len(LEVELS) - DEAR) * min(DEAR_CASES, len(cases))
     total, counted = len(cases) * DEAR + dear + len(STEPPINGS), itertools.count(1)
@@ -439,12 +435,12 @@ def measure_fidelity(
     unscreened = ""
     try:
         screen = screen_levels(scene, over.around)
-    except Exception as error:  # a user's law may raise anything for arrays
+    except Exception as error:  # a user's law may fail on arrays in any way
         screen, unscreened = np.zeros((len(LEVELS), 1)), (str(error) or type(error).__name__).splitlines()[0]
     screened = 0 if unscreened else screen.shape[1]
-    levels = level_results(scene, motions, screen, kept / MARGIN, over.share)
-    met = sum(motion is not None and motion.met_stops for motion in motions[level_index("stops")].values())
-    level = next((row for row in levels if MARGIN * row.missing <= kept and not row.diverged), None)
+    levels = level_results(scene, motions, screen, allowed / MARGIN, over.share)
+    met_stops = sum(motion is not None and motion.met_stops for motion in motions[level_index("stops")].values())
+    level = next((row for row in levels if MARGIN * row.missing <= allowed and not row.diverged), None)
     steps: tuple[StepResult, ...] = ()
     cheapest = None
     if level is not None:
@@ -452,24 +448,26 @@ def measure_fidelity(
 
         def distances_of(row: StepResult, level: str = level.level) -> list[float]:
             options: Any = {"integrator": row.integrator, "longest_step": row.step}
-            moved = {case: run_case(scene, level, cases[case], **options) for case in motions[index]}
-            return list(distances_above([moved, *motions[index:]], 0).values())
+            stepped = {case: run_case(scene, level, cases[case], **options) for case in motions[index]}
+            return list(distances_above([stepped, *motions[index:]], 0).values())
 
-        beyond = worst_of(screen[index], over.share)
+        screened_error = worst_of(screen[index], over.share)
         if not unscreened and screen[index].max() < _ROUNDING:
-            unscreened = f"the exact plant says nothing on the level {level.level}"
-            if moved := float(np.mean(screen[level_index("jitter")] > kept / MARGIN)):
-                unscreened += f" (jitter, below it, misses the tolerance in {moved:.2g} of its cases)"
+            unscreened = f"the exact plant cannot assess level {level.level}"
+            if jittered := float(np.mean(screen[level_index("jitter")] > allowed / MARGIN)):
+                unscreened += f" (level jitter, which it includes, fails in {100.0 * jittered:.2g} % of its cases)"
         steps, cheapest = _choose(
             measure_steps(scene, level.level, phase=cases[0].phase, done=done),
             loop_of(scene, level.level),
             step_of(scene, level.level),
-            lambda value: MARGIN * value <= kept,
+            lambda value: MARGIN * value <= allowed,
             over.boundary,
-            lambda row: max(worst_of(distances_of(row), over.share), beyond),
+            lambda row: max(worst_of(distances_of(row), over.share), screened_error),
         )
     jump = largest_jump(screen)
-    return FidelityResult(preset, kept, over, cases, screened, jump, met, levels, level, steps, cheapest, unscreened)
+    return FidelityResult(
+        preset, allowed, over, cases, screened, jump, met_stops, levels, level, steps, cheapest, unscreened
+    )
 
 
 def run_levels(
@@ -486,19 +484,19 @@ def run_levels(
     """
     motions: list[dict[int, Motion | None]] = [{} for _ in LEVELS]
 
-    def measure(index: int, place: int) -> None:
-        motions[index][place] = run_case(scene, LEVELS[index].name, cases[place])
+    def measure(index: int, case: int) -> None:
+        motions[index][case] = run_case(scene, LEVELS[index].name, cases[case])
         done()
 
-    for place in range(len(cases)):
+    for case in range(len(cases)):
         for index in range(DEAR):
-            measure(index, place)
+            measure(index, case)
     # by the distances of the falloff level: those of lower levels sum up too many other effects
-    lacking = distances_above(motions, level_index("falloff"))
-    ordered = sorted(range(1, len(cases)), key=lambda place: -lacking[place])
-    for place in (0, *ordered[: DEAR_CASES - 1]):
+    errors = distances_above(motions, level_index("falloff"))
+    ordered = sorted(range(1, len(cases)), key=lambda case: -errors[case])
+    for case in (0, *ordered[: DEAR_CASES - 1]):
         for index in range(DEAR, len(LEVELS)):
-            measure(index, place)
+            measure(index, case)
     return motions
 
 
@@ -522,8 +520,8 @@ def distances_above(motions: Motions, index: int) -> dict[int, float]:
     The largest in each case.
     """
     return {
-        place: max((distance(motion, above[place]) for above in motions[index + 1 :] if place in above), default=0.0)
-        for place, motion in motions[index].items()
+        case: max((distance(motion, above[case]) for above in motions[index + 1 :] if case in above), default=0.0)
+        for case, motion in motions[index].items()
     }
 
 
@@ -546,9 +544,9 @@ def largest_jump(screen: Array) -> float:
     Args:
         screen: Distances of each level from those above it [m], (levels, cases).
     """
-    seen = screen[level_index("lag") :]
-    most = seen.max(axis=1)
-    return float(np.max(most, where=most > _JUMP * np.median(seen, axis=1), initial=0.0))
+    errors = screen[level_index("lag") :]
+    largest = errors.max(axis=1)
+    return float(np.max(largest, where=largest > _JUMP * np.median(errors, axis=1), initial=0.0))
 
 
 def level_results(
@@ -566,24 +564,24 @@ def level_results(
         share: Share of the cases that counts.
         repeats: Number of timings of each.
     """
-    firsts = [found[0] for found in motions]
+    firsts = [by_case[0] for by_case in motions]
     makers = [partial(level_parts, scene, level.name) for level in LEVELS]
-    seconds = [min((m.seconds for m in found.values() if m is not None), default=1.0) for found in motions]
+    seconds = [min((m.seconds for m in by_case.values() if m is not None), default=1.0) for by_case in motions]
     costs = measure_costs(makers, seconds, repeats)
     rows = []
     for index, level in enumerate(LEVELS):
-        here, below = firsts[index], firsts[max(index - 1, 0)]
-        found = list(distances_above(motions, index).values())
+        motion, below = firsts[index], firsts[max(index - 1, 0)]
+        errors = list(distances_above(motions, index).values())
         rows.append(
             LevelResult(
                 level=level.name,
                 adds=level.adds,
-                changes=distance(here, below),
-                worst=max(*found, float(screen[index].max())),
-                missing=max(worst_of(found, share), worst_of(screen[index], share)),
-                keeps=float(min(np.mean(np.array(found) <= tolerance), np.mean(screen[index] <= tolerance))),
-                diverged=sum(motion is None for motion in motions[index].values()),
-                force=math.nan if here is None or below is None else here.peak_force - below.peak_force,
+                changes=distance(motion, below),
+                worst=max(*errors, float(screen[index].max())),
+                missing=max(worst_of(errors, share), worst_of(screen[index], share)),
+                keeps=float(min(np.mean(np.array(errors) <= tolerance), np.mean(screen[index] <= tolerance))),
+                diverged=sum(one is None for one in motions[index].values()),
+                force=math.nan if motion is None or below is None else motion.peak_force - below.peak_force,
                 cost=costs[index],
             )
         )
@@ -613,11 +611,11 @@ def measure_steps(
     for integrator, step in STEPPINGS:
         motions[integrator, step] = run_case(scene, level, case, integrator=integrator, longest_step=step)
         done()
-    sound = {key: motion.seconds for key, motion in motions.items() if motion is not None}
+    seconds = {key: motion.seconds for key, motion in motions.items() if motion is not None}
     makers = [
-        partial(level_parts, scene, level, phase=phase, integrator=kind, longest_step=step) for kind, step in sound
+        partial(level_parts, scene, level, phase=phase, integrator=kind, longest_step=step) for kind, step in seconds
     ]
-    costs = dict(zip(sound, measure_costs(makers, list(sound.values()), repeats), strict=True))
+    costs = dict(zip(seconds, measure_costs(makers, list(seconds.values()), repeats), strict=True))
     return tuple(StepResult(*key, distance(motion, truth), costs.get(key, math.inf)) for key, motion in motions.items())
 
 
@@ -642,14 +640,14 @@ def _choose(
         missing: Function that returns the distance of a row over all cases.
     """
     ordered = sorted(rows, key=lambda row: (row.cost, row.error))
-    for place, row in enumerate(ordered):
+    for index, row in enumerate(ordered):
         if not keeps(row.error):
             continue
         shift = boundary_shift(row.integrator, row.step or usual_step, loop)
-        row = ordered[place] = row._replace(shift=shift)
+        row = ordered[index] = row._replace(shift=shift)
         if abs(shift) > boundary:
             continue
-        row = ordered[place] = row._replace(missing=missing(row))
+        row = ordered[index] = row._replace(missing=missing(row))
         if keeps(row.missing or 0.0):
             return tuple(ordered), row
     return tuple(ordered), None
@@ -660,5 +658,5 @@ def stepping_name(integrator: str, step: float | None) -> str:
 
     The longest step is in [s].
     """
-    length = "a step an interval" if step is None else f"{step * 1e3:g} ms"
+    length = "one step per interval" if step is None else f"{step * 1e3:g} ms"
     return integrator if integrator == "closed form" else f"{integrator}, {length}"

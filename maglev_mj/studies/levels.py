@@ -79,17 +79,17 @@ class Level(NamedTuple):
 
 LEVELS: tuple[Level, ...] = (
     Level("axes", "six decoupled axes, in closed form"),
-    Level("body", "a rigid body with an ideal wrench", {"coils": False}),
-    Level("coils", "six coils that do not turn, 10 A each", {"current_limit": Spec.peak_current.value}),
+    Level("body", "rigid body with an ideal wrench", {"coils": False}),
+    Level("coils", "six coils of fixed orientation, 10 A each", {"current_limit": Spec.peak_current.value}),
     Level("turning", "coils that turn with the flotor", {"coils": True}),
-    Level("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, _LAG),
-    Level("falloff", "a tenth of the force lost at the end of the range", {"force_falloff": 0.1}, _LAG),
-    Level("steps", "a sensor of 5 µm and 10 µrad", {"sensor": _STEPS}, _LAG),
-    Level("spots", "LEDs and diodes of 0.8 µm, the pose by Newton", {"sensor": _SPOTS}, _LAG),
-    Level("jitter", "conversions that vary by 0.1 ms either way", {}, _LAG, _JITTER),
+    Level("lag", "2 kHz drivers, as 80 µs of added delay", {}, _LAG),
+    Level("falloff", "10 % force loss at the end of the range", {"force_falloff": 0.1}, _LAG),
+    Level("steps", "sensor resolution of 5 µm and 10 µrad", {"sensor": _STEPS}, _LAG),
+    Level("spots", "LED spots with 0.8 µm resolution, pose by Newton's method", {"sensor": _SPOTS}, _LAG),
+    Level("jitter", "jitter of ±0.1 ms", {}, _LAG, _JITTER),
     Level("stops", "metal stops", {"stops": True}, _LAG, _JITTER),
-    Level("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, 0.0, _JITTER),
-    Level("flexible", "a handle that swings at 1 kHz", {"flexible": True}, 0.0, _JITTER),
+    Level("filter", "driver lag as a first-order filter", {"driver_lag": True}, 0.0, _JITTER),
+    Level("flexible", "handle that vibrates at 1 kHz", {"flexible": True}, 0.0, _JITTER),
 )
 """Model levels in order, each including those below."""
 
@@ -158,11 +158,11 @@ def step_of(scene: Scene, level: str) -> float:
 
     It is the period if nothing needs a shorter step.
     """
-    own = scene.plant_options().get("longest_step")
-    asked = own("mujoco") if callable(own) else own
+    option = scene.plant_options().get("longest_step")
+    limit = option("mujoco") if callable(option) else option
     needs = {name: value for name, value in options_of(level).items() if name in _SHORTEN}
     needed = step_needed(load_model("drop"), hand=_hand_of(scene), **needs)
-    return min(bound for bound in (needed, asked, scene.period) if bound is not None)
+    return min(bound for bound in (needed, limit, scene.period) if bound is not None)
 
 
 def _hand_of(scene: Scene) -> Hand | None:
@@ -193,7 +193,7 @@ def loop_of(scene: Scene, level: str) -> SampledLoop:
 def timing_of(level: Level, timing: Timing, seed: int) -> Timing:
     """Return a scene's timing on a level.
 
-    The jitter is reduced if delay and period leave no room for it.
+    The jitter is reduced to fit within delay and period.
     """
     delay = timing.delay + level.more_delay
     rest = Timing(period=timing.period, delay=delay).rest
@@ -220,20 +220,20 @@ def level_parts(
         integrator: One of `INTEGRATORS`; the lowest level has none.
         longest_step: Longest step [s]; None for that of the level.
         seed: Seed of the jitter.
-        keywords: Further keywords of the plant, in place of the scene's and the level's.
+        keywords: Plant keywords that override those of scene and level.
 
     Raises:
         ParameterError: If there is no such level.
     """
     options, index = options_of(level), level_index(level)
 
-    def make(timing: Timing, **given: Any) -> SampledPlant:
-        bound = given.pop("longest_step", None)
+    def make(timing: Timing, **options: Any) -> SampledPlant:
+        bound = options.pop("longest_step", None)
         if index == 0:
-            return ExactPlant(timing, **given)
+            return ExactPlant(timing, **options)
         if longest_step is not None or bound is not None:
-            given["longest_step"] = step_of(scene, level) if longest_step is None else longest_step
-        return MuJoCoPlant(timing, integrator=integrator, **given)
+            options["longest_step"] = step_of(scene, level) if longest_step is None else longest_step
+        return MuJoCoPlant(timing, integrator=integrator, **options)
 
     timing = scene.timing(phase)
     plant = scene.plant(
@@ -259,11 +259,11 @@ def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> Motion
 
     start = time.perf_counter()
     drive(plant, controller, ticks, observe=observe)
-    taken = time.perf_counter() - start
+    seconds = time.perf_counter() - start
     states.append(plant.state())
     pose, twist = (np.array(part) for part in zip(*states, strict=True))
-    met = isinstance(plant, MuJoCoPlant) and plant.met_stops
-    return Motion(pose, twist, float(np.max(forces, axis=0)[:3].max()), met, taken)
+    met_stops = isinstance(plant, MuJoCoPlant) and plant.met_stops
+    return Motion(pose, twist, float(np.max(forces, axis=0)[:3].max()), met_stops, seconds)
 
 
 def apart(one: Array, other: Array) -> Array:
@@ -311,7 +311,7 @@ class SteppedLoop(SampledLoop):
         early, held = self._steps(first, before)
         late, new = self._steps(second, after)
         phi, old = late @ early, late @ held
-        if self.integrator == "corrected":  # at the sample the position goes back by half a step of the speed gained
+        if self.integrator == "corrected":  # the position is corrected by half a step of the speed change
             new = new - 0.5 * second * new[1] * _PLACE[: len(new)]
             old = old - 0.5 * (first * held[1] + second * (old[1] - held[1])) * _PLACE[: len(old)]
             before_it = np.eye(len(phi))[1]
@@ -416,8 +416,8 @@ def choice_cases(scene: Scene, phases: int, around: float, phase: float = 0.0) -
     gains = [(1.0, 1.0)]
     if has_gains(scene) and share:
         gains += [(k, b) for k in (1.0 - share, 1.0 + share) for b in (1.0 - share, 1.0 + share)]
-    chosen = [(phase + place / count) % 1.0 for place in range(count)]
-    return tuple(Case(at, seed, *pair) for seed, (pair, at) in enumerate(itertools.product(gains, chosen)))
+    shifted = [(phase + index / count) % 1.0 for index in range(count)]
+    return tuple(Case(at, seed, *pair) for seed, (pair, at) in enumerate(itertools.product(gains, shifted)))
 
 
 def scattered_cases(scene: Scene, count: int, around: float, *, seed: int) -> tuple[Case, ...]:
@@ -435,8 +435,8 @@ def scattered_cases(scene: Scene, count: int, around: float, *, seed: int) -> tu
     start = np.random.default_rng(seed).uniform(size=3)
     points = (start + np.outer(np.arange(count), _SPREAD)) % 1.0
     return tuple(
-        Case(float(phase), seed + place, 1.0 + share * (2.0 * float(k) - 1.0), 1.0 + share * (2.0 * float(b) - 1.0))
-        for place, (phase, k, b) in enumerate(points)
+        Case(float(phase), seed + index, 1.0 + share * (2.0 * float(k) - 1.0), 1.0 + share * (2.0 * float(b) - 1.0))
+        for index, (phase, k, b) in enumerate(points)
     )
 
 
@@ -477,7 +477,7 @@ def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -
     """
     stack = stacked_scenes(points)
     near = exact_options(level) | {"longest_step": None, "escape": _FAR, "record": False}
-    if stack.plant_options().get("wrench_limit") is not None:  # the scene's own
+    if stack.plant_options().get("wrench_limit") is not None:  # of the scene
         near.pop("wrench_limit", None)
     ticks = min(scene.ticks(scene.timing(phase)) for scene, phase in points)
     timing = timing_of(LEVELS[level_index(level)], stack.timing(), seed)
@@ -493,8 +493,8 @@ def screen_levels(scene: Scene, around: float) -> Array:
     (levels, cases): 4096 cases on the exact plant; 16 of a scene with neither gains nor phases to vary.
 
     The exact plant has the lag, the current limit along z, the sensor's steps and the jitter, for many devices at
-    once. It lacks turning coils, falloff, spots, stops and the handle's swing. A rare jump, of a sample that just meets
-    the wall, is found here and not in a few cases of the whole device.
+    once. It lacks turning coils, falloff, spots, stops and the handle's swing. Rare jumps, of a sample that just meets
+    the wall, show up here and not in a few cases of the whole device.
 
     Args:
         scene: The scene.
@@ -510,25 +510,25 @@ def screen_levels(scene: Scene, around: float) -> Array:
     points = [scene_at(scene, case) for case in scattered_cases(scene, count, around, seed=0)]
     try:
         return _screen(points)
-    except PlantError:  # one diverged, and with it the batch
+    except PlantError:  # one diverged case fails the batch
         return np.full((len(LEVELS), len(points) * _SEEDS), math.inf)
 
 
 def _screen(points: Sequence[tuple[Scene, float]]) -> Array:
-    # the first level that the exact plant does not tell from each
-    first = [next(index for index, below in enumerate(LEVELS) if _seen_alike(level, below)) for level in LEVELS]
+    # the lowest level that the exact plant does not distinguish from each
+    first = [next(index for index, below in enumerate(LEVELS) if _equal_on_exact(level, below)) for level in LEVELS]
     motions: dict[int, Array] = {}
-    found = []
+    distances = []
     for seed in range(_SEEDS):
         motions = {index: motion for index, motion in motions.items() if not LEVELS[index].jitter}
         for index in first:
             if index not in motions:
                 motions[index] = run_together(points, LEVELS[index].name, seed)
-        found.append(_distances([motions[index] for index in first]))
-    return np.concatenate(found, axis=1)
+        distances.append(_distances([motions[index] for index in first]))
+    return np.concatenate(distances, axis=1)
 
 
-def _seen_alike(one: Level, other: Level) -> bool:
+def _equal_on_exact(one: Level, other: Level) -> bool:
     """Return True for two equal levels on the exact plant."""
     return (exact_options(one.name), *one[3:]) == (exact_options(other.name), *other[3:])
 
@@ -538,11 +538,11 @@ def _distances(motions: Sequence[Array]) -> Array:
 
     (levels, N), from poses (K, N, 6).
     """
-    found = np.zeros((len(motions), motions[0].shape[1]))
-    for place, motion in enumerate(motions):
-        different = {id(above): above for above in motions[place + 1 :] if above is not motion}
-        found[place] = np.max([apart(motion, above) for above in different.values()], axis=0, initial=0.0)
-    return found
+    distances = np.zeros((len(motions), motions[0].shape[1]))
+    for index, motion in enumerate(motions):
+        different = {id(above): above for above in motions[index + 1 :] if above is not motion}
+        distances[index] = np.max([apart(motion, above) for above in different.values()], axis=0, initial=0.0)
+    return distances
 
 
 Parts = tuple[SampledPlant, Controller, int]
@@ -558,13 +558,13 @@ def measure_costs(makers: Sequence[Callable[[], Parts]], seconds: Sequence[float
         seconds: Time of an earlier run of each [s]; a long one is not repeated.
         repeats: Number of rounds.
     """
-    quick = [place for place, taken in enumerate(seconds) if taken < _LONG]
-    taken = list(seconds)
-    found = median_times([partial(closed_loop, makers[place]) for place in quick], repeats)
-    for place, median in zip(quick, found, strict=True):
-        taken[place] = median
+    quick = [index for index, duration in enumerate(seconds) if duration < _LONG]
+    times = list(seconds)
+    medians = median_times([partial(closed_loop, makers[index]) for index in quick], repeats)
+    for index, median in zip(quick, medians, strict=True):
+        times[index] = median
     simulated = [ticks * plant.period for plant, _, ticks in (make() for make in makers)]
-    return tuple(cost / span for cost, span in zip(taken, simulated, strict=True))
+    return tuple(cost / span for cost, span in zip(times, simulated, strict=True))
 
 
 def closed_loop(make: Callable[[], Parts]) -> Callable[[], object]:
@@ -576,7 +576,7 @@ def median_times(prepare: Sequence[Callable[[], Callable[[], object]]], repeats:
     """Return the computing time of each task [s].
 
     Medians over interleaved repeats, so that their ratios hold on a shared machine. A short task is timed several times
-    per round, after one run that warms the processor's caches; a long task has two rounds only.
+    per round after a warm-up run; a long task has two rounds only.
 
     Args:
         prepare: Functions that prepare a task, which is not timed, and return it.
@@ -584,10 +584,10 @@ def median_times(prepare: Sequence[Callable[[], Callable[[], object]]], repeats:
     """
     times: list[list[float]] = [[] for _ in prepare]
     for turn in range(repeats):
-        for kept, make in zip(times, prepare, strict=True):
-            if turn > 1 and kept[0] > _LONG:
+        for task_times, make in zip(times, prepare, strict=True):
+            if turn > 1 and task_times[0] > _LONG:
                 continue
             first = timeit(make(), number=1)
             repeated = range(min(math.ceil(_SHORT / first), 10))
-            kept += [first] if first > _LONG else [timeit(make(), number=1) for _ in repeated]
-    return tuple(statistics.median(kept) for kept in times)
+            task_times += [first] if first > _LONG else [timeit(make(), number=1) for _ in repeated]
+    return tuple(statistics.median(task_times) for task_times in times)

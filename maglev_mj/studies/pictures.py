@@ -1,4 +1,4 @@
-"""Pictures of studies: sweeps, maps over gains, drops, wall margins, model levels."""
+"""Charts of studies: sweeps, maps over gains, drops, wall margins, model levels."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ def level_sets(panel: Any, x: Array, y: Array, spectral_radius: Array) -> None:
         lines = panel.contour(x, y, spectral_radius, levels=wide, colors=[REFERENCE], linewidths=0.7)
         panel.clabel(lines, fmt="%g", fontsize=8)
     panel.contour(x, y, spectral_radius, levels=[1.0], colors=[FIRST], linewidths=2.2)
-    panel.plot([], [], color=REFERENCE, linewidth=0.7, label="lines: spectral radius")
-    panel.plot([], [], color=FIRST, linewidth=2.2, label="spectral radius 1: boundary of stability")
+    panel.plot([], [], color=REFERENCE, linewidth=0.7, label="contours: spectral radius")
+    panel.plot([], [], color=FIRST, linewidth=2.2, label="stability boundary (spectral radius 1)")
     panel.plot([], [], "s", color=_UNSTABLE, markersize=9, label="unstable")
 
 
@@ -99,16 +99,16 @@ def stability_map(result: StabilityMap) -> Any:
         return bool(x[0] <= gains.damping <= x[-1] and y[0] <= gains.stiffness <= y[-1])
 
     if is_shown(used):
-        name = f"gains of drop: {used.stiffness:g} N/m, {used.damping:g} N s/m"
+        name = f"scene drop: {used.stiffness:g} N/m, {used.damping:g} N s/m"
         panel.plot(used.damping, used.stiffness, "D", color=FIRST, markeredgecolor="white", markersize=9, label=name)
     best = result.maximum
     if is_shown(best):
-        panel.plot(best.damping, best.stiffness, label="stiffest by theory", **_STAR)
+        panel.plot(best.damping, best.stiffness, label="stiffest stable wall (theory)", **_STAR)
     if result.simulated is not None:
         k, b = np.meshgrid(result.stiffness, result.damping, indexing="ij")
         settles = result.simulated
         size = max(60.0 / max(len(result.stiffness), len(result.damping)), 0.6) * 1.6
-        panel.plot(b[settles], k[settles], ".", color=STOP, markersize=size, label=f"settles ({p.plant})")
+        panel.plot(b[settles], k[settles], ".", color=STOP, markersize=size, label=f"stable in simulation ({p.plant})")
         if result.misjudged is not None and result.misjudged.any():
             wrong = result.misjudged
             panel.plot(b[wrong], k[wrong], "x", color=SECOND, label="simulation and theory differ")
@@ -163,13 +163,13 @@ def drop_panels(figure: Any, panels: Sequence[Any], results: Sequence[DropMap]) 
             swing, extent=edges, origin="lower", aspect="auto", cmap=shades, norm=norm, interpolation="nearest"
         )
         panel.contour(x, y, result.settles, levels=[0.5], colors=[STOP], linewidths=0.9)
-        panel.plot([], [], color=STOP, linewidth=0.9, label="boundary of the drops that settle")
-        panel.plot(x, result.boundary, color=SECOND, linewidth=2.0, label="boundary of stability by theory")
+        panel.plot([], [], color=STOP, linewidth=0.9, label="settling boundary (simulation)")
+        panel.plot(x, result.boundary, color=SECOND, linewidth=2.0, label="stability boundary (theory)")
         panel.set(**_GAINS, xlim=edges[:2], ylim=edges[2:])
     bar = figure.colorbar(image, ax=list(panels), ticks=_DECADES, aspect=40, pad=0.02, fraction=0.04)
     bar.ax.set_yticklabels(["1 µm", "10 µm", "0.1 mm", "1 mm", "10 mm", "0.1 m"])
     bar.ax.tick_params(labelsize=9.0)
-    bar.set_label("swing over the last 100 of 400 samples", fontsize=9.0)
+    bar.set_label("peak-to-peak motion, last 100 of 400 samples", fontsize=9.0)
     name_curves(figure, panels)
 
 
@@ -197,9 +197,9 @@ def design_map(result: DesignResult) -> Any:
     needs, worst = wall.requirements, wall.worst
     sizes = result.masses.size, result.delays.size
     if sizes == (1, 1):
-        raise ParameterError("mass or delay must be a range for a picture, not one value each")
+        raise ParameterError("mass or delay must be a range to draw a chart")
     figure, (panel,) = new_figure(1, 1, 5.6)
-    marked = f"worst: {wall.spectral_radius:.4f}, hand {worst.hand}"
+    marked = f"worst case: {wall.spectral_radius:.4f}, hand {worst.hand}"
     if min(sizes) > 1:
         low, high = float(result.map.min()), float(result.map.max())
         levels = np.linspace(low, high, 9)
@@ -207,7 +207,7 @@ def design_map(result: DesignResult) -> Any:
             result.delays * 1e3, result.masses, result.map, levels=levels, cmap="GnBu", vmax=2.0 * high - low
         )
         lines = panel.contour(result.delays * 1e3, result.masses, result.map, levels=levels[1:-1], colors=[REFERENCE])
-        panel.plot([], [], color=REFERENCE, label="lines: spectral radius")
+        panel.plot([], [], color=REFERENCE, label="contours: spectral radius")
         panel.clabel(lines, fmt="%.3f", fontsize=8.5)
         panel.plot(worst.delay * 1e3, worst.mass, label=marked, **_STAR)
         panel.set(xlabel="delay (ms)", ylabel="mass (kg)")
@@ -217,15 +217,13 @@ def design_map(result: DesignResult) -> Any:
         panel.plot(x, result.map.ravel(), color=FIRST, linewidth=2.0)
         at = worst.mass if along_mass else worst.delay * 1e3
         panel.plot(at, wall.spectral_radius, label=marked, **_STAR)
-        panel.axhline(
-            needs.spectral_radius, color=REFERENCE, linestyle=":", label=f"allowed: {needs.spectral_radius:g}"
-        )
+        panel.axhline(needs.spectral_radius, color=REFERENCE, linestyle=":", label=f"limit: {needs.spectral_radius:g}")
         panel.set(xlabel="mass (kg)" if along_mass else "delay (ms)", ylabel="spectral radius")
     name_curves(figure, [panel])
     law = "PD wall" if wall.pole is None else "Observer wall"
     panel.set_title(
-        f"{law} of {wall.stiffness:.0f} N/m and {wall.damping:.1f} N s/m, {1.0 / needs.period:g} Hz\n"
-        f"spectral radius over the hands {', '.join(needs.hands)}",
+        f"{law}: {wall.stiffness:.0f} N/m, {wall.damping:.1f} N s/m, {1.0 / needs.period:g} Hz\n"
+        f"spectral radius, worst of hands {', '.join(needs.hands)}",
         **TITLE,
     )
     return figure
@@ -245,7 +243,7 @@ def sweep(result: Sweep) -> Any:
         name: (one.scale * result.figure(name), result.unit_along(one.unit, one.along)) for name, one in figures.items()
     }
     if not found:
-        raise ParameterError(f"figures must be numbers for a picture: {result.scene.name} has none")
+        raise ParameterError(f"figures must include a scalar to draw a chart: {result.scene.name} has none")
     (first, along), *others = result.varied.items()
     label = axis_label(first, result.units.get(first))
     if len(others) == 1 and _even(along) and _even(others[0][1]):
@@ -301,11 +299,11 @@ def fidelity(result: FidelityResult) -> Any:
     """
     figure, (panel,) = new_figure(1, 1, 4.2)
     names, missing = result.columns()["level"], 1e6 * result.columns()["missing"]
-    panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="missing")
+    panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="max. deviation")
     allowed = 1e6 * result.tolerance / MARGIN
-    panel.axvline(allowed, color=REFERENCE, linestyle="--", zorder=1, label=f"tolerance by the margin, {allowed:g} µm")
+    panel.axvline(allowed, color=REFERENCE, linestyle="--", zorder=1, label=f"tolerance / margin, {allowed:g} µm")
     panel.set_yticks(range(len(names)), names)
-    panel.set(ylim=(len(names) - 0.5, -0.5), xscale="log", xlabel="distance from the levels above (µm)")
+    panel.set(ylim=(len(names) - 0.5, -0.5), xscale="log", xlabel="deviation from all higher levels (µm)")
     panel.set_title(result.preset.name, **TITLE)
     name_curves(panel)
     return figure
@@ -325,14 +323,14 @@ def device_card(result: DeviceCard) -> Any:
     for index, (hand, limit) in enumerate(zip(result.hands, result.limits)):
         width.plot(result.damping, limit / 1e3, label=f"hand {hand}", linewidth=1.8, **line_style(index))
     width.set(xlabel="damping (N s/m)", ylabel="stiffness (N/mm)", ylim=(0.0, None))
-    width.set_title(f"Z-width: stable below, delay {result.delays[1] * 1e3:g} ms", **TITLE)
-    frequency, wanted, rendered, flown = result.impedance
-    size.loglog(frequency, wanted, label="wanted", linewidth=1.8, **line_style(1))
-    size.loglog(frequency, rendered, label="rendered", linewidth=1.8, **line_style(0))
-    size.loglog(frequency[::4], flown[::4], "o", color=STOP, markersize=4, label="flown by a sine hand")
-    size.axvline(result.transparent, color=REFERENCE, linestyle=":", label="transparent up to")
+    width.set_title(f"Z-width (stable below the curve), delay {result.delays[1] * 1e3:g} ms", **TITLE)
+    frequency, target, rendered, simulated = result.impedance
+    size.loglog(frequency, target, label="target", linewidth=1.8, **line_style(1))
+    size.loglog(frequency, rendered, label="rendered (theory)", linewidth=1.8, **line_style(0))
+    size.loglog(frequency[::4], simulated[::4], "o", color=STOP, markersize=4, label="rendered (simulation)")
+    size.axvline(result.transparent, color=REFERENCE, linestyle=":", label="transparency bandwidth")
     size.set(xlabel="frequency (Hz)", ylabel="impedance (N s/m)")
-    size.set_title("impedance that a hand meets", **TITLE)
+    size.set_title("impedance at the handle", **TITLE)
     for panel in (width, size):
         name_curves(panel)
     figure.suptitle(result.title, **HEAD)

@@ -1,8 +1,8 @@
-"""Results of a study in columns: packed by workers, kept in a folder, read again.
+"""Results of a study in columns: packed by workers, stored in a folder, resumed from it.
 
 A record is a folder of `plan.json`, which names study and code, and of shards: tables with a row for each cell, in
-Parquet where pyarrow is installed, otherwise `.npz`. A shard is written beside its place and renamed, so that a dying
-program leaves a whole one or none.
+Parquet where pyarrow is installed, otherwise `.npz`. Shards are written to a temporary file and renamed, so that a
+crash leaves a complete shard or none.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ Among numbers NaN is None, and ABSENT no value; among texts None is no value.
 
 _ABSENT = struct.pack("<Q", 0x7FF8_0000_0000_0AB5)
 ABSENT: float = struct.unpack("<d", _ABSENT)[0]
-"""NaN of its own bits, which files keep."""
+"""NaN with a distinct bit pattern, preserved in files."""
 
 _INDEX, _BARE, _CHECKSUM, _ERROR = "#", "=", "~", "error"
 _PLAN, _PARTIAL = "plan.json", ".partial"
-_ROWS = 65_536  # in a shard
-_PAUSE, _SHARE = 1.0, 10.0  # [s]; between two writings at least so many times the last one's duration
+_ROWS = 65_536  # per shard
+_PAUSE, _SHARE = 1.0, 10.0  # minimum pause between writes: in seconds, and in durations of the last write
 
 
 def pack(results: Sequence[Any]) -> Columns:
@@ -58,14 +58,14 @@ def pack(results: Sequence[Any]) -> Columns:
 
 
 def _column(values: Sequence[Any], *, texts: bool = False) -> NDArray[Any]:
-    """Return values as a column, ... for none."""
+    """Return values as a column; `...` marks a missing value."""
     if not texts and all(value is None or value is ... or isinstance(value, float) for value in values):
         return np.array([ABSENT if value is ... else np.nan if value is None else value for value in values])
     return np.array([None if value is ... else json_text("a result", value) for value in values], dtype=object)
 
 
 def _value(entry: Any) -> Any:
-    """Return the value of a column's entry, ... for none."""
+    """Return the value of a column's entry; `...` if missing."""
     if isinstance(entry, str):
         return json.loads(entry)
     if entry is None or struct.pack("<d", entry) == _ABSENT:
@@ -77,7 +77,7 @@ def json_text(what: str, value: Any, **keywords: Any) -> str:
     """Return a value as text of JSON, with keywords of `json.dumps`.
 
     Raises:
-        ParameterError: If it is none.
+        ParameterError: If it is not JSON.
     """
     try:
         return json.dumps(value, default=plain, **keywords)
@@ -88,15 +88,15 @@ def json_text(what: str, value: Any, **keywords: Any) -> str:
 class Record(Sequence[Any]):
     """Results of one study by cell, in columns in memory, and optionally in a folder.
 
-    A result is made when it is asked for.
+    A result is decoded on access.
 
     Args:
-        path: Folder, made with the first result; None for memory alone.
+        path: Folder, created with the first result; None for memory only.
 
     Attributes:
-        name: Name of this run, which its files have.
+        name: Name of this run, part of its file names.
         columns: Results of all cells, (N,) each.
-        done: Cells that have one, (N,).
+        done: True for cells with a result, (N,).
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -104,20 +104,20 @@ class Record(Sequence[Any]):
         self.begin(())
 
     def begin(self, cells: Sequence[Cell]) -> None:
-        """Begin a study, with its results that the folder has.
+        """Begin a study with the results already in the folder.
 
         Raises:
-            ParameterError: If the folder is no record, or one of another study or code.
+            ParameterError: If the folder is not a record, or is one of another study or code.
             MissingPackageError: If its shards need pyarrow, which is not installed.
         """
         self.columns: dict[str, NDArray[Any]] = {}
         self.done = np.zeros(len(cells), dtype=bool)
-        self._open: list[NDArray[np.int64]] = []  # cells of the last shard, which grows
+        self._open: list[NDArray[np.int64]] = []  # cells of the last, unfinished shard
         self._full, self._dirty, self._next = 0, False, 0.0
         plan = getattr(cells, "plan", None)
         if plan is None:
             plan = {"cells": hash_of("\n".join(json_text("a cell", cell, sort_keys=True) for cell in cells))}
-        self._plan = json.loads(json_text("a cell", {**plan, "versions": versions()}))  # as it is read
+        self._plan = json.loads(json_text("a cell", {**plan, "versions": versions()}))  # as read back
         if not cells or self.path is None or _is_new(self.path):
             return
         _check(self.path, self._plan)
@@ -127,7 +127,7 @@ class Record(Sequence[Any]):
                 self.put(columns.pop(_INDEX), columns)
             except MissingPackageError:
                 raise
-            except Exception:  # a torn or changed table fails in many ways
+            except Exception:  # a truncated or changed table fails in many ways
                 continue  # its cells are computed again
 
     def __len__(self) -> int:
@@ -135,10 +135,10 @@ class Record(Sequence[Any]):
 
     def __getitem__(self, index: SupportsIndex | slice) -> Any:
         """Return a result, or a list of them."""
-        place = range(len(self))[index]
-        if isinstance(place, range):
-            return [self[one] for one in place]
-        entries = {name: _value(column.item(place)) for name, column in self.columns.items()}
+        rows = range(len(self))[index]
+        if isinstance(rows, range):
+            return [self[row] for row in rows]
+        entries = {name: _value(column.item(rows)) for name, column in self.columns.items()}
         row = {name: value for name, value in entries.items() if value is not ...}
         return row.get(_BARE, row)
 
@@ -160,7 +160,7 @@ class Record(Sequence[Any]):
         return None if any(isinstance(value, Sequence) for value in values) else np.array(values, dtype=np.float64)
 
     def put(self, indices: NDArray[np.int64], columns: Columns) -> None:
-        """Store results in memory alone."""
+        """Store results in memory only."""
         for name, part in columns.items():
             have = self.columns.get(name)
             if have is None:
@@ -175,13 +175,13 @@ class Record(Sequence[Any]):
         self.done[indices] = True
 
     def add(self, indices: range, columns: Columns) -> None:
-        """Store results for the next writing."""
+        """Store results for the next write."""
         self._open.append(np.array(indices))
         self.put(self._open[-1], columns)
         self._dirty = True
 
     def flush(self, *, due: bool = False) -> None:
-        """Write results that the folder lacks; with `due` only some time after the last writing."""
+        """Write results missing in the folder; with `due`, not too soon after the last write."""
         start = time.monotonic()
         if self.path is None or not self._dirty or (due and start < self._next):
             return
@@ -198,7 +198,7 @@ class Record(Sequence[Any]):
         self._next = time.monotonic() + max(_PAUSE, _SHARE * (time.monotonic() - start))
 
     def _write(self, name: str, write: Callable[[Any], object]) -> None:
-        """Write a file beside its place and rename it."""
+        """Write a temporary file and rename it, so that a crash leaves a complete file or none."""
         assert self.path is not None
         beside = self.path / f"{self.name}{_PARTIAL}"
         with beside.open("wb") as file:
@@ -206,41 +206,41 @@ class Record(Sequence[Any]):
         os.replace(beside, self.path / name)
 
     def missing(self, most: int) -> Iterator[range]:
-        """Return an iterator over the cells to do, as ranges of at most so many indices."""
+        """Yield ranges of at most `most` indices of missing cells."""
         edges = np.flatnonzero(np.diff(self.done, prepend=True, append=True)).tolist()
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             yield from (range(first, min(first + most, stop)) for first in range(start, stop, most))
 
 
 def _is_new(path: Path) -> bool:
-    """Return True without a record: nothing, or a folder whose run was killed at once."""
+    """Return True if the path holds no record: missing, empty, or partial files only."""
     return not path.exists() or (path.is_dir() and all(one.suffix == _PARTIAL for one in path.iterdir()))
 
 
 def _check(path: Path, plan: Mapping[str, Any]) -> None:
-    """Refuse a path that is no record of this study and code."""
+    """Raise if the path is not a record of this study and code."""
     try:
-        found = dict(json.loads((path / _PLAN).read_text(encoding="utf-8")))
+        stored = dict(json.loads((path / _PLAN).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         old = "; maglev_mj 0.2.0 reads a file of JSON lines" if path.is_file() else ""
         raise ParameterError(
             f"record must be a new or empty folder, or one with {_PLAN}, not {str(path)!r}{old}"
         ) from None
-    code = versions_read(found.pop("versions", None)) or {}
-    others = [name for name in {**plan, **found} if name != "versions" and found.get(name) != plan.get(name)]
+    code = versions_read(stored.pop("versions", None)) or {}
+    others = [name for name in {**plan, **stored} if name != "versions" and stored.get(name) != plan.get(name)]
     if others:
-        raise ParameterError(f"record must be of this study, not {str(path)!r}, which has other {', '.join(others)}")
+        raise ParameterError(f"record must be of this study, not {str(path)!r}, which differs in {', '.join(others)}")
     if other := differences(code, plan["versions"]):
-        raise ParameterError(f"record must be of this code, not {str(path)!r}, which has {other}")
+        raise ParameterError(f"record must be of this code, not {str(path)!r}: {other}")
 
 
 def _checksum(table: Columns) -> int:
     """Return a checksum of names and values; those of the formats do not cover the names."""
-    found = 0
+    checksum = 0
     for name, column in sorted(table.items()):
         data = json.dumps(column.tolist()).encode() if column.dtype == object else column.tobytes()
-        found = zlib.crc32(data, zlib.crc32(name.encode(), found))
-    return found
+        checksum = zlib.crc32(data, zlib.crc32(name.encode(), checksum))
+    return checksum
 
 
 def _write_table(kind: str, table: Columns, file: Any) -> None:
@@ -265,11 +265,11 @@ def _read_table(path: Path) -> dict[str, NDArray[Any]]:
         table = {name: columns[name].to_numpy() for name in columns.column_names}
         checksum = int(columns.schema.metadata[_CHECKSUM.encode()])
     else:
-        with path.open("rb") as file, np.load(file) as arrays:  # which a torn one would leave open
+        with path.open("rb") as file, np.load(file) as arrays:  # a truncated archive would leave it open
             table = {name: arrays[name] for name in arrays.files}
         checksum = table.pop(_CHECKSUM).item()
         texts = {name: json.loads(one.item()) for name, one in table.items() if one.dtype.kind == "S"}
         table |= {name: np.array(text, dtype=object) for name, text in texts.items()}
     if checksum != _checksum(table):
-        raise ValueError(f"{path} must have the checksum that it states")
+        raise ValueError(f"{path} has a wrong checksum")
     return table

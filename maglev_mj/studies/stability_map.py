@@ -285,17 +285,17 @@ class StabilityParameters(Parameters):
     """
 
     damping: tuple[float, float] | None = param_range(
-        "damping", "least and greatest damping", "N s/m", default=None, at_least=0.0, at_most=1e6
+        "damping", "damping range", "N s/m", default=None, at_least=0.0, at_most=1e6
     )
     stiffness: tuple[float, float] | None = param_range(
-        "stiffness", "least and greatest stiffness", "N/m", default=None, at_least=0.0, at_most=1e8
+        "stiffness", "stiffness range", "N/m", default=None, at_least=0.0, at_most=1e8
     )
-    grid: int = param("points on each axis; one for a range of one value", default=60, at_least=2, at_most=1000)
+    grid: int = param("points per axis; a single value has one", default=60, at_least=2, at_most=1000)
     period: float = RestingWall.like("period", live=False)
     delay: float = RestingWall.like("delay")
     mass: float = RestingWall.like("mass")
     hand: str = RestingWall.like("hand")
-    plant: str = param("plant; none for theory alone", default="none", choices=RestingWall.plants)
+    plant: str = param("simulated plant, or none for theory only", default="none", choices=RestingWall.plants)
 
     def check(self) -> None:
         """See `Parameters`."""
@@ -395,23 +395,24 @@ class StabilityMap(GainMap):
         """Return the stiffest wall beside published bounds, and the numbers of stable cells."""
         p, best, damping = self.parameters, float(self.maximum.stiffness), float(self.maximum.damping)
         published = (
-            ("Colgate & Schenkel", bounds.colgate(damping, period=p.period), "passive; none on a flotor"),
-            ("Gil et al.", bounds.gil(damping, period=p.period, delay=p.delay), "stable, low damping"),
-            ("Minsky et al.", bounds.minsky(damping, period=p.period), "stable, no delay, low damping"),
+            ("Colgate & Schenkel", bounds.colgate(damping, period=p.period), "passivity, no physical damping"),
+            ("Gil et al.", bounds.gil(damping, period=p.period, delay=p.delay), "stability, low damping"),
+            ("Minsky et al.", bounds.minsky(damping, period=p.period), "stability, no delay, low damping"),
         )
-        beside = "; at a damping slightly beside the jump, softer walls are unstable" if self.maximum.on_jump else ""
-        rows = [("stiffest stable wall", best, 1.0, f"at {damping:.1f} N s/m{beside}" if best else "no wall is stable")]
+        remark = "; on a jump: at nearby dampings, softer walls are unstable" if self.maximum.on_jump else ""
+        rows = [("stiffest stable wall", best, 1.0, f"at {damping:.1f} N s/m{remark}" if best else "no wall is stable")]
         rows += [(name, float(one), float(one) / best if best else math.nan, sense) for name, one, sense in published]
         stable = theory.is_stable(self.spectral_radius)
         note = [f"grid: {stable.sum()} of {stable.size} cells stable by theory"]
+        if stable.size == 1:
+            note = [f"{'stable' if stable.all() else 'unstable'}: spectral radius {self.spectral_radius.item():.4g}"]
         if self.simulated is not None and self.misjudged is not None:
             note.append(
-                f"simulated ({p.plant}): {self.simulated.sum()} stable; {(stable != self.simulated).sum()} verdicts "
-                f"differ from theory, {self.misjudged.sum()} of them further than 0.5 % of a gain from the boundary "
-                f"({self.near.sum()} cells are nearer)"
+                f"simulation ({p.plant}): {self.simulated.sum()} stable; {(stable != self.simulated).sum()} differ "
+                f"from theory, {self.misjudged.sum()} of them outside ±0.5 % of the boundary ({self.near.sum()} inside)"
             )
-        note.append("published bounds are at this damping, without a hand")
-        head = "", "stiffness [N/m]", "ratio to it", ""
+        note.append("published bounds: at this damping, without a hand")
+        head = "", "stiffness [N/m]", "ratio", ""
         return Table(f"Stability of a PD wall, {p.loop_named}", head, rows, "\n".join(note))
 
 
@@ -505,7 +506,7 @@ def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
 
 def _stable(result: Any) -> bool:
     if not isinstance(result, dict) or "stable" not in result:
-        raise MaglevError(f"a cell has no verdict: {result!r}")
+        raise MaglevError(f"cell result without a verdict: {result!r}")
     return bool(result["stable"])
 
 

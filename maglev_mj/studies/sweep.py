@@ -41,7 +41,7 @@ MOST_CELLS = 100_000_000
 _SHARES = 0.0, 50.0, 100.0
 _JOBS, _MOST_TOGETHER = 8, 50
 _LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
-_CHECKED = 1000  # cells that are made to check a grid
+_CHECKED = 1000  # cells computed to check a grid
 
 _Run: TypeAlias = tuple[Scene, str, float]
 """Scene, plant name, and phase."""
@@ -55,9 +55,9 @@ class Sweep(Result):
 
     Attributes:
         scene: Class of the scene.
-        varied: Values of the parameters that vary, by name, as given.
-        cells: Parameters of each run, the last one varying fastest; made when asked for.
-        results: Figures of each cell by name, or {"error": ...} of a run that failed; kept in columns.
+        varied: Values of the varied parameters, by name, as passed.
+        cells: Parameters of each run, the last one varying fastest; computed on access.
+        results: Figures of each cell by name, or {"error": ...} for a failed run; stored in columns.
         resumed: Number of cells whose results were in the record before.
         record: Folder of the record; None for none.
     """
@@ -66,7 +66,7 @@ class Sweep(Result):
     varied: Mapping[str, Sequence[Any]]
     cells: Grid
     results: Record
-    resumed: int = field(repr=False)  # JSON is the same whatever the record had
+    resumed: int = field(repr=False)  # JSON must not depend on the record
     record: str | None = field(repr=False)
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -139,10 +139,10 @@ class Sweep(Result):
                 if (finite := some[np.isfinite(some)] * one.scale).size:
                     spread, unit = np.percentile(finite, _SHARES).tolist(), self.unit_along(one.unit, one.along)
                     rows.append((name, *[kind] * bool(choices), *spread, unit, finite.size))
-        notes = [f"{self.resumed} of them already in {self.record}"] if self.record else []
+        notes = [f"{self.resumed} cells resumed from {self.record}"] if self.record else []
         count = "1 cell" if len(failed) == 1 else f"{len(failed)} cells"
-        notes += [f"{count} failed, the first because {self.results[failed[0]]['error']}"] if failed else []
-        head = "", *([", ".join(choices)] if choices else []), "least", "median", "greatest", "unit", "cells"
+        notes += [f"{count} failed, first error: {self.results[failed[0]]['error']}"] if failed else []
+        head = "", *([", ".join(choices)] if choices else []), "min", "median", "max", "unit", "cells"
         title = f"Sweep of {self.scene.name} over {over}: {len(self.results)} cells"
         return Table(title, head, rows, "\n".join(notes))
 
@@ -170,7 +170,7 @@ class Sweep(Result):
         """
         check_one_of("figure", self.names, name)
         if (values := self.results.numbers(name)) is None:
-            raise ParameterError(f"figure must be one number a cell, not {name}")
+            raise ParameterError(f"figure must be one number per cell, not {name}")
         return values.reshape([len(one) for one in self.varied.values()])
 
 
@@ -210,22 +210,21 @@ def sweep(
     """
     chosen = get_scene(scene)
     if not vary:
-        raise ParameterError("vary must give a list of values for at least one parameter, not {}; run() does one run")
+        raise ParameterError("vary must give a list of values for at least one parameter, not {}; see run()")
     cells = Grid(chosen, vary, plant=plant, phase=phase)
     executor, function = chosen_workers(workers), partial(run_scene_cells, text=_text(type(chosen)))
     study = Study(function, cells, Record(None if record is None else Path(record)), executor, progress)
     resumed, file = study.done, None if record is None else str(record)
-    # by the number of all cells, not of those that are missing: a sweep that goes on has the same batches
+    # by the total number of cells, so that a resumed sweep has the same batches
     results = study.run(_cells_a_job(len(cells), executor.window, {*cells.axes["plant"]} == {"exact"}))
     varied = {name: list(values) for name, values in vary.items()}
     return Sweep(type(chosen), varied, cells, results, resumed, file)
 
 
 def _cells_a_job(missing: int, window: int, batches: bool) -> int:
-    """Return the number of cells in a job.
+    """Return the number of cells per job: several jobs per worker, but negligible overhead.
 
-    There are enough jobs for every worker to get several, and few enough that their overhead is negligible. Small
-    batches are expensive: their jobs are not much smaller than a worker's total share, or 64.
+    Small batches are expensive: a job has at least a worker's share of the cells, up to 64.
     """
     several = missing // (_JOBS * window)
     if batches:
@@ -234,7 +233,7 @@ def _cells_a_job(missing: int, window: int, batches: bool) -> int:
 
 
 class Grid(Sequence[Cell]):
-    """Checked cells of a sweep by index, each made when it is asked for.
+    """Checked cells of a sweep, each computed on access.
 
     A cell has every parameter and everything that makes its result reproducible. Those of a slice, which a worker gets,
     lack derived parameters, which follow from the others. Each value is checked, and combinations at the corners and in
@@ -266,7 +265,7 @@ class Grid(Sequence[Cell]):
             raise ParameterError(f"a sweep must have at most {MOST_CELLS} cells, not {count}")
         checks: dict[str, Callable[[Any], Any]] = {one.name: one.checked for one in scene.parameters()}
         checks |= {"plant": partial(checked_plant, scene), "phase": checked_phase}
-        derived = {one.name for one in scene.parameters() if one.derive}  # from others where None
+        derived = {one.name for one in scene.parameters() if one.derive}  # computed from others if None
         axes = {**vary, "plant": vary.get("plant", [plant]), "phase": vary.get("phase", [phase])}
         self.axes = {
             name: [one if one is None and name in derived else checks[name](one) for one in values]
@@ -287,24 +286,22 @@ class Grid(Sequence[Cell]):
 
     def __getitem__(self, index: SupportsIndex | slice) -> Any:
         """Return a cell, or the cells of a slice."""
-        places = range(len(self))[index]
-        if isinstance(places, range):
-            return [self._fixed | changes for changes in self._changes(places)]
-        (changes,) = self._changes(range(places, places + 1))
+        rows = range(len(self))[index]
+        if isinstance(rows, range):
+            return [self._fixed | changes for changes in self._changes(rows)]
+        (changes,) = self._changes(range(rows, rows + 1))
         plant, phase = changes.pop("plant"), changes.pop("phase")
         return self._head | parameters_json(self._scene.replace(**changes), plant, phase)
 
-    def _changes(self, places: range) -> list[Cell]:
+    def _changes(self, rows: range) -> list[Cell]:
         """Return the varied values of some cells."""
-        at = zip(self.axes.values(), np.unravel_index(places, self._shape), strict=True)
-        columns = [[values[place] for place in some.tolist()] for values, some in at]
+        pairs = zip(self.axes.values(), np.unravel_index(rows, self._shape), strict=True)
+        columns = [[values[index] for index in indices.tolist()] for values, indices in pairs]
         return [dict(zip(self.axes, row)) for row in zip(*columns, strict=True)]
 
 
 def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict[str, Any]]:
-    """Return the figures of each cell.
-
-    {"error": ...} for a run that failed, such as by divergence.
+    """Return the figures of each cell, or {"error": ...} for a failed run, such as a divergence.
 
     Args:
         cells: Cells of one scene.
@@ -313,22 +310,22 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
     Raises:
         ParameterError: If there is no such scene, or its file fails.
     """
-    runs = [_made(dict(cell), text) for cell in cells]
+    runs = [_run_of(dict(cell), text) for cell in cells]
     results: list[Mapping[str, Any] | None] = [None] * len(runs)
     plants = defaultdict(list)
     for index, (scene, plant, _) in enumerate(runs):
         plants[type(scene), plant].append(index)
     for (cls, plant), indices in plants.items():
-        together = _together(cls, plant, [runs[index] for index in indices])
-        for index, figures in zip(indices, together, strict=True):
+        batch = _run_batch(cls, plant, [runs[index] for index in indices])
+        for index, figures in zip(indices, batch, strict=True):
             results[index] = figures
     return [
-        _alone(one, text is not None) if figures is None else plain(figures)
-        for one, figures in zip(runs, results, strict=True)
+        _run_single(run, text is not None) if figures is None else plain(figures)
+        for run, figures in zip(runs, results, strict=True)
     ]
 
 
-def _made(cell: Cell, text: str | None) -> _Run:
+def _run_of(cell: Cell, text: str | None) -> _Run:
     name, plant, phase = cell.pop("scene"), cell.pop("plant"), cell.pop("phase", 0.0)
     cell.pop("version")
     if text is None:
@@ -336,40 +333,31 @@ def _made(cell: Cell, text: str | None) -> _Run:
     return scene_of_text(text, name.rpartition(":")[2].partition("@")[0]).from_json(cell), plant, phase
 
 
-def _together(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Mapping[str, Any] | None]:
-    """Return the figures of runs made as batches.
-
-    None for those that must be made alone.
-    """
+def _run_batch(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Mapping[str, Any] | None]:
+    """Return the figures of runs in batches; None for those that need single runs."""
     try:
-        together = figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
-    except MaglevError:  # of any of them: its own run reports the error
+        batch = figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
+    except MaglevError:  # in any of them: its single run reports the error
         return [None] * len(runs)
-    done = [index for index, figures in enumerate(together) if figures is not None]
-    # a user's law may mix devices, which its interface forbids: two separate runs must give the same
+    done = [index for index, figures in enumerate(batch) if figures is not None]
+    # a user's law may mix devices, which its interface forbids: compare with two single runs
     for index in () if _is_ours(cls) else {*done[:1], *done[-1:]}:
-        if not _same(together[index], _alone(runs[index], True)):
+        if not _same(batch[index], _run_single(runs[index], True)):
             return [None] * len(runs)
-    return together
+    return batch
 
 
-def _same(figures: Mapping[str, Any] | None, alone: Mapping[str, Any]) -> bool:
-    """Return True for figures equal except for rounding.
-
-    They are compared with those of a run alone.
-    """
-    if figures is None or figures.keys() != alone.keys():
+def _same(figures: Mapping[str, Any] | None, single: Mapping[str, Any]) -> bool:
+    """Return True if figures equal those of a single run, except for rounding."""
+    if figures is None or figures.keys() != single.keys():
         return False
-    pairs = [(np.array(one, dtype=float), np.array(alone[name], dtype=float)) for name, one in plain(figures).items()]
+    pairs = [(np.array(value, float), np.array(single[name], float)) for name, value in plain(figures).items()]
     return all(a.shape == b.shape and np.allclose(a, b, 1e-6, 1e-12, equal_nan=True) for a, b in pairs)
 
 
-def _alone(one: _Run, catches: bool) -> dict[str, Any]:
-    """Return the figures of one run, or its error.
-
-    Any error is caught if `catches`, as for a user's own code.
-    """
-    scene, plant, phase = one
+def _run_single(run: _Run, catches: bool) -> dict[str, Any]:
+    """Return the figures of one run, or its error; `catches` catches any error, as of user code."""
+    scene, plant, phase = run
     try:
         figures: dict[str, Any] = plain(figures_of(scene, plant, phase))
         return figures
@@ -382,27 +370,21 @@ def _alone(one: _Run, catches: bool) -> dict[str, Any]:
 
 
 def _name(cls: type[Scene]) -> str:
-    """Return the name of a scene in cells.
-
-    It is the reference, with a hash of the file for another package's scene.
-    """
+    """Return a scene's reference in cells, with a hash of its file unless it is in this package."""
     if _is_ours(cls):
         return reference_of(cls)
-    place = f"{Path(inspect.getfile(cls)).name}:{cls.__name__}" if _text(cls) else _place(cls)
-    return f"{place}@{hash_of(text_of(cls))}"
+    reference = f"{Path(inspect.getfile(cls)).name}:{cls.__name__}" if _text(cls) else _import_path(cls)
+    return f"{reference}@{hash_of(text_of(cls))}"
 
 
 def _text(cls: type[Scene]) -> str | None:
-    """Return a scene's text for workers, or None.
-
-    None is for a scene of a package, which the workers have.
-    """
-    if _is_ours(cls) or any(entry.value == _place(cls) for entry in installed_scenes()):
+    """Return a scene's text for workers; None for an installed package's scene, which they have."""
+    if _is_ours(cls) or any(entry.value == _import_path(cls) for entry in installed_scenes()):
         return None
     return text_of(cls)
 
 
-def _place(cls: type[Scene]) -> str:
+def _import_path(cls: type[Scene]) -> str:
     return f"{cls.__module__}:{cls.__qualname__}"
 
 

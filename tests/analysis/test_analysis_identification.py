@@ -180,22 +180,22 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
     fall, _ = sample_case(rate=1000.0)
     early = fall[: int(np.argmax(fall.position[:, 2] < 2e-4))]
     free = identify(early)
-    assert {why(one) for one in vars(free.walls[0]).values() if isinstance(one, Estimate)} == {"it was not touched"}
+    assert {why(one) for one in vars(free.walls[0]).values() if isinstance(one, Estimate)} == {"no contact"}
     assert not free.friction  # where nobody says where it stuck
-    assert why(free.axes["z"].inertia) == "the force on it does not change by more than noise"  # no motion under forces
+    assert why(free.axes["z"].inertia) == "force variation below the noise"  # no motion under forces
     assert holds(free.axes["z"].noise, 1e-6)
 
     still = segment.position.copy()
     still[:, 0] = 0.0
     stuck = identify(segment.replace(position=still), anchors=anchors)
-    assert "x" not in stuck.axes and why(stuck.friction["x"].breakaway) == "the axis does not move"
+    assert "x" not in stuck.axes and why(stuck.friction["x"].breakaway) == "no motion on this axis"
     assert why(identify(segment[:9]).walls[0].stiffness) == "only 9 samples"
 
     hand = segment.hand.copy()
     hand[:, 0] = 0.0
     alone = identify(segment.replace(hand=hand), anchors=anchors)
-    assert why(alone.axes["x"].inertia) == why(alone.axes["x"].noise) == "forces act that were not recorded"
-    assert why(alone.friction["x"].stiffness) == "forces act that were not recorded"
+    assert why(alone.axes["x"].inertia) == why(alone.axes["x"].noise) == "unrecorded forces"
+    assert why(alone.friction["x"].stiffness) == "unrecorded forces"
     assert alone.friction["x"].commanded_stiffness.known
 
     gaps = segment[np.arange(len(segment)) % 3 > 0]
@@ -206,7 +206,7 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
 
     first = int(np.argmax(np.isnan(anchors[:, 0])))
     held = identify(segment[:first], anchors=anchors[:first])
-    assert why(held.friction["x"].commanded_stiffness) == "nothing tells it from the other laws on the axis"
+    assert why(held.friction["x"].commanded_stiffness) == "confounded with other laws on this axis"
     random = np.random.default_rng(1).normal(size=segment.command.shape)
     other = identify(segment.replace(command=segment.command + random), anchors=anchors).walls[0]
     assert "commands are not those of a spring and a damper" in why(other.commanded_stiffness)
@@ -215,16 +215,16 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
 
 def test_a_sensor_without_noise_or_without_steps_is_seen_to_be_one() -> None:
     ideal, steps = (found_in(Drop(quantize=quantum)).axes["z"] for quantum in (0.0, 5e-6))
-    assert ideal.noise.why == "the forces explain the positions to rounding"
-    assert ideal.quantum.why == "positions lie on no lattice"
-    assert steps.noise.why.startswith("it hides in") and steps.noise.high < 1.5e-6
+    assert ideal.noise.why == "residual at rounding level"
+    assert ideal.quantum.why == "positions are not quantized"
+    assert steps.noise.why.startswith("below the sensor") and steps.noise.high < 1.5e-6
     assert steps.quantum.value == pytest.approx(5e-6, rel=1e-12)
     assert "only 1 different positions" in estimate_quantum(np.full(9, 1e-3)).why
     lattice = 3e-7 * np.array([0.0, 14.0, 35.0, 56.0, 63.0, 105.0, 1_000_005.0])  # no two a step apart
     assert estimate_quantum(lattice).value == pytest.approx(3e-7, rel=1e-9)
     segment, anchors = record(case := draw(20))  # at rest within a step
     assert case.noise == 0.0 < case.quantum
-    assert identify(segment, anchors=anchors).axes["z"].noise.why == "it hides in the sensor's steps"
+    assert identify(segment, anchors=anchors).axes["z"].noise.why == "below the sensor resolution"
 
 
 def test_samples_behind_a_gap_are_left_out_until_every_command_is_known() -> None:
@@ -244,7 +244,7 @@ def test_a_long_recording_is_told_by_the_part_that_moves_least_straight(monkeypa
     found = identify(segment, anchors=anchors)
     assert found.samples <= 160 < found.of
     assert holds(found.walls[0].stiffness, truth(CASE)["wall stiffness, rendered"])
-    assert f"from {found.samples} of {found.of} samples" in found.table().note.splitlines()[-1]
+    assert f"based on {found.samples} of {found.of} samples" in found.table().note.splitlines()[-1]
 
 
 def test_a_rotation_is_told_where_nothing_else_acts_on_it() -> None:
@@ -253,7 +253,7 @@ def test_a_rotation_is_told_where_nothing_else_acts_on_it() -> None:
     assert holds(found.axes["ry"].inertia, alone.metadata.inertia[4])
     turned = alone.position.copy()
     turned[:, 5] = turned[:, 4]
-    assert identify(alone.replace(position=turned)).axes["ry"].inertia.why == "the other coordinates act on it"
+    assert identify(alone.replace(position=turned)).axes["ry"].inertia.why == "coupled to other axes"
 
 
 def test_the_table_and_the_json_say_every_estimate(tmp_path: Path, capsys: Any) -> None:
@@ -264,10 +264,10 @@ def test_the_table_and_the_json_say_every_estimate(tmp_path: Path, capsys: Any) 
     assert max(map(len, said.splitlines())) <= 80
     for words in (
         "z below 0 mm\n    stiffness ",
-        " of largest stable ",
+        " of critical stiffness ",
         " effective delay ",
         " z\n    mass ",
-        "it hides in",
+        "below the sensor resolution",
     ):
         assert words in said
     (segment,) = json.loads((tmp_path / "run.json").read_text())["segments"]
@@ -276,7 +276,7 @@ def test_the_table_and_the_json_say_every_estimate(tmp_path: Path, capsys: Any) 
     assert wall["stiffness"]["value"] == pytest.approx(6000.0, rel=0.01)
     assert set(wall["stiffness"]) == {"value", "standard_error", "low", "high", "residual", "why"}
     assert identified["axes"]["z"]["noise"]["value"] is None
-    assert identified["axes"]["z"]["noise"]["why"].startswith("it hides")
+    assert identified["axes"]["z"]["noise"]["why"].startswith("below")
 
 
 def test_intervals_are_those_of_student_and_singular_columns_are_not_told() -> None:
@@ -310,10 +310,10 @@ def test_a_stop_that_nobody_recorded_does_not_pass_for_a_weight() -> None:
 def test_what_lies_outside_the_tested_ranges_is_named() -> None:
     assert found_in(Drop(), 0.3).outside == []
     stiff = found_in(Drop(stiffness=9000.0), 0.3)
-    assert stiff.outside == ["z below 0 mm at 89% of the limit"] and stiff.as_json()["outside"] == stiff.outside
-    assert "outside the ranges in which errors were tested" in stiff.table().note
+    assert stiff.outside == ["z below 0 mm at 89% of critical"] and stiff.as_json()["outside"] == stiff.outside
+    assert "error estimates not validated for" in stiff.table().note
     soft = found_in(Drop(stiffness=800.0, quantize=2e-5), 0.3)
-    assert soft.outside == ["z below 0 mm at 8% of the limit", "noise or steps above 5 µm on z"]
+    assert soft.outside == ["z below 0 mm at 8% of critical", "noise or resolution above 5 µm on z"]
 
 
 @pytest.mark.parametrize(

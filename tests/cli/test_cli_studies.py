@@ -29,7 +29,7 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main([*arguments, "--record", str(record), "--workers", "0", "--json", str(tmp_path / "all.json")]) == 0
     assert (
         "Sweep of drop over height (3), plant (2): 6 cells\n" in (said := capsys.readouterr().out)
-        and "\n  0 of them already in" in said
+        and "\n  0 cells resumed from" in said
     )
     data = json.loads((tmp_path / "all.json").read_text())
     assert [(cell["height"], cell["plant"]) for cell in data["cells"]] == [
@@ -46,10 +46,10 @@ def test_each_grid_has_a_record_of_its_own_and_is_found_again(
     heights = ["sweep", "drop", "--set", "plant=exact", "--workers", "0", "--vary", "height=0.001,0.002"]
     for words, resumed in ((heights, 0), ([*heights, "--set", "pulse=0"], 0), (heights, 2)):
         assert main(words) == 0
-        assert f"\n  {resumed} of them already in drop-sweep-" in capsys.readouterr().out
+        assert f"\n  {resumed} cells resumed from drop-sweep-" in capsys.readouterr().out
     one, _ = tmp_path.iterdir()
     assert main([*heights, "--set", "mass=0.6", "--record", one.name]) == 2
-    assert f"record must be of this study, not '{one.name}', which has other mass, " in capsys.readouterr().err
+    assert f"record must be of this study, not '{one.name}', which differs in mass, " in capsys.readouterr().err
 
 
 def test_a_map_without_a_stable_wall_is_still_a_map(capsys: pytest.CaptureFixture[str]) -> None:

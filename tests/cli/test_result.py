@@ -269,7 +269,7 @@ def test_an_analysis_has_both_sides_and_what_was_identified() -> None:
     np.testing.assert_array_equal(frame["recorded.z"], frame["simulated.z"])
     identified = found.table().below[-1]
     assert ("  stiffness", "6000.0000") in [row[:2] for row in identified.rows]
-    assert "not identified: noise of z: " in identified.note
+    assert "not identifiable: noise of z: " in identified.note
     with pytest.raises(ParameterError, match="axis must be one that moves, of z, not 'x'"):
         found.plot(axis="x")
 

@@ -255,7 +255,7 @@ def test_a_law_of_one_s_own_is_executed_only_by_leave(folder: Path, say: Any) ->
         status, said, wrong = say("replay", name, "--check", "--scene", given)
         assert (status, wrong) == (0, "") and "60 of 60 equal: tick, time, position, command" in said
         status, said, wrong = say("analyse", name, "--scene", given)
-        assert (status, wrong) == (0, "") and "the same to the last bit" in said
+        assert (status, wrong) == (0, "") and "bit-identical" in said
         assert [mark.name for mark in folder.glob("*executed")] == ["law executed"]  # as a module, not as a script
         (folder / "law executed").unlink()
     script.write_text(text.replace("4.0", "5.0"))

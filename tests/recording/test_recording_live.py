@@ -324,7 +324,7 @@ def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_che
     assert main(["replay", str(path), "--check", *again]) == 0
     assert not capsys.readouterr().err
     assert main(["analyse", str(path), *again]) == 0
-    assert "the same to the last bit" in capsys.readouterr().out
+    assert "bit-identical" in capsys.readouterr().out
     (tmp_path / "elsewhere.py").write_text(OWN.replace("damping=40.0", "damping=41.0"))
     assert main(["replay", str(path), "--check", *again]) == 1
     assert "has changed since, or is another" in capsys.readouterr().err

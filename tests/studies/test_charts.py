@@ -162,7 +162,7 @@ def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
 
 def test_a_sweep_of_a_scene_without_figures_has_no_picture() -> None:
     found = sweep("joystick", {"stiffness": [1000.0, 2000.0]}, plant="exact")
-    with pytest.raises(ParameterError, match="figures must be numbers for a picture: joystick has none"):
+    with pytest.raises(ParameterError, match="figures must include a scalar to draw a chart: joystick has none"):
         found.plot()
 
 
@@ -180,8 +180,8 @@ def test_the_gains_in_use_are_marked_where_the_map_has_them() -> None:
     for stiffness, marked in (((500.0, 9000.0), 1), ((500.0, 5000.0), 0)):
         figure = run_stability(StabilityParameters(stiffness=stiffness, damping=(10.0, 120.0), grid=2)).plot()
         labels = figure.axes[0].get_legend_handles_labels()[1]
-        assert sum(label == "gains of drop: 6000 N/m, 80 N s/m" for label in labels) == marked
-        assert "stiffest by theory" not in labels  # at 10 173 N/m
+        assert sum(label == "scene drop: 6000 N/m, 80 N s/m" for label in labels) == marked
+        assert "stiffest stable wall (theory)" not in labels  # at 10 173 N/m
 
 
 @pytest.mark.parametrize("kind", ["press", "stick-slip"])
@@ -193,7 +193,7 @@ def test_charts_and_results_of_a_recording(
     capsys.readouterr()
     assert main(["analyse", str(path), "--json", str(tmp_path / "run.json"), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "the same to the last bit" in said and max(map(len, said.splitlines())) <= 110
+    assert "bit-identical" in said and max(map(len, said.splitlines())) <= 110
     assert [complaints(figure) for figure in figures] == [[], []]
     (segment,) = json.loads((tmp_path / "run.json").read_text())["segments"]
     assert segment["comparison"]["same"] is True
@@ -202,7 +202,7 @@ def test_charts_and_results_of_a_recording(
         assert "analysis_run.png" in said and "analysis_sticks.png" in said
         assert [len(panel.lines) for panel in figures[1].axes] == [2]  # no panel for an axis without friction
         assert segment["recorded"]["friction"]["x"]["slips"] == 1
-        assert "there are no walls" in said and "no wall was touched on x" in said
+        assert "no walls" in said and "no wall was touched on x" in said
     else:
         assert "analysis_run.png" in said and "analysis_contact.png" in said
         assert len(segment["recorded"]["faces"][0]["contacts"]) == 5
@@ -223,7 +223,7 @@ def test_staircases_have_a_panel_for_each_axis_that_moves(count: int, quiet: int
     figure = staircases(time, position, position, said)
     out = ["y", "z", "rx"][: min(quiet, count - 1)]
     assert sum(panel.axison for panel in figure.axes) == count - len(out) and complaints(figure) == []
-    assert figure.get_suptitle() == (f"left out, as flat: {', '.join(out)}" if out else "")
+    assert figure.get_suptitle() == (f"not shown (constant): {', '.join(out)}" if out else "")
 
 
 def test_flat_panels_are_left_out_and_numbers_stand_below_the_lowest() -> None:
@@ -236,7 +236,7 @@ def test_flat_panels_are_left_out_and_numbers_stand_below_the_lowest() -> None:
         assert len(shown) == panels and all(float(np.ptp(panel.get_ylim())) >= 0.02 for panel in shown.values())
     named = {name: ([[np.nan, 1.0, 2.0]], "mm") for name in "abcde"}
     figure, shown = new_grid(named | {"time": ([[100.0, 100.05]], "ms")}, "time (s)")
-    assert [*shown] == list("abcde") and figure.get_suptitle() == "left out, as flat: time"
+    assert [*shown] == list("abcde") and figure.get_suptitle() == "not shown (constant): time"
     lowest = [name for name, panel in shown.items() if panel.xaxis.get_tick_params()["labelbottom"]]
     assert lowest == list("cde")  # numbers where no panel is below
 

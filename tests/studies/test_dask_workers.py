@@ -143,7 +143,7 @@ def test_workers_of_other_code_are_refused_by_name_before_any_cell(
                 assert main(command) == 1
                 said = capsys.readouterr()
                 assert said.out == "" and len(said.err.splitlines()) == 1
-                assert f"workers must have the code of this process: {bad}: {what}" in said.err
+                assert f"workers must run the code of this process: {bad}: {what}" in said.err
                 assert good not in said.err and not record.exists()
         wait_until(lambda: cluster.workers() == [good], "the other workers stay")
         assert main(command) == 0
@@ -224,7 +224,9 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
     assert process.returncode == 1 and out == ""
     last = [line for line in said.splitlines() if not re.match(rf"{command}( drop)?: \d+ of \d+", line)]
     assert len(last) == 1, said
-    found = re.search(rf"the Dask scheduler at {mortal.address} is gone; (\d+) cells are in (\S+), the same", last[0])
+    found = re.search(
+        rf"the Dask scheduler at {mortal.address} is no longer reachable; (\d+) cells are in (\S+), the same", last[0]
+    )
     (record,) = tmp_path.glob(pattern)
     assert found and found[2] == record.name
     assert sum(indices.size for indices in indices_of(record)) == int(found[1])

@@ -481,7 +481,7 @@ def test_laws_that_take_one_device_alone_are_not_screened_and_promise_less() -> 
     result = measure_fidelity(OneAlone(duration=0.02), 1e-3, Range(phases=1))
     assert result.unscreened.startswith(reason) and result.screened == 0 and result.furthest is None
     said = " ".join(str(result.table()).split())
-    assert f"none on the exact plant, which takes many devices at once: {reason}" in said
+    assert f"no cases on the exact plant, whose batches the laws must support: {reason}" in said
     assert "in 0.99 of 5 cases of the whole device" in said and "how far others go is not known" in said
     data = result.as_json()
     assert (data["screened"], data["furthest"], data["unscreened"]) == (0, None, result.unscreened)

@@ -76,7 +76,7 @@ def test_a_changed_file_is_not_what_the_record_has(file: Path, tmp_path: Path) -
     assert cells[1] == cells[0] | {"damping": 40.0}
     first = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
     file.write_text(FILE.replace("FURTHER", "* 2.0"))
-    with pytest.raises(ParameterError, match=r"record must be of this study, not '.*cells', which has other scene$"):
+    with pytest.raises(ParameterError, match=r"record must be of this study, not '.*cells', which differs in scene$"):
         sweep(find_scene(str(file)), GRID, plant="exact", record=record)
     changed = sweep(find_scene(str(file)), GRID, plant="exact")
     assert first.figure("left").shape == (3, 2)
@@ -119,7 +119,7 @@ def test_the_command_sweeps_a_file_on_processes(file: Path, count: str, monkeypa
     assert main([*command, "--workers", count, "--json", "all.json"]) == 0
     said = capsys.readouterr().out
     assert "Sweep of magnet over stiffness (2): 2 cells\n" in said
-    assert "\n  0 of them already in magnet-sweep-" in said
+    assert "\n  0 cells resumed from magnet-sweep-" in said
     data = json.loads((file.parent / "all.json").read_text())
     assert data["scene"] == "magnet" and data["varied"] == {"stiffness": [500.0, 1000.0]}
     assert [cell["damping"] for cell in data["cells"]] == [20.0, 20.0]

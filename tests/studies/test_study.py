@@ -157,7 +157,7 @@ def test_what_is_no_record_of_the_study_is_refused_and_left_alone(change: str, t
     path, words = tmp_path / "record", "record must be a new or empty folder, or one with plan.json, not '.*record'$"
     run_cells(squares, CELLS[: 9 if change == "other cells" else 10], record=Record(path))
     if change == "other cells":
-        words = "record must be of this study, not '.*record', which has other cells"
+        words = "record must be of this study, not '.*record', which differs in cells"
     elif change == "no plan":
         (path / "plan.json").unlink()
     elif change == "torn plan":
@@ -320,7 +320,7 @@ def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(
     done = sum(recording._read_table(path)["#"].size for path in shards(record))
     assert main([*command, "0"]) == 0
     said = capsys.readouterr().out
-    assert f"{8 * count} cells\n" in said and f"\n  {done} of them already in" in said
+    assert f"{8 * count} cells\n" in said and f"\n  {done} cells resumed from" in said
 
 
 def first_soon(cells: list[Cell]) -> list[Any]:

@@ -113,7 +113,7 @@ def test_the_chart_holds_every_scene_and_says_what_is_missing(tmp_path: Path, mo
     for scene in data["scenes"].values():
         errors = {method["name"]: method["error"] for method in scene["methods"]}
         assert scene["front"] and set(scene["front"]) <= set(errors)
-        assert errors["rk4, a step an interval"] < 1e-9 < errors["euler, a step an interval"]
+        assert errors["rk4, one step per interval"] < 1e-9 < errors["euler, one step per interval"]
     misjudged = data["sweep"]["misjudged"]
     assert misjudged["MuJoCo, corrected"] == misjudged["MuJoCo, rk4"] == 0 < misjudged["MuJoCo, raw euler"]
     assert data["boundary"]["orders"]["euler"] == pytest.approx(1.0, abs=0.1)
