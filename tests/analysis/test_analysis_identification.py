@@ -199,17 +199,17 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
     assert alone.friction["x"].commanded_stiffness.known
 
     gaps = segment[np.arange(len(segment)) % 3 > 0]
-    assert why(identify(gaps).walls[0].stiffness) == "too few samples without a gap"
+    assert why(identify(gaps).walls[0].stiffness) == "too few consecutive samples"
 
     short = recorded(Drop(height=2e-4, quantize=5e-6), 0.3)[:12]
-    assert why(identify(short).walls[0].stiffness) == "too few samples for all that acts on the axis"
+    assert why(identify(short).walls[0].stiffness) == "too few samples for the laws on this axis"
 
     first = int(np.argmax(np.isnan(anchors[:, 0])))
     held = identify(segment[:first], anchors=anchors[:first])
     assert why(held.friction["x"].commanded_stiffness) == "confounded with other laws on this axis"
     random = np.random.default_rng(1).normal(size=segment.command.shape)
     other = identify(segment.replace(command=segment.command + random), anchors=anchors).walls[0]
-    assert "commands are not those of a spring and a damper" in why(other.commanded_stiffness)
+    assert "commands do not fit a spring and a damper" in why(other.commanded_stiffness)
     assert why(other.stiffness) == why(other.commanded_stiffness)
 
 
@@ -219,7 +219,7 @@ def test_a_sensor_without_noise_or_without_steps_is_seen_to_be_one() -> None:
     assert ideal.quantum.why == "positions are not quantized"
     assert steps.noise.why.startswith("below the sensor") and steps.noise.high < 1.5e-6
     assert steps.quantum.value == pytest.approx(5e-6, rel=1e-12)
-    assert "only 1 different positions" in estimate_quantum(np.full(9, 1e-3)).why
+    assert "only 1 distinct positions" in estimate_quantum(np.full(9, 1e-3)).why
     lattice = 3e-7 * np.array([0.0, 14.0, 35.0, 56.0, 63.0, 105.0, 1_000_005.0])  # no two a step apart
     assert estimate_quantum(lattice).value == pytest.approx(3e-7, rel=1e-9)
     segment, anchors = record(case := draw(20))  # at rest within a step
