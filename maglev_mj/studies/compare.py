@@ -31,10 +31,10 @@ from maglev_mj.theory.boundary import colgate
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
-"""Figures left out; they describe hand, weight or sensor more than the law."""
+"""Figures not compared: they depend on hand, weight or sensor more than on the law."""
 _PICTURES = "maglev_mj.scenes.pictures"
 _TICKS = 800
-"""Samples of a noise."""
+"""Samples of a noise measurement."""
 
 LawMaker = Callable[..., Law]
 """Class of a law, or function that returns one, of numbers that `compare` gives by name."""
@@ -125,8 +125,8 @@ def compare(
 ) -> Comparison:
     """Run laws in place of a scene's wall and compare their contact, noise and margins.
 
-    A law of one's own is a class, or a function that returns one. It gets the numbers of the scene that its arguments
-    name: any parameter, such as stiffness, damping, period, delay and mass; axes; lower, the edge of the wall; inertia;
+    A user-defined law is a class, or a function that returns a law. Its arguments are filled by name from the scene:
+    any parameter, such as stiffness, damping, period, delay and mass; axes; lower, the edge of the wall; inertia;
     force_limit, infinite without a limit; and wall, the scene's own `Wall`. Other arguments need defaults.
 
     Args:
@@ -139,13 +139,13 @@ def compare(
         progress: See `run_phases`.
 
     Raises:
-        ParameterError: If the scene has no wall, there is no such law, or it needs a number that is not there.
+        ParameterError: If the scene has no wall, there is no such law, or it needs a missing parameter.
         DivergenceError: If a flotor leaves its range by a wide margin.
 
     Example:
         >>> from maglev_mj import compare
-        >>> found = compare("drop", ["pd", "pulse"], phases=8)
-        >>> (1e3 * found.columns()["penetration"]).round(2).tolist()  # [mm]
+        >>> comparison = compare("drop", ["pd", "pulse"], phases=8)
+        >>> (1e3 * comparison.columns()["penetration"]).round(2).tolist()  # [mm]
         [2.95, 1.76]
     """
     chosen = get_scene(scene)
@@ -157,8 +157,8 @@ def compare(
     if len(variants) < max(len(laws), 1):
         raise ParameterError(f"laws must be at least one, without duplicates, not {', '.join(variants) or 'none'}")
     margins = {label: _margins(variant) for label, variant in variants.items()}
-    found = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
-    return Comparison(found.runs, found.phases, margins=margins, scene=chosen)
+    result = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
+    return Comparison(result.runs, result.phases, margins=margins, scene=chosen)
 
 
 def _named(law: str | LawMaker) -> tuple[str, LawMaker]:
@@ -184,7 +184,7 @@ def _with_law(scene: WallScene, label: str, maker: LawMaker) -> WallScene:
         }
 
         def laws(self) -> list[Any]:
-            return [_made(label, maker, self, one) if isinstance(one, Wall) else one for one in base.laws(self)]
+            return [_law_of(label, maker, self, one) if isinstance(one, Wall) else one for one in base.laws(self)]
 
     return Compared(**scene.independent_values() | (_passive(scene) if maker is LAWS["colgate"] else {}))
 
@@ -206,7 +206,7 @@ def _hand(scene: WallScene) -> Any:
     return getattr(scene.scripted_hand(), "hand", None)
 
 
-def _made(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> Law:
+def _law_of(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> Law:
     """Return a maker's law for the numbers of a scene."""
     numbers = scene.independent_values() | {"axes": scene.axis, "lower": 0.0, "inertia": scene.mass, "wall": wall}
     numbers["force_limit"] = math.inf if scene.force_limit is None else scene.force_limit
@@ -220,11 +220,11 @@ def _made(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> Law:
 def _margins(scene: WallScene) -> dict[str, float]:
     """Return the figures of a scene's first law at rest.
 
-    Laws that state no gains rest at the depth at which the scene's own wall bears the weight.
+    Laws that state no gains rest at the depth at which the scene's own wall carries the weight.
     """
-    found = wall_margin(scene, held=True)
-    assert found is not None
-    stiffness, spectral_radius, margin = found
+    at_rest = wall_margin(scene, held=True)
+    assert at_rest is not None
+    stiffness, spectral_radius, margin = at_rest
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
     around |= {"hand": _hand(scene), "quantum": scene.quantize or Spec.translation_resolution.value}

@@ -30,7 +30,7 @@ from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controll
 from maglev_mj.spec import GRAVITY, RANGE, Spec
 from maglev_mj.theory.design import Case, DesignedWall
 
-_ANYWHERE = (1e150, 1.0)  # a flotor thrown far away is a verdict, not an error
+_ANYWHERE = (1e150, 1.0)  # a flotor that flies off is a verdict, not an error
 _TICKS, _CONTACT_TICKS = 800, 100
 _RANDOM, _PHASES = 240, 8
 _MOST_LISTED = 8
@@ -78,10 +78,10 @@ class DesignResult(Result):
         contact: Contact conditions.
         reference: PD wall for the same requirements; None if the wall is PD itself, or no PD wall meets them.
         cases: Cases simulated, in and out of contact: corners and middles of the ranges, the worst, random ones.
-        grows: True for each case whose motion grows or continues instead of settling, (C,).
-        depth: Greatest depth at the speed of approach over corners, hands and phases [m].
+        grows: True for each case that does not settle, (C,).
+        depth: Maximum penetration at the approach speed over corners, hands and phases [m].
         peak: Largest force there [N].
-        hum: Standard deviation of the force at rest over the sensor [N]: middle of the ranges, first hand, worst start.
+        hum: Force noise at rest over the sensor, standard deviation [N]: middle of the ranges, first hand, worst start.
         masses: Masses of the map [kg], (M,).
         delays: Delays of the map [s], (D,).
         map: Spectral radius over the hands, (M, D).
@@ -184,21 +184,19 @@ def evaluate_wall(
     grows = growing_cases(wall, contact, cases, seed=seed)
     depth, peak = hardest_contact(wall, contact)
     mass, delay = needs.nominal
-    heard = 0.0
+    at_rest = 0.0
     if contact.quantize:
         around: Any = {"quantum": contact.quantize, "delay": delay, "period": needs.period, "mass": mass}
         around["hand"] = get_hand(needs.hands[0])
         duration = _TICKS * needs.period
         noise = hum(0.0, law=wall.make(), stiffness=wall.rendered, damping=wall.damping, duration=duration, **around)
-        heard = float(noise.force[0])
+        at_rest = float(noise.force[0])
     masses, delays, spectral_radius = needs.map(wall.stiffness, wall.damping, wall.design)
-    return DesignResult(wall, contact, reference, cases, grows, depth, peak, heard, masses, delays, spectral_radius)
+    return DesignResult(wall, contact, reference, cases, grows, depth, peak, at_rest, masses, delays, spectral_radius)
 
 
 def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *, seed: int = 0) -> Mask:
-    """Return True for cases with growing or continuing motion.
-
-    (C,), on the exact plant over 800 samples.
+    """Return True for cases that do not settle on the exact plant within 800 samples, (C,).
 
     Each starts at random from 1 mm behind the wall to 2 mm above it, moving down at up to the approach speed, at a
     random phase of the sampler. It settles if its swing in the last quarter is below 20 steps of the sensor, or below
@@ -217,15 +215,15 @@ def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *
     quarter, floor = _TICKS // 4, max(_SETTLED_STEPS * contact.quantize, 1e-9)
     slowest = min(max(0.5, 1.02 * wall.requirements.spectral_radius ** (2 * quarter)), 0.98)
     for index, plant in _plants(wall, contact, cases, height, speed, phase):
-        seen: list[Array] = []
+        heights: list[Array] = []
 
-        def observe(sample: Sample, _: Command, plant: ExactPlant = plant, seen: list[Array] = seen) -> None:
-            seen.append(plant.state()[0][:, 2])
+        def observe(sample: Sample, _: Command, plant: ExactPlant = plant, heights: list[Array] = heights) -> None:
+            heights.append(plant.state()[0][:, 2])
 
         with plant:
             drive(plant, _controller(wall, contact), _TICKS, observe=observe)
-        early, late = (np.ptp(seen[start : start + quarter], axis=0) for start in (quarter, 3 * quarter))
-        grows[index] = (late > floor) & (late > slowest * early)
+        second, last = (np.ptp(heights[start : start + quarter], axis=0) for start in (quarter, 3 * quarter))
+        grows[index] = (last > floor) & (last > slowest * second)
     return grows
 
 
@@ -235,7 +233,7 @@ def hardest_contact(wall: DesignedWall, contact: Contact) -> tuple[float, float]
     At the approach speed, over corners, hands and 8 phases.
     """
     cases = [case for case in wall.requirements.grid(2) for _ in range(_PHASES)]
-    above = 1.5 * contact.speed * wall.requirements.period  # so that a sample sees it above the wall
+    above = 1.5 * contact.speed * wall.requirements.period  # so that one sample is above the wall
     starts = np.full(len(cases), above), np.full(len(cases), contact.speed)
     depth, peak = 0.0, 0.0
     for _, plant in _plants(wall, contact, cases, *starts, np.arange(len(cases)) % _PHASES / _PHASES, record=True):
@@ -312,8 +310,8 @@ def hum(
         controller = wall_controller(law, stiffness=stiffness, damping=damping, **around)
         drive(plant, controller, round(duration / period))
     trace = plant.trace()
-    late = slice(-len(trace.time) // 4, -1)
-    swing, force = np.ptp(trace.pose[late, :, 2], axis=0), np.std(trace.wrench[late, :, 2], axis=0)
+    last = slice(-len(trace.time) // 4, -1)
+    swing, force = np.ptp(trace.pose[last, :, 2], axis=0), np.std(trace.wrench[last, :, 2], axis=0)
     return Hum(*(part.reshape(-1, offsets).max(axis=1) for part in (swing, force)))
 
 
@@ -333,12 +331,12 @@ def _plants(
     """
     needs = wall.requirements
     groups: dict[tuple[bool, int], list[int]] = {}
-    for place, case in enumerate(cases):
+    for number, case in enumerate(cases):
         hand = get_hand(case.hand)
         key = hand is not None and hand.soft, int(split_delay(case.delay, needs.period)[0])
-        groups.setdefault(key, []).append(place)
+        groups.setdefault(key, []).append(number)
     for (soft, _), index in groups.items():
-        some = [cases[place] for place in index]
+        some = [cases[number] for number in index]
         yield (
             index,
             ExactPlant(

@@ -138,7 +138,7 @@ class RestingWall(Scene):
 
         Walls that differ in their gains alone are one batch.
         """
-        found: list[dict[str, Any]] = [{}] * len(scenes)
+        results: list[dict[str, Any]] = [{}] * len(scenes)
         for indices in _alike(scenes).values():
             walls = [scenes[index] for index in indices]
             stiffness, damping = (np.array([getattr(wall, name) for wall in walls]) for name in _GAINS)
@@ -154,8 +154,8 @@ class RestingWall(Scene):
                 growth = measure_growth(walls, plant)
                 columns |= {"simulated_rate": growth.rate, "simulated_stable": growth.stable}
             for index, row in zip(indices, zip(*(column.tolist() for column in columns.values()), strict=True)):
-                found[index] = dict(zip(columns, row, strict=True))
-        return found
+                results[index] = dict(zip(columns, row, strict=True))
+        return results
 
 
 @lru_cache(maxsize=1024)
@@ -165,14 +165,11 @@ def stiffest_in(period: float, delay: float, mass: float, hand: str) -> theory.S
 
 
 def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
-    """Return indices of walls, grouped by loop.
-
-    Walls of a group differ in their gains alone.
-    """
-    alike: dict[tuple[Any, ...], list[int]] = defaultdict(list)
+    """Return indices of walls, grouped by loop: a group differs in its gains only."""
+    groups: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for index, wall in enumerate(walls):
-        alike[wall.period, wall.delay, wall.mass, wall.hand].append(index)
-    return alike
+        groups[wall.period, wall.delay, wall.mass, wall.hand].append(index)
+    return groups
 
 
 def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keywords: Any) -> Growth:
@@ -246,20 +243,20 @@ def _sizes(plant: SampledPlant, controller: Controller, rest: Array, ticks: int)
         loop = ControlLoop(plant, controller, observe=observe)
         for end in range(1, len(blocks) + 1):
             loop.cycle(_BLOCK)
-            if _either(blocks[:end]).any(axis=0).all():
+            if _decisive(blocks[:end]).any(axis=0).all():
                 break
     return blocks[:end]
 
 
-def _either(sizes: Array) -> Mask:
+def _decisive(sizes: Array) -> Mask:
     return (sizes < 1.0 / _DECIDED) | (sizes > _DECIDED)
 
 
 def _judge(sizes: Array, *, last: bool) -> tuple[Growth, Mask]:
     """Return the growth by block sizes, and a decided mask."""
-    either = _either(sizes)
-    decided: Mask = np.any(either, axis=0)
-    pick = np.where(decided, np.argmax(either, axis=0), len(sizes) - 1)
+    decisive = _decisive(sizes)
+    decided: Mask = np.any(decisive, axis=0)
+    pick = np.where(decided, np.argmax(decisive, axis=0), len(sizes) - 1)
     column = np.arange(sizes.shape[1])
     stable = sizes[pick, column] < 1.0 / _DECIDED
     with np.errstate(divide="ignore"):
@@ -268,9 +265,9 @@ def _judge(sizes: Array, *, last: bool) -> tuple[Growth, Mask]:
         rate = np.exp(np.log(sizes[pick, column] / since) / np.where(pick > 0, pick, 1.0) / _BLOCK)
     if last and not decided.all():
         quarter = len(sizes) // 4
-        early, late = sizes[quarter : 2 * quarter].max(axis=0), sizes[-quarter:].max(axis=0)
-        stable = np.where(decided, stable, late < early)
-        rate = np.where(decided, rate, (late / early) ** (1.0 / (2 * quarter * _BLOCK)))
+        second, fourth = sizes[quarter : 2 * quarter].max(axis=0), sizes[-quarter:].max(axis=0)
+        stable = np.where(decided, stable, fourth < second)
+        rate = np.where(decided, rate, (fourth / second) ** (1.0 / (2 * quarter * _BLOCK)))
         decided = np.ones(column.size, dtype=bool)
     return Growth(stable, rate, (pick + 1.0) * _BLOCK), decided
 
@@ -455,7 +452,7 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
     Dampings [N s/m], (B,), stiffnesses [N/m], (K,), and the stiffest wall by theory.
     """
     best = stiffest_in(p.period, p.delay, p.mass, p.hand)
-    # a wall without damping or stiffness, or none, frames nothing
+    # no stable wall: fall back to mass / period
     damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) or p.mass / p.period)
     stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) or p.mass / p.period**2)
     return damping, stiffness, best
@@ -484,8 +481,8 @@ def _cells(p: StabilityParameters, stiffness: Array, damping: Array, spectral_ra
     """
     around = {name: getattr(p, name) for name in _AROUND}
     order = np.argsort(np.abs(np.log(np.maximum(spectral_radius, 1e-9))).ravel())[::-1]
-    places = zip(*np.unravel_index(order, spectral_radius.shape), strict=True)
-    gains = [{"stiffness": float(stiffness[row]), "damping": float(damping[column])} for row, column in places]
+    cells = zip(*np.unravel_index(order, spectral_radius.shape), strict=True)
+    gains = [{"stiffness": float(stiffness[row]), "damping": float(damping[column])} for row, column in cells]
     return [around | cell for cell in gains if cell["stiffness"] > 0.0]
 
 

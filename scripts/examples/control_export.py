@@ -1,4 +1,4 @@
-"""Export to python-control: poles and step response; both stand beside this package's own answers.
+"""Export to python-control: poles and step response, compared with this package's.
 
 pip install control
 """

@@ -1,4 +1,4 @@
-"""Pictures of the examples, for the gallery."""
+"""Charts of the examples for the gallery."""
 
 import gymnasium
 import numpy as np
@@ -31,17 +31,17 @@ for name, scene in {"pulse": Drop(), "no pulse": Drop(pulse=0.0)}.items():
 
 env = gymnasium.make(ENVIRONMENT, axes=AXES)
 observation = env.reset(seed=9)[0]
-seen = [observation]
+observations = [observation]
 for _ in range(200):
     observation = env.step(spring_and_damper(observation))[0]
-    seen.append(observation)
-heights, _, targets = 1e3 * np.array(seen).T
-times = np.arange(len(seen)) * Timing().period
+    observations.append(observation)
+heights, _, targets = 1e3 * np.array(observations).T
+times = np.arange(len(observations)) * Timing().period
 episode = [("flotor", times, heights), ("target", times, targets)]
 
 panels = [
     Panel(title="own_law: a button that clicks", labels=("depth (mm)", "force (N)"), curves=button),
-    Panel(title="own_sensor: an average is late", labels=("time (s)", "height (mm)"), curves=falls, level=0.0),
+    Panel(title="own_sensor: averaging adds delay", labels=("time (s)", "height (mm)"), curves=falls, level=0.0),
     Panel(title="phases: depth of 100 drops", labels=("phase of the sampler", "depth (mm)"), curves=depths),
     Panel(title="gym_environment: an episode of PD", labels=("time (s)", "height (mm)"), curves=episode),
 ]

@@ -29,14 +29,14 @@ class SpacenavServer:
 
     def show(self, snapshot):
         """Send an event."""
-        with suppress(BlockingIOError):  # no new program
+        with suppress(BlockingIOError):  # no new client
             self.clients.append(self.listener.accept()[0])
         axes = np.rint(FULL * np.asarray(snapshot.pose) / RANGE)[ORDER].astype(int)
         for client in [*self.clients]:
             try:
                 client.send(struct.pack("=8i", 0, *axes, round(1e3 * PERIOD)), socket.MSG_DONTWAIT)
             except BlockingIOError:
-                pass  # a program that does not read misses this event
+                pass  # drop the event for a program that does not read
             except OSError:
                 self.clients.remove(client)
 
@@ -55,6 +55,6 @@ if __name__ == "__main__":
     print(f"export SPNAV_SOCKET={path}", flush=True)
     with closing(Session(find_scene("joystick")(), hand=SpringHand(), publishers=[SpacenavServer(path)])) as session:
         for elapsed, now in real_time(float(sys.argv[1]) if sys.argv[1:] else None, PERIOD):
-            axis = np.eye(6)[int(now / 2.0) % 6]  # a hand that moves one axis after the other
+            axis = np.eye(6)[int(now / 2.0) % 6]  # a hand moves the axes in turn
             session.hand.target = 3.0 * math.sin(math.pi * now) * axis * RANGE
             session.tick(elapsed)

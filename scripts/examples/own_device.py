@@ -18,7 +18,7 @@ START = [0.0, 0.0, 0.003, 0.0, 0.0, 0.0]
 
 
 def write_device(path):
-    """Write a changed copy of the package's device."""
+    """Write a modified copy of the device model."""
     spec = mujoco.MjSpec.from_file(str(model_path("maglev")))
     spec.body("flotor").mass += 0.3
     for site in spec.sites:

@@ -47,7 +47,7 @@ def press(button, timing):
 
 if __name__ == "__main__":
     timing, button = Timing(period=0.001, delay=0.0005), Button(axes="z", stiffness=3000.0)
-    maglev_mj.check_law(button)  # one device and a batch alike, finite, nothing changed but the wrench
+    maglev_mj.check_law(button)  # equal alone and in a batch, finite, no side effects
     depth, force = press(button, timing)
     step = np.diff(force)
     for word, at in (("pressed: clicks", step.argmin()), ("released: returns", step.argmax())):

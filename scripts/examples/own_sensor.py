@@ -1,4 +1,4 @@
-"""Own sensor: the mean of the last samples; its delay makes a stiff wall bounce.
+"""Own sensor: a moving average; its delay makes a stiff wall bounce.
 
 A sensor has `start()`, which returns a function from the six true components to the six measured ones. It is called at
 each sample, with floats for one device and with arrays for N.
@@ -12,18 +12,18 @@ from maglev_mj.scenes.drop import Drop
 
 @dataclass(frozen=True)
 class AveragingSensor:
-    """Mean of the true pose over the last samples."""
+    """Moving average of the true pose."""
 
     count: int
 
     def start(self):
         """Return the measuring function of one run."""
-        kept = []
+        window = []
 
         def measure(position):
-            kept.append(list(position))
-            del kept[: -self.count]
-            return [sum(parts) / len(kept) for parts in zip(*kept)]
+            window.append(list(position))
+            del window[: -self.count]
+            return [sum(parts) / len(window) for parts in zip(*window)]
 
         return measure
 

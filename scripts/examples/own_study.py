@@ -22,12 +22,12 @@ RATES, STIFFNESSES = (200.0, 500.0, 1000.0), (2000.0, 3000.0, 4000.0)
 
 def clicks(cells):
     """Return the force lost in the click, by cell [N]."""
-    found = []
+    losses = []
     for cell in cells:
         period = 1.0 / cell["rate"]
         _, force = press(Button(axes="z", stiffness=cell["stiffness"]), Timing(period=period, delay=0.3 * period))
-        found.append(float(-np.diff(force).min()))
-    return found
+        losses.append(float(-np.diff(force).min()))
+    return losses
 
 
 def main(address):

@@ -25,7 +25,7 @@ class Controller:
         """Sample at each period, and set the currents when a command takes effect."""
         if data.time == 0.0:  # the start, or a reset by the viewer
             self.tick, self.switches = 0, []
-        # RK4 calls at inner stages too; a step begins at the time at which the last stage of the previous one ended
+        # RK4 also calls at inner stages; a step begins at the time of the last stage of the previous one
         begins, self.time = data.time in (0.0, self.time), data.time
         if begins and data.time > self.tick * PERIOD - 1e-9:
             self._sample(np.append(data.sensor("position").data, 2.0 * data.sensor("orientation").data[1:]), data.time)

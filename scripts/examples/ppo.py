@@ -13,11 +13,11 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from gym_environment import AXES, ENVIRONMENT, spring_and_damper
 
-GAMMA = 0.95  # looks 0.1 s ahead: the flotor crosses its range in less
+GAMMA = 0.95  # horizon of 0.1 s, longer than the flotor needs to cross its range
 
 
 def judge(name, agent):
-    """Print reward and distance over 64 targets that no agent was trained on."""
+    """Print reward and distance over 64 unseen targets."""
     many, rewards, distances, over = gymnasium.make_vec(ENVIRONMENT, num_envs=64, axes=AXES), [], [], [False]
     states, _ = many.reset(seed=1000)
     while not any(over):

@@ -10,18 +10,18 @@ ROBOT = mujoco.MjModel.from_xml_string("""<mujoco><option timestep="1e-4" integr
 </option><worldbody><geom type="box" size=".1 .1 .02" pos="0 0 -.04"/><body gravcomp="1"><geom size=".01" mass="1"/>
 <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/><joint name="z" type="slide"/>
 </body></worldbody><actuator><motor joint="x"/><motor joint="y"/><motor joint="z"/></actuator></mujoco>""")
-DATA, SCALE = mujoco.MjData(ROBOT), 10.0  # the robot goes ten times as far, with ten times the force
-MASS, REDUCED = 0.7, 0.7 / (1.0 + 0.7 / 1.0)  # joystick alone, and as the distance of both moves if they are free [kg]
+DATA, SCALE = mujoco.MjData(ROBOT), 10.0  # motion and force scaled by ten
+MASS, REDUCED = 0.7, 0.7 / (1.0 + 0.7 / 1.0)  # of the joystick, and reduced mass of both [kg]
 
 
 class Coupling(Law):
-    """A spring and a damper that pull both; its state: the robot's position and velocity, last stretch and force."""
+    """A spring and a damper that pull both; its state: the robot's position and velocity, last extension and force."""
 
     def __init__(self, scene):
         self.scene = scene
 
     def __call__(self, position, velocity, state, wrench):
-        """Answer one sample, and move the robot to the next: the force acts on both a delay later."""
+        """Return the wrench, and simulate the robot to the next sample; the force acts on both after the delay."""
         DATA.qpos, DATA.qvel, last, held = np.zeros((4, 3)) if state is None else state
         scene, stretch = self.scene, np.array(position[:3]) - DATA.qpos / SCALE
         force = scene.stiffness * stretch + scene.damping * (stretch - last) / scene.period
@@ -32,7 +32,7 @@ class Coupling(Law):
         return np.array([DATA.qpos, DATA.qvel, stretch, force]), None
 
     def gains(self):
-        """Return the gains for the stability check: those with which the joystick alone moves as the distance does."""
+        """Return the gains for the stability check, scaled from the reduced mass to the joystick."""
         stiffness, damping = (MASS / REDUCED * one for one in (self.scene.stiffness, self.scene.damping))
         return Hold(axes=AXES[:3], stiffness=stiffness, damping=damping).gains()
 
