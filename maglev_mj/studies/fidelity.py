@@ -455,7 +455,7 @@ def measure_fidelity(
         if not unscreened and screen[index].max() < _ROUNDING:
             unscreened = f"the exact plant cannot assess level {level.level}"
             if jittered := float(np.mean(screen[level_index("jitter")] > allowed / MARGIN)):
-                unscreened += f" (level jitter, which it includes, fails in {100.0 * jittered:.2g} % of its cases)"
+                unscreened += f" (level jitter, which it includes, fails in {jittered:.2g} of its cases)"
         steps, cheapest = _choose(
             measure_steps(scene, level.level, phase=cases[0].phase, done=done),
             loop_of(scene, level.level),

@@ -214,10 +214,10 @@ def test_a_sweep_has_a_row_for_each_cell_and_a_line_for_each_value() -> None:
     np.testing.assert_array_equal(drawn[1].get_ydata(), found.figure("penetration")[:, 1] * 1e3)
     failed = sweep(Drop(), {"stiffness": [6000.0, 60000.0]}, plant="exact").to_pandas()
     assert failed["error"][0] == "" and "diverged" in failed["error"][1] and np.isnan(failed["penetration"][1])
-    with pytest.raises(ParameterError, match=r"vary must give .* one parameter, not \{\}; run\(\) does one run"):
+    with pytest.raises(ParameterError, match=r"vary must give .* one parameter, not \{\}; see run\(\)"):
         sweep(Drop(), {}, plant="exact")
     pressed = sweep(Press(), {"stiffness": [4000.0]}, plant="exact")
-    with pytest.raises(ParameterError, match="figure must be one number a cell, not peak_force"):
+    with pytest.raises(ParameterError, match="figure must be one number per cell, not peak_force"):
         pressed.figure("peak_force")
     with pytest.raises(ParameterError, match=r"figure must be one of penetration, .* not 'penetraton'; did you mean"):
         found.figure("penetraton")
@@ -270,7 +270,7 @@ def test_an_analysis_has_both_sides_and_what_was_identified() -> None:
     identified = found.table().below[-1]
     assert ("  stiffness", "6000.0000") in [row[:2] for row in identified.rows]
     assert "not identifiable: noise of z: " in identified.note
-    with pytest.raises(ParameterError, match="axis must be one that moves, of z, not 'x'"):
+    with pytest.raises(ParameterError, match=r"axis must be one of those with motion \(z\), not 'x'"):
         found.plot(axis="x")
 
 
