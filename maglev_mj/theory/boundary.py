@@ -1,15 +1,15 @@
 """Stability boundary over the gains, and published bounds on the stiffness.
 
-The boundary is the largest stiffness up to which every wall is stable; stable ranges beyond it are islands.
+The boundary is the critical stiffness: all softer walls are stable. Stable ranges above it are islands.
 
 The characteristic polynomial of a wall's closed loop is linear in the gains, p0(z) + k p1(z) + b p2(z), for every
 design here: PD with any linear velocity estimate or prediction, and the observer. For an eigenvalue on the unit circle,
 z = exp(i theta), it gives two real equations, so k and b are explicit in theta: ratios of polynomials in x = cos theta.
-At a given damping, all stiffnesses of a root crossing are the roots of one such polynomial, so none is missed as in a
-scan. A circle of another radius gives the boundary of a margin in the same way.
+At a fixed damping, the stiffnesses at which a pole crosses the circle are the roots of one such polynomial, so none is
+missed. A circle of another radius gives the boundary for a margin.
 
-The docstring of each published bound (`colgate` and so on) states its sense: passivity or stability. All accept and
-return numbers or arrays that broadcast. `physical_damping` is that of device and hand. The levitated flotor has almost
+The published bounds (`colgate` and so on) are conditions of passivity or of stability, as their docstrings say. They
+accept and return broadcasting arrays. `physical_damping` is that of device and hand. The levitated flotor has almost
 none, so no wall on it is passive, but many are stable.
 """
 
@@ -31,22 +31,20 @@ from maglev_mj.theory.closed_loop import ROUNDING, LoopKeywords, SampledLoop, is
 _HIGHEST = 8.0
 _NEAR = np.array([-1e-4, -1e-7, 1e-7, 1e-4])
 _CLOSE = np.array([-1e-4, -2e-7, 2e-7, 1e-4])
-_ALIKE = 2e-15  # spectral radii that rounding does not tell apart
+_ALIKE = 2e-15  # spectral radii equal to within rounding
 _EVEN = np.array([0.0, 0.3, 0.7, 1.0])
 _LOWEST, _ROUGH, _FINEST = 8e-5, 1e-5, 1e-7
 _GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 720)])
 _FINER, _FLAT = 16, 1e-10
 _SOFTEST = 1e-9
-"""Softest wall that rounding tells from none [m/T²]."""
+"""Least stiffness distinguishable from zero [m/T²]."""
 _AROUND, _BESIDE, _FALL = 1e-2 * np.linspace(-1.0, 1.0, 9), 1e-6 * np.linspace(-1.0, 1.0, 5), 1e-3
 _LEAST, _TRIM = 1e-11, 1e-10
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 
 
 class StiffestWall(NamedTuple):
-    """Largest stable stiffness over all dampings, with its damping.
-
-    (...,) each.
+    """Largest stable stiffness over all dampings, with its damping, (...,) each.
 
     Attributes:
         stiffness: The stiffness [N/m]; 0 if no wall is stable.
@@ -61,8 +59,9 @@ class StiffestWall(NamedTuple):
     def describe(self) -> str:
         """Return one wall as a phrase."""
         if not self.stiffness > 0.0:
-            return "none, no wall is stable"
-        return f"{self.stiffness:.0f} N/m at {self.damping:.1f} N s/m" + (", on a jump" if self.on_jump else "")
+            return "none: no wall is stable"
+        jump = ", at a jump of the boundary" if self.on_jump else ""
+        return f"{self.stiffness:.0f} N/m at {self.damping:.1f} N s/m{jump}"
 
 
 def flattened(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tuple[int, ...]]:
@@ -72,9 +71,7 @@ def flattened(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tu
 
 
 def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]:
-    """Return stiffness ranges of constant verdict, and their verdicts.
-
-    Range edges are (N, c + 1), verdicts (N, c).
+    """Return the edges of stiffness ranges (N, c + 1), and whether each is stable (N, c).
 
     Args:
         loop: One loop, or N of them.
@@ -94,12 +91,9 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
 
 
 def ranges_of(loop: SampledLoop, damping: float, limit: float = 1.0) -> list[tuple[float, float]]:
-    """Return all stable stiffness ranges for any SampledLoop.
-
-    See `stable_ranges`.
-    """
+    """Return all stable stiffness ranges of a SampledLoop; see `stable_ranges`."""
     if loop.shape:
-        raise ParameterError(f"loop must be one, not {loop.shape}")
+        raise ParameterError(f"loop must be a single one (got shape {loop.shape})")
     limit = number("limit", limit, above=0.0, at_most=1.0)
     edges, good = spans(loop, numbers("damping", [damping], at_least=0.0), limit)
     ranges: list[tuple[float, float]] = []
@@ -113,7 +107,7 @@ def ranges_of(loop: SampledLoop, damping: float, limit: float = 1.0) -> list[tup
 def stable_ranges(damping: float, *, limit: float = 1.0, **loop: Unpack[LoopKeywords]) -> list[tuple[float, float]]:
     """Return all stable stiffness ranges at one damping.
 
-    The first begins at 0 unless no soft wall is stable; any other is an island, beyond unstable walls.
+    The first begins at 0 unless soft walls are unstable; the others are islands above unstable walls.
 
     Args:
         damping: Wall damping [N s/m].
@@ -138,9 +132,9 @@ def largest_stable_stiffness(damping: None = None, **loop: Unpack[LoopKeywords])
 
 
 def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[LoopKeywords]) -> Array | StiffestWall:
-    """Return the largest stiffness with all softer walls stable [N/m].
+    """Return the critical stiffness: all softer walls are stable [N/m].
 
-    An island of stable walls beyond unstable ones does not count (see `stable_ranges`).
+    Islands of stable walls above unstable ones do not count (see `stable_ranges`).
 
     Args:
         damping: Wall damping [N s/m], (...,); None searches over all of them.
@@ -164,32 +158,29 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
 
 
 def boundary_of(loop: SampledLoop, damping: Array) -> Array:
-    """Return the largest stable stiffness for any SampledLoop [N/m].
-
-    See `largest_stable_stiffness`.
-    """
+    """Return the critical stiffness of a SampledLoop [N/m]; see `largest_stable_stiffness`."""
     flat, b, shape = flattened(loop, damping)
     edges, good = spans(flat, b, 1.0)
     rough, first = first_end(edges, good)
     wide, b = flat.widened(), b[:, None]
-    apart = 0.5 * (edges[:, :-1] + edges[:, 1:])
+    midpoints = 0.5 * (edges[:, :-1] + edges[:, 1:])
     rows = np.arange(len(edges))
-    last = np.minimum(first, apart.shape[-1] - 1)
-    low, high = apart[rows, np.maximum(last - 1, 0)], apart[rows, last]
+    last = np.minimum(first, midpoints.shape[-1] - 1)
+    low, high = midpoints[rows, np.maximum(last - 1, 0)], midpoints[rows, last]
     bracketed = (first > 0) & (first < good.shape[-1])
-    # the crossing is exact to rounding except for a slow one; the eigenvalues decide
+    # a crossing with a small slope is less accurate than the eigenvalues, so refine by them
     near = np.clip(rough[:, None] * (1.0 + _NEAR), low[:, None], high[:, None])
     middle = np.concatenate([low[:, None], near, high[:, None]], axis=1)
     while True:
         spectral_radii = wide.spectral_radius(middle, b)
         steady = is_stable(spectral_radii[:, 1:-1])
-        # the part that ends with the first unstable one; the upper end is always unstable
+        # bracket of the first unstable point; the upper end is always unstable
         part = np.where(steady.all(axis=-1), steady.shape[-1], np.argmin(steady, axis=-1))
         low, high = middle[rows, part], middle[rows, part + 1]
         below, above = spectral_radii[rows, part], spectral_radii[rows, part + 1]
         if not (bracketed & (high - low > 1e-13 * high) & (above - below > _ALIKE)).any():
             break
-        # densely around the interpolated point of spectral radius 1; evenly too, because the radius is not linear
+        # dense around the interpolated crossing, and an even grid because the radius is not linear
         with np.errstate(divide="ignore", invalid="ignore"):
             crossing = (1.0 - ROUNDING - below) / (above - below)
         shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _CLOSE
@@ -199,10 +190,7 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
 
 
 def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
-    """Return the end of the first stable range, (N,).
-
-    The index of the first unstable part is returned too.
-    """
+    """Return the end of the first stable range, and the index of the first unstable one, (N,) each."""
     good = good | (edges[:, 1:] <= edges[:, :-1])
     first = np.where(good.all(axis=-1), good.shape[-1], np.argmin(good, axis=-1))
     return edges[np.arange(len(edges)), first], first
@@ -211,8 +199,8 @@ def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
 def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
     """Return the largest stable stiffness over all dampings, and its damping.
 
-    Dampings from 0 to 8 m/T are searched by grids that close in on the highest maxima. If the largest stiffness lies
-    on a jump of the boundary, `on_jump` is True: at a slightly different damping softer walls are unstable.
+    Dampings from 0 to 8 m/T are searched by grids that refine the highest maxima. At a jump of the boundary `on_jump`
+    is True: at a slightly different damping softer walls are unstable.
 
     Args:
         loop: Keywords of `SampledLoop`.
@@ -224,10 +212,7 @@ def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
 
 
 def stiffest_of(loop: SampledLoop) -> StiffestWall:
-    """Return the stiffest wall for any SampledLoop.
-
-    See `stiffest_wall`.
-    """
+    """Return the stiffest wall of a SampledLoop; see `stiffest_wall`."""
     walls = [_stiffest(loop.part(loop.shape, index)) for index in range(math.prod(loop.shape))]
     stiffness, damping, on_jump = np.moveaxis(np.array(walls).reshape(*loop.shape, 3), -1, 0)
     return StiffestWall(stiffness, damping, on_jump.astype(bool))
@@ -238,10 +223,10 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float, bool]:
     stiff, damp = scales(loop)
     grid = _GRID * float(damp)
 
-    def beside(places: Array, shares: Array) -> Array:
-        return np.unique(np.maximum(places + np.maximum(places, grid[1]) * shares, 0.0))
+    def beside(positions: Array, shares: Array) -> Array:
+        return np.unique(np.maximum(positions + np.maximum(positions, grid[1]) * shares, 0.0))
 
-    # crossings of an almost undamped root are good to 1e-3 only: the last digits are searched by the eigenvalues
+    # crossings of an almost undamped pole are accurate to 1e-3 only; refine by the eigenvalues
     rough = maxima(lambda dampings: first_end(*spans(loop, dampings, 1.0))[0], grid, _ROUGH)
     best = maxima(partial(boundary_of, loop), beside(rough[:, None], _AROUND), _FINEST, peaks=1)
     near = beside(best, _BESIDE)
@@ -253,36 +238,34 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float, bool]:
 
 
 def maxima(function: Callable[[Array], Array], grid: Array, finest: float, peaks: int = 3) -> Array:
-    """Return the places of a function's highest maxima, (M,), M at most `peaks`.
+    """Return the arguments of a function's highest maxima, (M,), M at most `peaks`.
 
     Args:
-        function: Function of an array, may jump.
-        grid: First grid, ascending; finer ones close in on its maxima.
-        finest: Relative width of the last interval, unless the function is flat in a wider one.
-        peaks: Largest number of them.
+        function: Function of an array; may be discontinuous.
+        grid: First grid, ascending; its maxima are refined.
+        finest: Relative width of the last interval, unless the function is constant in a wider one.
+        peaks: Largest number of maxima.
     """
     values = function(grid)
     sides = np.pad(values, 1, constant_values=-1.0)
     tops = np.flatnonzero((values > sides[:-2]) & (values >= sides[2:]))
-    places = []
+    arguments = []
     for best in tops[np.argsort(-values[tops], kind="stable")[:peaks]]:
         finer, heights = grid, values
         while True:
             low, high = finer[max(best - 1, 0)], finer[min(best + 1, finer.size - 1)]
             if high - low <= finest * max(high, grid[1]) or heights.min() >= (1.0 - _FLAT) * heights.max():
                 break
-            # the best one so far is kept: at a jump all the others may be lower
+            # keep the best point: at a jump all the others may be lower
             finer = np.unique([*np.linspace(low, high, _FINER), finer[best]])
             heights = function(finer)
             best = int(np.argmax(heights))
-        places.append(finer[best])
-    return np.array(places)
+        arguments.append(finer[best])
+    return np.array(arguments)
 
 
 class Characteristic(NamedTuple):
-    """Coefficients of p0, p1 and p2, lowest power first.
-
-    (..., n + 1) each, on a circle of some radius.
+    """Coefficients of p0, p1 and p2 on a circle, lowest power first, (..., n + 1) each.
 
     Gains are in units of m/T² and m/T, so that all coefficients are of order one.
     """
@@ -293,19 +276,14 @@ class Characteristic(NamedTuple):
 
 
 def scales(loop: SampledLoop) -> tuple[Array, Array]:
-    """Return the units of stiffness and damping.
-
-    They are m/T² and m/T, (...,) each.
-    """
+    """Return the units of stiffness and damping, m/T² and m/T, (...,) each."""
     period = np.asarray(loop.period)
     shape = np.broadcast_shapes(loop.shape, period.shape)
     return np.broadcast_to(loop.moving_mass / period**2, shape), np.broadcast_to(loop.moving_mass / period, shape)
 
 
 def characteristic(loop: SampledLoop, radius: float) -> Characteristic:
-    """Return the scaled characteristic polynomial of a loop.
-
-    A circle of `radius` is scaled to the unit circle.
+    """Return the characteristic polynomial of a loop, with the circle of `radius` scaled to the unit circle.
 
     Raises:
         ParameterError: If the polynomial is not linear in the gains.
@@ -317,29 +295,24 @@ def characteristic(loop: SampledLoop, radius: float) -> Characteristic:
     values = np.linalg.det(turns[:, None, None] * np.eye(size) - matrices[..., None, :, :])
     free, first, second, both = np.moveaxis(np.fft.fft(values, axis=-1).real / (size + 1), -2, 0)
     if not np.allclose(both + 3.0 * free, 2.0 * (first + second), rtol=0.0, atol=1e-9 * np.abs(both).max()):
-        raise ParameterError("design must be linear in its gains: its characteristic polynomial is not")
+        raise ParameterError("design must have a characteristic polynomial that is linear in its gains")
     return Characteristic(free, first - free, second - free)
 
 
 def crossings(parts: Characteristic, damping: Array) -> Array:
-    """Return all stiffnesses of possible root crossings, ascending.
-
-    (N, c), above 0, filled with infinity. A crossing is that of a root through the circle.
+    """Return the stiffnesses at which a pole may cross the circle, (N, c), ascending, padded with infinity.
 
     Args:
         parts: (N, n + 1) each, or (n + 1,).
         damping: In units of m/T, (N,).
     """
     damped = parts.free + damping[:, None] * parts.damped
-    angles = _roots(_turned(damped, np.broadcast_to(parts.stiff, damped.shape)))
+    angles = _roots(_sine_series(damped, np.broadcast_to(parts.stiff, damped.shape)))
     return np.sort(_stiffness(damped, parts.stiff, angles), axis=-1)
 
 
 def _stiffness(damped: Array, stiff: Array, angles: Array) -> Array:
-    """Return the stiffness at angles of a curve, (..., A).
-
-    It is infinity if not above 0.
-    """
+    """Return the stiffness at angles on the circle, (..., A); infinity unless above 0."""
     powers = np.exp(1j * angles[..., None] * np.arange(damped.shape[-1]))
     held, sprung = (np.matmul(powers, part[..., None])[..., 0] for part in (damped, stiff))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -347,32 +320,27 @@ def _stiffness(damped: Array, stiff: Array, angles: Array) -> Array:
     return np.where(stiffness > _LEAST, stiffness, np.inf)
 
 
-def _turned(one: Array, other: Array) -> Array:
-    """Return Im(one conj(other)) as a sine series, (..., n).
-
-    On the unit circle, as a series of sin((m + 1) theta).
-    """
-    size = max(one.shape[-1], other.shape[-1])
+def _sine_series(p: Array, q: Array) -> Array:
+    """Return Im(p conj(q)) on the unit circle as coefficients of sin((m + 1) theta), (..., n)."""
+    size = max(p.shape[-1], q.shape[-1])
     terms = [
-        (one[..., shift:] * other[..., : size - shift] - one[..., : size - shift] * other[..., shift:]).sum(axis=-1)
+        (p[..., shift:] * q[..., : size - shift] - p[..., : size - shift] * q[..., shift:]).sum(axis=-1)
         for shift in range(1, size)
     ]
     return np.stack(terms, axis=-1)
 
 
 def _roots(series: Array) -> Array:
-    """Return the zeros of sine series in [0, pi].
+    """Return the zeros in [0, pi] of series of sin((m + 1) theta), (N, n) to (N, n + 1), padded with NaN.
 
-    The series are of sin((m + 1) theta), the angles (N, n) to (N, n + 1), NaN for none.
-
-    Both ends are always zeros. Those between are eigenvalues of the comrade matrix of U_m(cos theta), for each degree
-    that occurs, refined by Newton's method.
+    Both ends are zeros. The inner ones are eigenvalues of the comrade matrix of U_m(cos theta) for each degree, refined
+    by Newton's method.
     """
     count, most = series.shape
     result = np.full((count, most + 1), np.nan)
     result[:, -2:] = 0.0, np.pi
-    known = np.abs(series) > _TRIM * np.abs(series).max(axis=-1, keepdims=True)
-    degrees = np.where(known.any(axis=-1), most - 1 - np.argmax(known[:, ::-1], axis=-1), 0)
+    significant = np.abs(series) > _TRIM * np.abs(series).max(axis=-1, keepdims=True)
+    degrees = np.where(significant.any(axis=-1), most - 1 - np.argmax(significant[:, ::-1], axis=-1), 0)
     for degree in np.unique(degrees[degrees > 0]):
         rows = np.flatnonzero(degrees == degree)
         comrade = np.zeros((rows.size, degree, degree))
@@ -392,12 +360,10 @@ def _roots(series: Array) -> Array:
 
 
 def colgate(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
-    """Return the largest passive stiffness.
+    """Return the largest passive stiffness, 2 (b - |B|) / T, or 0.
 
-    It is 2 (b - |B|) / T, or 0 if no stiffness is passive.
-
-    The bound is that of passivity, which implies stability with any passive hand. It is for a wall without delay beyond
-    the hold. The virtual damping B lowers it: a device with b below |B| is passive with no spring at all.
+    Passivity implies stability with any passive hand. Valid without delay apart from the hold. Virtual damping B lowers
+    the bound: with b below |B| no spring is passive.
 
     Args:
         damping: Virtual damping B [N s/m].
@@ -415,12 +381,10 @@ def colgate(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLik
 
 
 def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
-    """Return the stiffness of the linear stability condition.
+    """Return the stiffness of the linear stability condition, (b + B) / (T/2 + T_d).
 
-    It is (b + B) / (T/2 + T_d).
-
-    The bound is that of stability without a hand, to first order in B T/m and K T²/m: low damping, short delay, fast
-    sampling. Beyond about B T/m = 0.1 the exact boundary is lower.
+    Stability without a hand, to first order in B T/m and K T²/m: low damping, short delay, fast sampling. Above about
+    B T/m = 0.1 the exact boundary is lower.
 
     Args:
         damping: Virtual damping B [N s/m].
@@ -439,11 +403,9 @@ def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_dam
 
 
 def minsky(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
-    """Return the stiffness bound 2 (b + B) / T.
+    """Return the stiffness bound 2 (b + B) / T, from B/(K T) > 1/2 with the total damping.
 
-    It is the condition B/(K T) > 1/2 with all damping counted.
-
-    The bound is that of stability to first order, without delay beyond the hold: `gil` at T_d = 0.
+    Stability to first order without delay apart from the hold: `gil` at T_d = 0.
 
     Args:
         damping: Virtual damping B [N s/m].
@@ -462,11 +424,9 @@ def minsky(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike
 def abbott_okamura(
     *, period: ArrayLike, physical_damping: ArrayLike, dry_friction: ArrayLike, quantum: ArrayLike
 ) -> Array:
-    """Return the largest passive stiffness over a quantized sensor.
+    """Return the largest passive stiffness with a quantized sensor, min(2 b/T, 2 f_c/quantum).
 
-    It is min(2 b/T, 2 f_c/quantum).
-
-    The wall has no virtual damping and no delay; the mass has viscous and Coulomb friction.
+    For a wall without virtual damping or delay, on a mass with viscous and Coulomb friction.
 
     Args:
         period: Sample period T [s].
@@ -487,7 +447,6 @@ def abbott_okamura(
 def _checked(
     first: ArrayLike, physical_damping: ArrayLike, period: ArrayLike, name: str = "damping"
 ) -> tuple[Array, Array, Array]:
-    """Return checked physical damping, first value, and period."""
     time = numbers("period", period, at_least=0.0, above=0.0)
     least = -np.inf if name == "damping" else 0.0
     return numbers("physical_damping", physical_damping, at_least=0.0), numbers(name, first, at_least=least), time

@@ -1,10 +1,8 @@
-"""Closed loop of a sampled wall as one matrix.
+"""Closed loop of a sampled wall as one matrix, exact for any delay.
 
-It is exact for any delay.
-
-Between switches of the force the flotor obeys linear equations, so a matrix maps the state at one sample to that
-at the next: flotor (and hand, and driver) state, delayed commands, and the controller's own state. The loop inside
-the wall is stable if all eigenvalues of that matrix are inside the unit circle.
+Between switches of the force the flotor obeys linear equations, so a matrix maps the state at one sample to that at the
+next: state of flotor, hand and drivers, delayed commands, and state of the controller. The loop inside the wall is
+stable if all eigenvalues of the matrix are inside the unit circle.
 """
 
 from __future__ import annotations
@@ -25,13 +23,10 @@ from maglev_mj.plants.hand import Hand, get_hand, motion, transition
 from maglev_mj.spec import Spec
 
 MOST_PERIODS = 10
-_TOGETHER = 1 << 16
+_CHUNK = 1 << 16
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
-"""Function from gains and period to a wall controller.
-
-From stiffness, damping and sample period, (...,) each, to the linear controller inside the wall.
-"""
+"""Function from stiffness, damping and sample period, (...,) each, to the linear controller inside the wall."""
 
 
 class LoopKeywords(TypedDict, total=False):
@@ -51,17 +46,17 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
     """Return the PD wall of eq. (3) as a design.
 
     Args:
-        velocity: Linear velocity estimate; the finite difference by default.
+        velocity: Linear velocity estimator; the finite difference by default.
         prediction: Prediction time of the position along that velocity [s]: half a period for the half-sample
             prediction of Gillespie & Cutkosky 1996.
 
     Raises:
-        ParameterError: If the estimate is not linear.
+        ParameterError: If the estimator is not linear.
     """
     estimator = velocity or FiniteDifference()
     if not isinstance(estimator, (FiniteDifference, LowPass, Window)):
         names = "FiniteDifference, LowPass, Window"
-        raise ParameterError(f"velocity must be linear ({names}) for a closed-loop matrix, not {estimator!r}")
+        raise ParameterError(f"velocity must be a linear estimator: {names} (got {estimator!r})")
     ahead = numbers("prediction", prediction, at_least=0.0)
 
     def design(stiffness: Array, damping: Array, period: Array) -> LinearController:
@@ -74,10 +69,7 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
 
 
 def rendered_stiffness(controller: LinearController) -> Array:
-    """Return the static stiffness of a linear wall [N/m].
-
-    (...,): minus force over position, both constant.
-    """
+    """Return the static stiffness of a linear wall [N/m], (...,): minus force over position, both constant."""
     still = np.eye(controller.advance.shape[-1]) - controller.advance
     memory = np.linalg.solve(still, np.broadcast_to(controller.take, controller.give.shape)[..., None])
     return np.asarray(-(np.matmul(controller.give[..., None, :], memory)[..., 0, 0] + controller.direct))
@@ -87,17 +79,17 @@ def rendered_stiffness(controller: LinearController) -> Array:
 class SampledLoop:
     """Closed loop of a wall without its gains.
 
-    Each value is a number, or an array that broadcasts with the gains.
+    Values are numbers, or arrays that broadcast with the gains.
 
     Args:
         period: Sample period T [s].
         delay: Time from a sample to the effect of its command [s], up to 10 periods.
         mass: Mass of the flotor with its handle [kg].
-        hand: The hand on it, or a text for `get_hand`; None for a free flotor.
+        hand: Hand on the flotor, or a text for `get_hand`; None for a free flotor.
         driver_lag: Time constant of the current drivers [s]; 0 for none.
-        velocity: Linear velocity estimate of the PD wall; None for the finite difference.
+        velocity: Linear velocity estimator of the PD wall; None for the finite difference.
         prediction: Prediction time of the PD wall's position along the velocity [s].
-        design: Another linear controller in place of the PD wall.
+        design: Linear controller in place of the PD wall.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -122,7 +114,7 @@ class SampledLoop:
         common_shape("period and delay", np.shape(self.period), np.shape(self.delay))
         ratio = np.asarray(self.delay) / np.asarray(self.period)
         if not (ratio <= MOST_PERIODS * (1.0 + 1e-9)).all():
-            raise ParameterError(f"delay must be at most {MOST_PERIODS} periods, not {float(ratio.max()):g} periods")
+            raise ParameterError(f"delay must be at most {MOST_PERIODS} periods (got {float(ratio.max()):g} periods)")
         shapes = [np.shape(part) for part in (self.period, self.delay, self.mass, self.prediction)]
         shapes += [] if self.hand is None else [self.hand.shape]
         store(self, shape=common_shape("period, delay, mass, prediction, hand", *shapes))
@@ -140,11 +132,9 @@ class SampledLoop:
         return loop_matrix(phi, old[..., None], new[..., None], whole, waiting, *system)
 
     def compliances(self, stiffness: ArrayLike, damping: ArrayLike, frequencies: Sequence[float]) -> Iterator[Array]:
-        """Yield position over hand force at each frequency [m/N].
+        """Yield the compliance, sampled position over hand force, at each frequency [m/N], complex (...,).
 
-        Complex, (...,). The position is sampled.
-
-        The hand's force is assumed constant from sample to sample.
+        The hand's force is constant from sample to sample.
 
         Args:
             stiffness: Wall stiffness [N/m], (...,).
@@ -153,28 +143,26 @@ class SampledLoop:
         """
         matrix = self.matrix(stiffness, damping)
         _, push = transition(*motion(self.mass, self.hand, self.driver_lag), self.period)
-        enters = np.zeros((*push.shape[:-2], matrix.shape[-1]))
-        enters[..., : push.shape[-2]] = push[..., 1]
-        enters = np.broadcast_to(enters, matrix.shape[:-1])[..., None]
+        inputs = np.zeros((*push.shape[:-2], matrix.shape[-1]))
+        inputs[..., : push.shape[-2]] = push[..., 1]
+        inputs = np.broadcast_to(inputs, matrix.shape[:-1])[..., None]
         for frequency in frequencies:
             turn = np.exp(2j * np.pi * number("frequency", frequency) * float(self.period))  # type: ignore[arg-type]
-            yield np.linalg.solve(turn * np.eye(matrix.shape[-1]) - matrix, enters)[..., 0, 0]
+            yield np.linalg.solve(turn * np.eye(matrix.shape[-1]) - matrix, inputs)[..., 0, 0]
 
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
-        """Return the flotor's state transition over a period.
-
-        The effects of the old and the new command on it are returned too.
+        """Return the flotor's state transition over a period, and its inputs.
 
         Returns:
-            Map (..., n, n), shares of the command in effect before and after the switch (..., n) each, whole periods
-            in the delay (...,), and the largest number of delayed commands.
+            Transition (..., n, n), input vectors of the commands before and after the switch (..., n) each, whole
+            periods in the delay (...,), and the largest number of delayed commands.
         """
         period, delay = np.asarray(self.period), np.asarray(self.delay)
-        whole, rest = map(np.asarray, split_delay(delay, period))
+        whole, remainder = map(np.asarray, split_delay(delay, period))
         a, b = motion(self.mass, self.hand, self.driver_lag)
-        before, old = transition(a, b[..., :1], rest)
-        after, new = transition(a, b[..., :1], period - rest)
-        waiting = int((whole + (rest > 0.0)).max())
+        before, old = transition(a, b[..., :1], remainder)
+        after, new = transition(a, b[..., :1], period - remainder)
+        waiting = int((whole + (remainder > 0.0)).max())
         return after @ before, (after @ old)[..., 0], new[..., 0], whole, waiting
 
     def spectral_radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
@@ -182,8 +170,8 @@ class SampledLoop:
         gains = self.broadcast(stiffness, damping)
         shape, (k, b) = gains[0].shape, (gain.reshape(-1) for gain in gains)
         result = np.empty(k.size)
-        for start in range(0, k.size, _TOGETHER):
-            part = slice(start, start + _TOGETHER)
+        for start in range(0, k.size, _CHUNK):
+            part = slice(start, start + _CHUNK)
             matrices = self.part(shape, part).matrix(k[part], b[part])
             result[part] = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
         return result.reshape(shape)
@@ -206,26 +194,20 @@ class SampledLoop:
         return replace(self, hand=hand, period=period, delay=delay, mass=mass, prediction=ahead)
 
     def part(self, shape: tuple[int, ...], part: Any) -> SampledLoop:
-        """Return the loop for some of the flattened gains.
-
-        These are given by a slice, or by their indices.
-        """
+        """Return the loop for a slice or indices of the flattened gains."""
         if not self.shape:
             return self
         return self._each(lambda value: np.broadcast_to(value, shape).reshape(-1)[part] if value.ndim else value)
 
     def widened(self) -> SampledLoop:
-        """Return the loop with a trailing dimension of 1.
-
-        It is added to each array, for a search along it.
-        """
+        """Return the loop with a trailing dimension of 1 added to each array, for a search along it."""
         return self._each(lambda value: value[..., None] if value.ndim else value)
 
     @property
     def moving_mass(self) -> Array:
         """Mass of flotor and hand together [kg]."""
-        held = 0.0 if self.hand is None else self.hand.mass
-        return np.asarray(np.asarray(self.mass) + held)
+        hand_mass = 0.0 if self.hand is None else self.hand.mass
+        return np.asarray(np.asarray(self.mass) + hand_mass)
 
 
 def loop_matrix(
@@ -239,29 +221,28 @@ def loop_matrix(
     give: Array,
     direct: Array,
 ) -> Array:
-    """Return the closed loop of a flotor's n positions and a linear controller, (..., S, S).
+    """Return the closed loop of a flotor with n positions and a linear controller, (..., S, S).
 
-    The state is the flotor's, positions first, then the delayed commands, newest first, n of each, then the
-    controller's.
+    State: the flotor's, positions first; the delayed commands, newest first, n of each; the controller's.
 
     Args:
         phi: Flotor's state transition over a period, (..., f, f).
-        old: Share of the commands in effect before the switch, (..., f, n).
-        new: Share of those in effect after it, (..., f, n).
+        old: Input matrix of the commands before the switch, (..., f, n).
+        new: Input matrix of those after it, (..., f, n).
         whole: Whole periods in the delay, (...,).
         waiting: Largest number of delayed commands.
         advance: Controller's transition, (..., s, s).
-        take: Its input matrix of the positions, (..., s, n).
+        take: Its input matrix, (..., s, n).
         give: Its output matrix, (..., n, s).
-        direct: Commands at once per position, (..., n, n).
+        direct: Its feedthrough, (..., n, n).
     """
     first, n = old.shape[-2:]
-    late = slice(first, first + n * waiting)
-    own = slice(late.stop, late.stop + advance.shape[-1])
+    delayed = slice(first, first + n * waiting)
+    states = slice(delayed.stop, delayed.stop + advance.shape[-1])
     shape = np.broadcast_shapes(*(part.shape[:-2] for part in (phi, old, new, advance, give, direct)), whole.shape)
-    m = np.zeros((*shape, own.stop, own.stop))
-    command = np.zeros((*shape, n, own.stop))
-    command[..., :n], command[..., own] = direct, give
+    m = np.zeros((*shape, states.stop, states.stop))
+    command = np.zeros((*shape, n, states.stop))
+    command[..., :n], command[..., states] = direct, give
     m[..., :first, :first] = phi
     for age in range(waiting + 1):  # the command `age` samples old
         now, before = ((whole == age)[..., None, None], (whole + 1 == age)[..., None, None])
@@ -273,8 +254,8 @@ def loop_matrix(
                 m[..., :first, :] += share[..., axis, None] * command[..., None, axis, :]
     if waiting:
         m[..., first : first + n, :] = command
-        m[..., first + n : late.stop, first : late.stop - n] = np.eye(n * (waiting - 1))
-    m[..., own, :n], m[..., own, own] = take, advance
+        m[..., first + n : delayed.stop, first : delayed.stop - n] = np.eye(n * (waiting - 1))
+    m[..., states, :n], m[..., states, states] = take, advance
     return m
 
 
@@ -283,7 +264,7 @@ _HALVINGS = 45
 
 
 def bisect(holds: Callable[[Array], Mask], low: Array, high: Array, halvings: int) -> Array:
-    """Return the start of a condition that is true at `high`, (...,)."""
+    """Return the least argument of a monotonic condition that is true at `high`, (...,)."""
     for _ in range(halvings):
         middle = 0.5 * (low + high)
         true = holds(middle)
@@ -292,22 +273,17 @@ def bisect(holds: Callable[[Array], Mask], low: Array, high: Array, halvings: in
 
 
 def is_stable(spectral_radius: ArrayLike, limit: float = 1.0) -> Mask:
-    """Return True for a spectral radius below the limit.
-
-    The difference must exceed rounding.
-    """
+    """Return True for a spectral radius below the limit by more than rounding."""
     return np.asarray(spectral_radius) < limit * (1.0 - ROUNDING)
 
 
 def spectral_radius(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
-    """Return the closed loop's spectral radius.
-
-    Inside the wall; below 1 it is stable.
+    """Return the spectral radius of the closed loop inside the wall; stable below 1.
 
     Args:
         stiffness: Wall stiffness [N/m], (...,).
         damping: Wall damping [N s/m], (...,).
-        loop: Keywords of `SampledLoop`: period, delay, mass and so on; they broadcast with the gains.
+        loop: Keywords of `SampledLoop`; they broadcast with the gains.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -316,18 +292,18 @@ def spectral_radius(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loo
 
 
 def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
-    """Return the shortest delay of an unstable wall [s].
+    """Return the critical delay: the shortest at which a wall is unstable [s].
 
     Args:
         stiffness: Wall stiffness [N/m], (...,).
         damping: Wall damping [N s/m], (...,).
-        loop: Keywords of `SampledLoop` but the delay; they broadcast with the gains.
+        loop: Keywords of `SampledLoop` except the delay; they broadcast with the gains.
 
     Returns:
         The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable up to 10 periods.
 
     Raises:
-        ParameterError: If a value is outside its bounds, or a delay is given.
+        ParameterError: If a value is outside its bounds, or a delay is passed.
 
     Example:
         >>> from maglev_mj import critical_delay
@@ -335,7 +311,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         array([3.3, 1.9])
     """
     if "delay" in loop:
-        raise ParameterError(f"delay must be left out of critical_delay, which looks for it, not {loop['delay']!r}")
+        raise ParameterError(f"critical_delay accepts no delay, because it returns one (got {loop['delay']!r})")
     loop["delay"] = 0.0
     around = SampledLoop(**loop)
     k, b = (gain[..., None] for gain in around.broadcast(stiffness, damping))
@@ -353,14 +329,14 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         low, high = np.where(bracketed, below, low), np.where(bracketed, above, high)
         if np.isfinite(high).all():
             break
-    some = np.isfinite(high)
+    finite = np.isfinite(high)
     high = bisect(
         lambda delay: ~is_stable(replace(wide, delay=delay[..., None]).spectral_radius(k, b)[..., 0]),
         low,
-        np.where(some, high, 0.0),
+        np.where(finite, high, 0.0),
         _HALVINGS,
     )
-    return np.where(some, high, np.inf)
+    return np.where(finite, high, np.inf)
 
 
 def least_dynamic_stiffness(
@@ -370,36 +346,35 @@ def least_dynamic_stiffness(
     frequencies: Sequence[float] | None = None,
     **loop: Unpack[LoopKeywords],
 ) -> Array:
-    """Return the least dynamic stiffness over all frequencies [N/m].
+    """Return the least dynamic stiffness: hand force over displacement, least over frequencies [N/m].
 
-    It is the least hand force per metre of displacement; 0 for an unstable wall.
-
-    It covers stiffness and stability margin at once: a wall near its stability boundary is compliant at its resonance.
+    It combines stiffness and stability margin: a wall near its stability boundary is compliant at its resonance. 0 for
+    an unstable wall.
 
     Args:
         stiffness: Wall stiffness [N/m], (...,).
         damping: Wall damping [N s/m], (...,).
-        frequencies: Frequencies [Hz]; None for 0 and 50 more up to half the sample rate.
-        loop: Keywords of `SampledLoop`; the period is a number.
+        frequencies: Frequencies [Hz]; None for 0 and 50 others up to half the sample rate.
+        loop: Keywords of `SampledLoop`; the period must be a number.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
     around = SampledLoop(**loop)
     if np.ndim(around.period):
-        raise ParameterError(f"period must be one number here, not {np.shape(around.period)}")
+        raise ParameterError(f"period must be a number (got shape {np.shape(around.period)})")
     stable = is_stable(around.spectral_radius(stiffness, damping))
     half = 0.5 / float(np.asarray(around.period))
     if frequencies is None:
         frequencies = [0.0, *np.geomspace(0.01 * half, 0.999 * half, 50)]
     if not len(frequencies):
-        raise ParameterError("frequencies must be at least one, not none")
+        raise ParameterError("frequencies must not be empty")
     chosen = [number("frequency", frequency, at_least=0.0, below=half) for frequency in frequencies]
-    result, gives = np.zeros(stable.size), np.zeros(np.count_nonzero(stable))
-    where = np.flatnonzero(stable)  # an unstable wall has no steady answer
+    result, compliance = np.zeros(stable.size), np.zeros(np.count_nonzero(stable))
+    where = np.flatnonzero(stable)  # an unstable wall has no steady state
     k, b = (np.broadcast_to(gain, stable.shape).reshape(-1)[where] for gain in (stiffness, damping))
     part = around.part(stable.shape, where)
-    for moved in part.compliances(k, b, chosen) if where.size else ():
-        gives = np.maximum(gives, np.abs(moved))
-    result[where] = 1.0 / gives
+    for response in part.compliances(k, b, chosen) if where.size else ():
+        compliance = np.maximum(compliance, np.abs(response))
+    result[where] = 1.0 / compliance
     return result.reshape(stable.shape)

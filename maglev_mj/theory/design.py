@@ -1,6 +1,6 @@
-"""Design of the stiffest wall for given requirements.
+"""Design of the stiffest wall for ranges of mass and delay, and a set of hands.
 
-The requirements are ranges of mass and delay, and hands. The design inverts the stability map.
+The design inverts the stability map.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, s
 from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, least_dynamic_stiffness, rendered_stiffness
 
 LAWS = ("pd", "observer", "disturbance-observer")
-"""Names of the wall laws, the last with disturbance estimate."""
+"""Names of the wall laws; the last one estimates a disturbance."""
 GOALS = ("static", "dynamic")
-"""Stiffness to maximize: at rest, or the least dynamic one."""
+"""Stiffness to maximise: static, or least dynamic."""
 
 _POLES = (0.0, 0.2, 0.4, 0.6)
 _DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 60)])
@@ -36,10 +36,7 @@ _SOFTER = 1.0 - np.array([0.0, 1e-6, 1e-5, 1e-4, 1e-3])
 
 
 class Case(NamedTuple):
-    """One loop of the requirements.
-
-    Mass [kg], delay [s], and the name or numbers of the hand.
-    """
+    """One loop of the requirements: mass [kg], delay [s], and the name or numbers of the hand."""
 
     mass: float
     delay: float
@@ -50,9 +47,7 @@ class Case(NamedTuple):
 
 
 class WallRequirements(Parameters):
-    """Loops in which a wall must be stable.
-
-    They are the product of masses, delays and hands.
+    """Loops in which a wall must be stable: every combination of masses, delays and hands.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -65,23 +60,23 @@ class WallRequirements(Parameters):
     period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
     mass: tuple[float, float] = param_range(
         "mass",
-        "least and greatest moving mass",
+        "range of the moving mass",
         "kg",
         default=(Spec.moving_mass.value,) * 2,
         at_least=1e-3,
         at_most=1e3,
     )
     delay: tuple[float, float] = param_range(
-        "delay", "least and greatest transport delay", "s", default=(Spec.transport_delay.value,) * 2
+        "delay", "range of the transport delay", "s", default=(Spec.transport_delay.value,) * 2
     )
     hands: Sequence[str] = param(
-        'names or numbers of hands, see `get_hand`; "none" for a flotor without one',
+        'hands, as names or numbers (see `get_hand`); "none" for a free flotor',
         default=("none",),
         parse=lambda hands: (hands,) if isinstance(hands, str) else tuple(hands),
     )
-    driver_lag: bool = param("the current drivers lag, as the device's do", default=False)
+    driver_lag: bool = param("lag of the current drivers", default=False)
     spectral_radius: float = param(
-        "spectral radius allowed; 1 for stability alone", default=0.97, above=0.0, at_most=1.0
+        "largest spectral radius allowed; 1 for no margin", default=0.97, above=0.0, at_most=1.0
     )
 
     def check(self) -> None:
@@ -89,57 +84,47 @@ class WallRequirements(Parameters):
         interval("delay", self.delay, at_least=0.0, at_most=MOST_PERIODS * self.period)
         if not self.hands or len(set(self.hands)) != len(self.hands):
             raise ParameterError(
-                f"hands must be one or more different ones, not {', '.join(self.hands) or 'none at all'}"
+                f"hands must be at least one, without duplicates (got {', '.join(self.hands) or 'none'})"
             )
         for hand in self.hands:
             get_hand(hand)
 
     @property
     def nominal(self) -> tuple[float, float]:
-        """Mass and delay in the middle of their ranges.
-
-        A law's own model uses them.
-        """
+        """Mass and delay at the middle of their ranges, used by the model of an observer."""
         return 0.5 * sum(self.mass), 0.5 * sum(self.delay)
 
     @property
     def cases_named(self) -> str:
-        """Ranges and hands in a few words."""
-        lag = " and lag of the drivers" if self.driver_lag else ""
+        """One-line summary of the requirements."""
+        lag = " with driver lag" if self.driver_lag else ""
         mass, delay = _span(self.mass, 1.0), _span(self.delay, 1e3)
-        return f"mass {mass} kg, delay {delay} ms{lag} and hands {', '.join(self.hands)}"
+        return f"mass {mass} kg, delay {delay} ms{lag}, hands {', '.join(self.hands)}"
 
     def grid(self, points: int) -> list[Case]:
-        """Return cases on a grid, corners included.
-
-        The grid is over masses and delays, for each hand.
-        """
+        """Return cases on a grid over masses and delays for each hand, corners included."""
         masses, delays = (np.unique(np.linspace(*ends, points)) for ends in (self.mass, self.delay))
         return [Case(float(m), float(d), hand) for m, d, hand in itertools.product(masses, delays, self.hands)]
 
     def random(self, count: int, seed: int = 0) -> list[Case]:
-        """Return random cases.
-
-        They are uniform over masses and delays, with the hands in turn.
-        """
+        """Return random cases, uniform over masses and delays, with the hands in turn."""
         random = np.random.default_rng(seed)
         drawn = zip(random.uniform(*self.mass, count), random.uniform(*self.delay, count))
         return [Case(float(m), float(d), hand) for (m, d), hand in zip(drawn, itertools.cycle(self.hands))]
 
     def map(self, stiffness: float, damping: float, design: Design | None = None) -> tuple[Array, Array, Array]:
-        """Return the spectral radius over masses and delays.
+        """Return masses (M,), delays (D,), and the largest spectral radius over the hands (M, D).
 
-        Returns masses (M,), delays (D,) and the spectral radius over the hands, (M, D); a range of one value has length
-        1.
+        A range of zero width has one value.
 
         Args:
             stiffness: Gain on the position [N/m].
             damping: Gain on the velocity [N s/m].
-            design: Another linear controller in place of the PD wall.
+            design: Linear controller in place of the PD wall.
         """
         cases = self.grid(_MAP)
         spectral_radii = self.spectral_radii(cases, stiffness, damping, design)
-        masses, delays = (np.unique([case[place] for case in cases]) for place in (0, 1))
+        masses, delays = (np.unique([case[column] for case in cases]) for column in (0, 1))
         return masses, delays, spectral_radii.reshape(masses.size, delays.size, len(self.hands)).max(axis=-1)
 
     def spectral_radii(
@@ -152,17 +137,14 @@ class WallRequirements(Parameters):
         return result
 
     def loops(self, cases: Sequence[Case], design: Design | None) -> list[tuple[Array, SampledLoop]]:
-        """Return one loop per hand with its case indices.
-
-        Each loop has shape (C,).
-        """
+        """Return one loop per hand, of shape (C,), with the indices of its cases."""
         result = []
         for hand in dict.fromkeys(case.hand for case in cases):
-            index = np.array([place for place, case in enumerate(cases) if case.hand == hand])
+            index = np.array([row for row, case in enumerate(cases) if case.hand == hand])
             loop = SampledLoop(
                 period=self.period,
-                mass=[cases[place].mass for place in index],
-                delay=[cases[place].delay for place in index],
+                mass=[cases[row].mass for row in index],
+                delay=[cases[row].delay for row in index],
                 hand=get_hand(hand),
                 driver_lag=DRIVER_TIME_CONSTANT if self.driver_lag else 0.0,
                 design=design,
@@ -173,7 +155,7 @@ class WallRequirements(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class DesignedWall:
-    """Stiffest wall for some requirements, with its figures.
+    """Stiffest wall for requirements, with its figures.
 
     Attributes:
         requirements: Requirements met by the wall.
@@ -182,11 +164,11 @@ class DesignedWall:
         damping: Gain on the velocity [N s/m].
         pole: Pole of the observer; None for PD.
         rendered: Static stiffness [N/m]; the gain itself for PD.
-        spectral_radius: Spectral radius found over the requirements.
-        worst: Case of the spectral radius.
+        spectral_radius: Largest spectral radius over the requirements.
+        worst: Case with the largest spectral radius.
         dynamic_stiffness: Least dynamic stiffness over the requirements [N/m].
-        softest: Case of the least dynamic stiffness.
-        island: Lower end of the first stable island at this damping in any case [N/m]; None if there is none.
+        softest: Case with the least dynamic stiffness.
+        island: Lower end of the first stable island at this damping in any case [N/m]; None without islands.
     """
 
     requirements: WallRequirements
@@ -209,7 +191,8 @@ class DesignedWall:
     def make(self, *, force_limit: float = math.inf) -> Law | None:
         """Return the observer's law along z; None for PD.
 
-        `force_limit` is the actuators' limit in its model [N].
+        Args:
+            force_limit: Force limit of the actuators in the observer's model [N].
         """
         if self.pole is None:
             return None
@@ -230,10 +213,6 @@ def _observer(requirements: WallRequirements, law: str, pole: float, **gains: fl
 
 
 def _design(requirements: WallRequirements, law: str, pole: float | None) -> Design | None:
-    """Return the closed-loop design for any gains.
-
-    None for PD.
-    """
     if pole is None:
         return None
     wall = _observer(requirements, law, pole, stiffness=1.0, damping=1.0)
@@ -251,17 +230,17 @@ def design_wall(
 ) -> DesignedWall:
     """Return the stiffest wall that meets all requirements.
 
-    Each loop's spectral radius is at most the limit, and all softer walls of that damping are stable in it. The gains
-    are found for the corners and the middle of the ranges. Then the worst case over the whole product is searched (a
-    grid, random cases, and decreasing steps from the worst of them). If its spectral radius is too large, it is added
-    to the cases and the search is repeated. Dampings from 0 to 8 m/T are searched; the static stiffness is within 1 %
-    of a dense scan over both gains.
+    In every case the spectral radius is at most the limit, and all softer walls of that damping are stable. The gains
+    are designed for the corners and the middle of the ranges. Then the worst case over all combinations is searched (a
+    grid, random cases, and decreasing steps from the worst of them); if it exceeds the limit, it is added to the cases
+    and the design is repeated. Dampings from 0 to 8 m/T are searched; static stiffness is within 1 % of a dense scan
+    over both gains.
 
     Args:
         requirements: Requirements on the wall.
-        law: One of `LAWS`; an observer has the delay as states, and the middle of the ranges for its model.
+        law: One of `LAWS`; an observer models the delay, with nominal mass and delay.
         goal: "static" for the largest static stiffness, "dynamic" for the largest least dynamic stiffness.
-        pole: Pole of the observer, in [0, 1); None for the best of a few.
+        pole: Pole of the observer, in [0, 1); None for the best of 0, 0.2, 0.4 and 0.6.
 
     Raises:
         ParameterError: If a value is outside its bounds, or no wall meets the requirements.
@@ -284,31 +263,25 @@ def design_wall(
             best = gains, chosen
     if best is None:
         raise ParameterError(
-            f"spectral_radius must be above {requirements.spectral_radius:g} here: no {law} wall reaches it in all"
+            f"spectral_radius must be above {requirements.spectral_radius:g}: no {law} wall reaches it in every case"
         )
     return _evaluated(requirements, law, *best)
 
 
 def _first_cases(requirements: WallRequirements) -> list[Case]:
-    """Return the corners and the middle of the ranges.
-
-    For each hand; worse cases are added during the design.
-    """
+    """Return the corners and the middle of the ranges for each hand."""
     return list(dict.fromkeys([*requirements.grid(2), *(Case(*requirements.nominal, h) for h in requirements.hands)]))
 
 
 def _robust_gains(requirements: WallRequirements, design: Design | None, goal: str, cases: list[Case]) -> _Gains | None:
-    """Return the best gains for all cases; None for none.
-
-    Worse cases found on the way are added to `cases`.
-    """
+    """Return the best gains for all cases, or None. Worse cases are appended to `cases`."""
     best = _Gains(0.0, 0.0, 0.0)
     grid, limit = requirements.grid(_COARSE), requirements.spectral_radius * (1.0 + 1e-9)
     for _ in range(_ROUNDS):
         stiffest = (_stiffest_static if goal == "static" else _stiffest_dynamic)(requirements, design, cases)
         if stiffest is None:
             break
-        for share in _SOFTER:  # a crossing of the limit is exact to about 1e-6
+        for share in _SOFTER:  # a crossing of the limit is accurate to 1e-6
             gains = stiffest._replace(stiffness=stiffest.stiffness * share, figure=stiffest.figure * share)
             spectral_radius, case = worst_case(requirements, gains.stiffness, gains.damping, design)
             if not limit < spectral_radius < limit * (1.0 + _NEAR):
@@ -326,17 +299,14 @@ def _robust_gains(requirements: WallRequirements, design: Design | None, goal: s
         cases.append(grid[int(np.argmin(least))])
     if best.figure or goal == "static":
         return best if best.figure else None
-    static = _robust_gains(requirements, design, "static", cases)  # better than none
+    static = _robust_gains(requirements, design, "static", cases)
     return None if static is None else static._replace(figure=0.0)
 
 
 def _common_stiffness(
     requirements: WallRequirements, design: Design | None, cases: Sequence[Case], damping: Array
 ) -> Array:
-    """Return the largest common stiffness at each damping [N/m].
-
-    (B,): it meets the limit in all cases; 0 for none.
-    """
+    """Return the largest stiffness that meets the limit in all cases at each damping [N/m], (B,); 0 for none."""
     ranges, caps = [], []
     for _, loop in requirements.loops(cases, design):
         flat, b, shape = flattened(loop, damping[:, None])
@@ -360,10 +330,7 @@ def _common_stiffness(
 
 
 def _stiffest_static(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
-    """Return the gains of the largest static stiffness.
-
-    The stiffness is explicit at each damping. Only where a grid of dampings admits none, a dense one is searched.
-    """
+    """Return the gains of the largest static stiffness; a dense grid is searched only if the coarse one has none."""
     unit = requirements.nominal[0] / requirements.period
 
     def figure(damping: Array) -> Array:
@@ -381,16 +348,10 @@ def _stiffest_static(requirements: WallRequirements, design: Design | None, case
 
 
 def _stiffest_dynamic(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
-    """Return the gains of the largest least dynamic stiffness.
-
-    A grid is searched, then finer ones around its best points.
-    """
+    """Return the gains of the largest least dynamic stiffness, by grids refined around the best points."""
 
     def search(share: Array, damping: Array) -> tuple[Array, Array]:
-        """Return stiffnesses and their figures, (S, B).
-
-        For shares of the largest stiffness at each damping.
-        """
+        """Return stiffnesses and their figures, (S, B), for fractions of the largest stiffness at each damping."""
         stiffness = share[:, None] * _common_stiffness(requirements, design, cases, damping)
         least = _dynamic_stiffness(requirements, design, cases, stiffness, np.broadcast_to(damping, stiffness.shape))
         return stiffness, least.min(axis=0)
@@ -421,10 +382,7 @@ def _stiffest_dynamic(requirements: WallRequirements, design: Design | None, cas
 def _dynamic_stiffness(
     requirements: WallRequirements, design: Design | None, cases: Sequence[Case], stiffness: Array, damping: Array
 ) -> Array:
-    """Return each case's least dynamic stiffness [N/m], (C, ...).
-
-    It is 0 if the loop is unstable.
-    """
+    """Return each case's least dynamic stiffness [N/m], (C, ...); 0 for an unstable loop."""
     result = np.zeros((len(cases), *stiffness.shape))
     for index, loop in requirements.loops(cases, design):
         wide = (slice(None), *(None,) * stiffness.ndim)
@@ -437,20 +395,20 @@ def _dynamic_stiffness(
 def worst_case(
     requirements: WallRequirements, stiffness: float, damping: float, design: Design | None = None
 ) -> tuple[float, Case]:
-    """Return the spectral radius over the requirements, and its case.
+    """Return the largest spectral radius over the requirements, and its case.
 
     Args:
         requirements: Requirements on the wall.
         stiffness: Gain on the position [N/m].
         damping: Gain on the velocity [N s/m].
-        design: Another linear controller in place of the PD wall.
+        design: Linear controller in place of the PD wall.
     """
     cases = [*requirements.grid(_GRID), *requirements.random(_RANDOM)]
     spectral_radii = requirements.spectral_radii(cases, stiffness, damping, design)
     worst, largest = cases[int(np.argmax(spectral_radii))], float(spectral_radii.max())
-    for hand in requirements.hands:  # from the worst case of each hand in decreasing steps
-        place = max((index for index, case in enumerate(cases) if case.hand == hand), key=lambda at: spectral_radii[at])
-        centre, size, spectral_radius = cases[place], 1.0 / _GRID, float(spectral_radii[place])
+    for hand in requirements.hands:  # decreasing steps from the worst case of each hand
+        start = max((index for index, case in enumerate(cases) if case.hand == hand), key=lambda at: spectral_radii[at])
+        centre, size, spectral_radius = cases[start], 1.0 / _GRID, float(spectral_radii[start])
         for _ in range(12):
             mass, delay = (
                 np.unique(np.clip(at + size * (high - low) * np.linspace(-1.0, 1.0, 5), low, high))
@@ -467,10 +425,7 @@ def worst_case(
 
 
 def _evaluated(requirements: WallRequirements, law: str, gains: _Gains, pole: float | None) -> DesignedWall:
-    """Return the designed wall with its figures.
-
-    They are over the whole product of the requirements.
-    """
+    """Return the designed wall with its figures over all combinations of the requirements."""
     design = _design(requirements, law, pole)
     spectral_radius, worst = worst_case(requirements, gains.stiffness, gains.damping, design)
     cases = [*requirements.grid(_COARSE), worst]
@@ -479,8 +434,8 @@ def _evaluated(requirements: WallRequirements, law: str, gains: _Gains, pole: fl
     islands = [
         low
         for _, loop in requirements.loops(_first_cases(requirements), design)
-        for place in range(loop.shape[0])
-        for low, _ in ranges_of(loop.part(loop.shape, place), gains.damping)
+        for index in range(loop.shape[0])
+        for low, _ in ranges_of(loop.part(loop.shape, index), gains.damping)
         if low > gains.stiffness
     ]
     return DesignedWall(

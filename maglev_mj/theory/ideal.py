@@ -1,6 +1,6 @@
 """Exact motions of ideal laws: a drop on the analog wall, and Karnopp's stick-slip friction.
 
-Both are a closed form between events; the events are found to rounding.
+Both are a closed form between events, whose times are exact to rounding.
 """
 
 from __future__ import annotations
@@ -33,12 +33,10 @@ def analog_wall(
     bandwidth: float = 10e3,
     gravity: float = GRAVITY,
 ) -> tuple[Array, Array, Array]:
-    """Simulate a drop on the ideal analog wall.
+    """Simulate a drop on the ideal analog wall of eq. (1), whose force passes a first-order low-pass.
 
-    The wall is that of eq. (1). The wall force passes a first-order low-pass.
-
-    The motion is a closed form inside the wall (three modes) and outside it (free fall with a decaying force); the
-    crossings between the two are found to rounding.
+    The motion is a closed form inside the wall (three modes) and outside it (free fall with a decaying force); crossing
+    times are exact to rounding.
 
     Args:
         time: Times since release [s], ascending, (M,).
@@ -69,8 +67,8 @@ def analog_wall(
     while True:
         motion = inside if touching else outside
         leave = _next_crossing(motion, state, scan, end - start, touching)
-        here = (times >= start) & (times <= start + leave)
-        out[here] = motion(state, times[here] - start)
+        during = (times >= start) & (times <= start + leave)
+        out[during] = motion(state, times[during] - start)
         if start + leave >= end:
             return out[:, 0], out[:, 1], out[:, 2]
         state, start, touching = motion(state, np.array([leave]))[0], start + leave, not touching
@@ -78,29 +76,25 @@ def analog_wall(
 
 
 def _ascending(time: ArrayLike) -> Array:
-    """Return checked times, (M,)."""
     times = np.atleast_1d(numbers("time", time, at_least=0.0))
     if times.ndim > 1 or (np.diff(times) < 0.0).any():
-        raise ParameterError("time must be (M,) and ascending")
+        raise ParameterError("time must be one-dimensional and ascending")
     return times
 
 
 Motion = Callable[[Array, Array], Array]
-"""Function from a state and times to states.
-
-From (z, v, f) and (M,) to (M, 3).
-"""
+"""Function from a state (z, v, f) and times (M,) to states (M, 3)."""
 
 
 def _in_wall(k: float, b: float, m: float, g: float, rate: float) -> Motion:
     matrix = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0 / m], [-rate * k, -rate * b, -rate]])
     values, vectors = np.linalg.eig(matrix)
     inverse = np.linalg.inv(vectors)
-    rest = np.array([-m * g / k, 0.0, m * g])
+    equilibrium = np.array([-m * g / k, 0.0, m * g])
 
     def motion(state: Array, time: Array) -> Array:
-        modes = inverse @ (state - rest) * np.exp(np.multiply.outer(time, values))
-        return np.asarray(rest + (modes @ vectors.T).real)
+        modes = inverse @ (state - equilibrium) * np.exp(np.multiply.outer(time, values))
+        return np.asarray(equilibrium + (modes @ vectors.T).real)
 
     return motion
 
@@ -108,19 +102,16 @@ def _in_wall(k: float, b: float, m: float, g: float, rate: float) -> Motion:
 def _in_air(m: float, g: float, rate: float) -> Motion:
     def motion(state: Array, time: Array) -> Array:
         z, v, f = state
-        gone = -np.expm1(-rate * time)
+        decayed = -np.expm1(-rate * time)
         push = f / (m * rate)
-        height = z + time * (v - 0.5 * g * time) + push * (time - gone / rate)
-        return np.stack([height, v - g * time + push * gone, f * (1.0 - gone)], axis=-1)
+        height = z + time * (v - 0.5 * g * time) + push * (time - decayed / rate)
+        return np.stack([height, v - g * time + push * decayed, f * (1.0 - decayed)], axis=-1)
 
     return motion
 
 
 def _next_crossing(motion: Motion, state: Array, scan: float, longest: float, inside: bool) -> float:
-    """Return the time until z changes sign, at most `longest`.
-
-    It is scanned, then bisected to rounding.
-    """
+    """Return the time until z changes sign, at most `longest`, by a scan and bisection to rounding."""
     sign = -1.0 if inside else 1.0
     for start in np.arange(0.0, longest, 256 * scan):
         grid = start + scan * np.arange(1, 258)
@@ -133,7 +124,7 @@ def _next_crossing(motion: Motion, state: Array, scan: float, longest: float, in
 
 
 class FrictionEvent(NamedTuple):
-    """Change of friction state: time, "stick" or "slip", position."""
+    """Change of the friction state: time [s], "stick" or "slip", position [m]."""
 
     time: float
     kind: str
@@ -142,14 +133,14 @@ class FrictionEvent(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KarnoppMotion:
-    """Exact motion at given times, with all events.
+    """Exact motion at requested times, with all events.
 
     Attributes:
         time: Times [s], (M,).
         position: Position [m], (M,).
         velocity: Velocity [m/s], (M,).
         stuck: True while the mass sticks, (M,).
-        events: Changes of state, in order.
+        events: Changes of the friction state, in order.
     """
 
     time: Array
@@ -173,9 +164,9 @@ def karnopp(
 
     m x'' = f_ext - k_v x' + f_stick, with the spring force f_ext = spring (target - x).
 
-    The mass is at rest and stuck at 0 at first. STUCK, f_stick = -f_ext, and the mass is at rest; it breaks away
-    when |f_ext| > breakaway. SLIDING, f_stick = 0; it sticks, its speed set to 0, when |x'| < v_min and
-    |f_ext| <= breakaway. Without the second condition it would stick again at the instant of breakaway.
+    The mass starts at 0, at rest and stuck. Stuck: f_stick = -f_ext, until |f_ext| > breakaway. Sliding: f_stick = 0,
+    until |x'| < v_min and |f_ext| <= breakaway, when the speed is set to 0. Without the second condition it would stick
+    again at the instant of breakaway.
 
     Args:
         time: Times of the result [s], ascending, (M,).
@@ -195,7 +186,7 @@ def karnopp(
     starts = [number("target time", start, at_least=0.0) for start, _ in targets]
     ends = [number("target", target) for _, target in targets]
     if not starts or starts[0] != 0.0 or sorted(set(starts)) != starts:
-        raise ParameterError(f"targets must start at 0 and ascend in time, not {starts}")
+        raise ParameterError(f"target times must start at 0 and ascend (got {starts})")
     k, m = number("spring", spring, above=0.0), number("mass", mass, above=0.0)
     b = number("damping", damping, at_least=0.0)
     limit, slow = number("breakaway", breakaway, above=0.0), number("v_min", v_min, above=0.0)
@@ -209,7 +200,7 @@ def karnopp(
     for index, (start, target) in enumerate(zip(starts, ends, strict=True)):
         if start > end:
             break
-        # samples on a jump belong to the interval that begins there
+        # a sample at a jump belongs to the interval that begins there
         stop = starts[index + 1] if index + 1 < len(starts) else math.inf
         now = start
         if sticks and abs(k * (target - x)) > limit:
@@ -217,27 +208,25 @@ def karnopp(
             events.append(FrictionEvent(now, "slip", x))
         if not sticks:
             move = functools.partial(slide, x - target, v)
-            length = _first_rest(move, slow, limit / k, scan, min(stop, end) - now)
-            here = (times >= now) & (times < min(now + length, stop))
-            offset, speed = move(times[here] - now)
-            position[here], velocity[here], stuck[here] = target + offset, speed, False
+            length = _first_stick_time(move, slow, limit / k, scan, min(stop, end) - now)
+            during = (times >= now) & (times < min(now + length, stop))
+            offset, speed = move(times[during] - now)
+            position[during], velocity[during], stuck[during] = target + offset, speed, False
             offset, speed = move(np.array([min(length, min(stop, end) - now)]))
             x, v = float(target + offset[0]), float(speed[0])
             if math.isfinite(length):
                 now, v, sticks = now + length, 0.0, True
                 events.append(FrictionEvent(now, "stick", x))
         if sticks:
-            here = (times >= now) & (times < stop)
-            position[here], velocity[here], stuck[here] = x, 0.0, True
+            during = (times >= now) & (times < stop)
+            position[during], velocity[during], stuck[during] = x, 0.0, True
     return KarnoppMotion(times, position, velocity, stuck, tuple(events))
 
 
 def _sliding(k: float, b: float, m: float) -> Callable[[float, float, Array], tuple[Array, Array]]:
-    """Return the sliding motion as a function of time.
+    """Return the solution of m x'' = -k x - b x': offset and speed to those a time later.
 
-    It maps offset and speed to those a time later, for m x'' = -k x - b x'.
-
-    Overdamped, critically damped and underdamped motion each have their own form; no term of them grows.
+    Separate forms for overdamped, critically damped and underdamped motion, without growing terms.
     """
     decay, square = 0.5 * b / m, (0.5 * b / m) ** 2 - k / m
     rate = math.sqrt(abs(square))
@@ -246,9 +235,9 @@ def _sliding(k: float, b: float, m: float) -> Callable[[float, float, Array], tu
         if square > 0.0:
             fast = decay + rate
             slow = k / m / fast  # decay - rate without its cancellation
-            one, two = np.exp(-slow * time), np.exp(-fast * time)
-            odd = -one * np.expm1(-(fast - slow) * time) / (fast - slow)
-            even = 0.5 * (one + two)
+            slow_mode, fast_mode = np.exp(-slow * time), np.exp(-fast * time)
+            odd = -slow_mode * np.expm1(-(fast - slow) * time) / (fast - slow)
+            even = 0.5 * (slow_mode + fast_mode)
         elif square < 0.0:
             fade = np.exp(-decay * time)
             odd, even = fade * np.sin(rate * time) / rate, fade * np.cos(rate * time)
@@ -261,15 +250,13 @@ def _sliding(k: float, b: float, m: float) -> Callable[[float, float, Array], tu
     return slide
 
 
-def _first_rest(
+def _first_stick_time(
     move: Callable[[Array], tuple[Array, Array]], slow: float, reach: float, scan: float, longest: float
 ) -> float:
-    """Return the first time of sticking, or infinity.
+    """Return the first time with a speed below `slow` and an offset within `reach`; infinity if later than `longest`.
 
-    The speed is then below `slow` with the offset within `reach`; infinity if that is not reached by `longest`.
-
-    The motion is scanned on a grid that resolves it, then bisected to rounding. A turning point between two grid points
-    is checked separately: the speed may be small there for much less than a grid step.
+    Scanned on a grid, then bisected to rounding. Turning points between grid points are checked separately, because the
+    speed may be small there for much less than a grid step.
     """
 
     def rests(time: Array) -> Mask:
@@ -279,11 +266,11 @@ def _first_rest(
     for start in np.arange(0.0, longest, 256 * scan):
         grid = start + scan * np.arange(0, 257)
         _, speed = move(grid)
-        held = rests(grid)
+        sticks = rests(grid)
         turns = np.append(speed[:-1] * speed[1:] < 0.0, False)
-        for index in np.flatnonzero(held | turns):
+        for index in np.flatnonzero(sticks | turns):
             low = high = grid[index : index + 1]
-            if held[index]:
+            if sticks[index]:
                 low = np.maximum(high - scan, 0.0)
             else:
                 turned = functools.partial(_has_turned, move, float(speed[index]))
@@ -296,5 +283,4 @@ def _first_rest(
 
 
 def _has_turned(move: Callable[[Array], tuple[Array, Array]], speed: float, time: Array) -> Mask:
-    """Return True if the velocity has changed its sign."""
     return np.asarray(move(time)[1] * speed <= 0.0)

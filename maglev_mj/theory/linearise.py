@@ -1,7 +1,4 @@
-"""Numerical linearisation of any controller, and its closed loop.
-
-The linearisation uses the controller's answers to a small displacement at a pose.
-"""
+"""Numerical linearisation of any controller from its response to a small displacement, and its closed loop."""
 
 from __future__ import annotations
 
@@ -26,27 +23,17 @@ from maglev_mj.spec import INERTIA
 from maglev_mj.theory.closed_loop import SampledLoop, loop_matrix
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
-"""Largest speed of a test displacement [m/s, rad/s].
-
-It is far below the speed of sticking friction.
-"""
+"""Largest speed of a test displacement [m/s, rad/s], far below the speed of sticking friction."""
 _LARGEST = np.array([1e-7] * 3 + [1e-6] * 3)
 """Largest test displacement [m, rad]."""
 _REST, _MEMORY, _LONGEST, _QUIET = 40, 64, 512, 8
-"""Numbers of samples in a linearisation.
-
-Samples of rest before the displacement, samples recorded after it at first and at most, and samples without answer at
-the end.
-"""
+"""Samples at rest before the displacement, recorded after it (initially and at most), and zero at the end."""
 _CUT, _BENT = 1e-9, 1e-3
-"""Relative thresholds of zero and of nonlinearity.
-
-Shares of the largest answer: below the first an answer counts as zero, above the second it is not linear.
-"""
+"""Thresholds of zero and of nonlinearity, relative to the largest response."""
 _RANK, _FIT, _MOST, _INTEGRATES = 1e-7, 1e-6, 24, 1e-7
-"""Least singular value, largest error, most states, and distance of an integrator's root.
+"""Realisation: least singular value, largest error, most states, and distance of an integrator's pole from 1.
 
-They are those of a realisation. Responses are known to 1e-9 of their largest value.
+Responses are accurate to 1e-9 of their largest value.
 """
 
 
@@ -58,7 +45,7 @@ class Linearised(Result):
         pose: Pose [m, rad], (6,).
         period: Sample period [s].
         response: Wrench at sample j after a unit displacement at sample 0 alone, (M, 6, 6): [j, to, from].
-        jumps: True for axes with a jump or kink of the wrench at the pose, so that no gains describe it, (6,).
+        jumps: True for axes on which the wrench or its slope is discontinuous at the pose, (6,).
         settled: True for axes whose impulse response decays within 512 samples, (6,).
     """
 
@@ -68,18 +55,15 @@ class Linearised(Result):
     jumps: Mask
     settled: Mask
     units: ClassVar = {"time": "s"} | {
-        f"{to}.{come}": f"{unit_of('N', to)}/{unit_of('m', come)}" for to in AXES for come in AXES
+        f"{to}.{source}": f"{unit_of('N', to)}/{unit_of('m', source)}" for to in AXES for source in AXES
     }
 
     def columns(self) -> dict[str, Array]:
-        """Return time and each nonzero response, (M,) each.
-
-        `z.x` is the force along z to a displacement along x.
-        """
+        """Return time and each nonzero response, (M,) each; `z.x` is the force along z per displacement along x."""
         count = len(self.response)
         columns: dict[str, Array] = {"time": np.linspace(0.0, (count - 1) * self.period, count)}
-        for to, come in zip(*np.nonzero(self.response.any(axis=0))):
-            columns[f"{AXES[to]}.{AXES[come]}"] = self.response[:, to, come]
+        for to, source in zip(*np.nonzero(self.response.any(axis=0))):
+            columns[f"{AXES[to]}.{AXES[source]}"] = self.response[:, to, source]
         return columns
 
     def plot(self, path: Path | None = None) -> Any:
@@ -91,32 +75,23 @@ class Linearised(Result):
     def table(self) -> Table:
         """Return stiffness and damping of each axis."""
         gains = zip(AXES, np.diag(self.stiffness).tolist(), np.diag(self.damping).tolist(), self.jumps, self.settled)
-        head = "axis", "stiffness [N/m, N m/rad]", "damping [N s/m, N m s/rad]", "wrench jumps", "settles"
+        head = "axis", "stiffness [N/m, N m/rad]", "damping [N s/m, N m s/rad]", "discontinuous", "settled"
         rows = [(*row[:3], *("yes" if part else "no" for part in row[3:])) for row in gains]
-        return Table(f"controller linearised, {1.0 / self.period:g} Hz", head, rows)
+        return Table(f"linearised controller, {1.0 / self.period:g} Hz", head, rows)
 
     @property
     def stiffness(self) -> Array:
-        """Static stiffness, (6, 6): [to, from].
-
-        In [N/m, N/rad, N, N m/rad].
-        """
+        """Static stiffness [N/m, N/rad, N, N m/rad], (6, 6): [to, from]."""
         return np.asarray(-self.response.sum(axis=0))
 
     @property
     def damping(self) -> Array:
-        """Damping of slow motion, (6, 6).
-
-        In [N s/m, N s/rad, N s, N m s/rad]. Lags such as a filter's reduce it.
-        """
+        """Damping of slow motion [N s/m, N s/rad, N s, N m s/rad], (6, 6), reduced by lags such as a filter's."""
         age = np.arange(len(self.response))[:, None, None]
         return np.asarray(self.period * (age * self.response).sum(axis=0))
 
     def scaled(self, inertia: ArrayLike = INERTIA) -> Array:
-        """Return the response without units, (M, 6, 6).
-
-        It is T² response / sqrt(inertia inertia).
-        """
+        """Return the dimensionless response T² response / sqrt(inertia inertia), (M, 6, 6)."""
         root = np.sqrt(np.asarray(inertia, dtype=np.float64))
         return np.asarray(self.period**2 * self.response / np.outer(root, root))
 
@@ -128,7 +103,7 @@ class Linearised(Result):
         Args:
             delay: Transport delay [s], up to 10 periods.
             inertia: Mass and moments of inertia [kg, kg m²], (6,).
-            axes: Names from AXES, taken together; all six by default.
+            axes: Names from AXES, as one loop; all six by default.
 
         Raises:
             ParameterError: If a value is outside its bounds.
@@ -136,7 +111,7 @@ class Linearised(Result):
         chosen = list(range(6)) if axes is None else list(axis_indices(axes))
         body = numbers("inertia", inertia, at_least=0.0)
         if body.shape != (6,):
-            raise ParameterError(f"inertia must be (6,), not {body.shape}")
+            raise ParameterError(f"inertia must have shape (6,) (got {body.shape})")
         body = body[chosen]
         response = self.response[:, chosen][:, :, chosen]
         matrix = StateSpace.of(response).closed_loop(period=self.period, delay=delay, inertia=body)
@@ -145,9 +120,7 @@ class Linearised(Result):
         return ClosedLoop(matrix, np.vstack([moved, sped, np.zeros((size - 2 * n, n))]), np.eye(n, size), self.period)
 
     def to_statespace(self) -> Any:
-        """Return the controller as python-control's StateSpace.
-
-        From six positions to six wrench components.
+        """Return the controller as python-control's StateSpace, from six positions to six wrench components.
 
         Its states are the previous positions, newest first.
 
@@ -162,11 +135,11 @@ class Linearised(Result):
 class ClosedLoop(Result):
     """Closed loop as a discrete-time state-space system.
 
-    s[k+1] = matrix s[k] + enters w[k]; position[k] = seen s[k], with w a wrench held from sample to sample.
+    s[k+1] = matrix s[k] + enters w[k]; position[k] = seen s[k], with a wrench w constant from sample to sample.
 
     Attributes:
         matrix: (S, S).
-        enters: Input matrix of a further wrench, such as a hand's, (S, n).
+        enters: Input matrix of an external wrench, such as a hand's, (S, n).
         seen: Output matrix of the position, (n, S).
         period: Sample period [s].
     """
@@ -195,18 +168,18 @@ class ClosedLoop(Result):
         return {"real": poles.real, "imaginary": poles.imag, "magnitude": np.abs(poles), "frequency": frequency}
 
     def plot(self, path: Path | None = None) -> Any:
-        """Draw the poles in the unit circle; see `Result.plot`."""
+        """Draw the poles and the unit circle; see `Result.plot`."""
         from maglev_mj.theory.pictures import pole_map
 
         return save(pole_map(self), path)
 
     def table(self) -> Table:
         """Return the first poles."""
-        word = "stable" if self.spectral_radius < 1.0 else "not stable"
-        return super().table()._replace(title=f"closed loop, {word}: spectral radius {self.spectral_radius:.4g}")
+        word = "stable" if self.spectral_radius < 1.0 else "unstable"
+        return super().table()._replace(title=f"closed loop: {word}, spectral radius {self.spectral_radius:.3f}")
 
     def to_statespace(self) -> Any:
-        """Return python-control's StateSpace: from a hand's wrench to the position.
+        """Return python-control's StateSpace, from an external wrench to the position.
 
         Raises:
             MissingPackageError: If python-control is not installed.
@@ -217,15 +190,15 @@ class ClosedLoop(Result):
 
 
 class StateSpace(LinearController):
-    """Linear controller of n coupled axes, with or without units.
+    """Linear controller of n coupled axes.
 
-    Take is (..., s, n), give (..., n, s) and direct (..., n, n). Without units, positions are times sqrt(inertia),
-    forces times T²/sqrt(inertia).
+    Take is (..., s, n), give (..., n, s) and direct (..., n, n). In dimensionless form positions are multiplied by
+    sqrt(inertia), forces by T²/sqrt(inertia).
     """
 
     @classmethod
     def of(cls, response: Array) -> StateSpace:
-        """Return the controller with an impulse response; its states are the previous positions, newest first.
+        """Return the controller with this impulse response; its states are the previous positions, newest first.
 
         Args:
             response: Force at sample j after a unit displacement at sample 0 alone, (..., M, n, n): [j, to, from].
@@ -236,7 +209,7 @@ class StateSpace(LinearController):
         return cls(np.eye(size, k=-n), np.eye(size, n), give, response[..., 0, :, :])
 
     def with_units(self, period: float, inertia: Array) -> StateSpace:
-        """Return the controller with units, for a period [s] and inertia [kg, kg m²], (n,)."""
+        """Return the controller in SI units, from a period [s] and inertia [kg, kg m²], (n,)."""
         root = np.sqrt(inertia)
         size = root[:, None] / period**2
         return StateSpace(self.advance, self.take * root, self.give * size, self.direct * size * root)
@@ -259,7 +232,7 @@ class StateSpace(LinearController):
             period: Sample period [s].
             delay: Transport delay [s], up to 10 periods.
             inertia: Mass or moments of inertia [kg, kg m²], (n,).
-            hand: The hand on each of the axes; None for a free flotor.
+            hand: Hand on each of the axes; None for a free flotor.
         """
         phi, old, new, whole, waiting = SampledLoop(period=period, delay=delay, mass=inertia, hand=hand).flotor()
         states = range(phi.shape[-1])
@@ -273,15 +246,15 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
 
     Thirteen copies per pose, one undisturbed and two for each axis, rest there for 40 samples, so that friction sticks
     and filters settle. Then one coordinate is displaced for one sample, by at most 0.1 µm or 1 µrad in one direction
-    and half of it in the other. The difference of the answers is the impulse response, for any laws and estimator.
-    Braking pulses are left out, because they end by themselves.
+    and half of that in the other. The difference of the wrenches is the impulse response, for any laws and estimator.
+    Braking pulses are ignored, because they are of finite duration.
 
     Args:
-        controller: The controller, of laws for one device; it is not changed.
+        controller: The controller, with laws for one device; it is not changed.
         poses: Poses [m, rad], (P, 6) or (6,).
 
     Raises:
-        ParameterError: If `controller` is no Controller, or the poses have another shape.
+        ParameterError: If `controller` is not a Controller, or the poses have another shape.
         MaglevError: If a law fails at a pose.
 
     Example:
@@ -295,13 +268,13 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     check_instance("controller", controller, Controller, "a Controller")
     rest = np.atleast_2d(numbers("poses", poses))
     if rest.ndim != 2 or rest.shape[1] != 6:
-        raise ParameterError(f"poses must be (6,) or (P, 6), not {np.shape(poses)}")
+        raise ParameterError(f"poses must have shape (6,) or (P, 6) (got {np.shape(poses)})")
     size = np.minimum(_LARGEST, _SPEED * controller.period)
     shift = np.zeros((13, 6))
     shift[1:7], shift[7:] = np.diag(size), np.diag(-0.5 * size)
     still = np.repeat(rest, 13, axis=0)
     moved = still + np.tile(shift, (len(rest), 1))
-    rows = _answers(controller, still, moved)
+    rows = _responses(controller, still, moved)
     # the actual change of a coordinate, rounding included
     change, axes, linearised = (moved - still).reshape(len(rest), 13, 6), np.arange(6), []
     for index, pose in enumerate(rest):
@@ -310,15 +283,12 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
         up, down = difference[:, :6].swapaxes(1, 2), difference[:, 6:].swapaxes(1, 2)  # [j, to, from]
         step, back = change[index, 1 + axes, axes], change[index, 7 + axes, axes]
         linearised.append(_near(pose, controller.period, up / step, down / back))
-    kept = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
-    return [replace(near, response=near.response[:kept]) for near in linearised]
+    length = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
+    return [replace(near, response=near.response[:length]) for near in linearised]
 
 
 def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
-    """Return the linearisation from two displacement answers.
-
-    They are to a displacement and to minus half of it, per unit displacement.
-    """
+    """Return the linearisation from the responses to a displacement and to minus half of it, per unit."""
     finite = np.isfinite(up).all(axis=(0, 1)) & np.isfinite(down).all(axis=(0, 1))
     up, down = np.where(finite, up, 0.0), np.where(finite, down, 0.0)
     root = np.sqrt(np.asarray(INERTIA))
@@ -328,19 +298,16 @@ def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
     gap = np.abs(up - down)
     largest = (weight * np.abs(response)).max(axis=(0, 1))
     jumps = (weight * gap).max(axis=(0, 1)) > _BENT * largest
-    # answers that shrink with the displacement, such as the creep of a bristle, vanish in the limit
+    # a response that shrinks with the displacement, such as the creep of a bristle, vanishes in the limit
     least = np.maximum(_CUT * largest / weight, np.where(jumps, 0.0, 2.0 * gap))
     response = np.where(np.abs(response) > least, response, 0.0)
     quiet = ~response[-_QUIET:].any(axis=(0, 1))
     return Linearised(pose=pose, period=period, response=response, jumps=jumps, settled=np.asarray(finite & quiet))
 
 
-def _answers(controller: Controller, still: Array, moved: Array) -> Array:
-    """Return the wrenches of each pose's thirteen devices.
-
-    (M, P, 13, 6): at each sample from the displaced one on.
-    """
-    # a law may answer late: the first pose gives the number of samples
+def _responses(controller: Controller, still: Array, moved: Array) -> Array:
+    """Return the wrenches of each pose's thirteen devices from the displaced sample on, (M, P, 13, 6)."""
+    # a law may respond with a delay: the first pose gives the number of samples
     rows = _steps(controller, still[:13], moved[:13], _LONGEST)
     if len(still) == 13:
         return rows
@@ -352,40 +319,34 @@ def _answers(controller: Controller, still: Array, moved: Array) -> Array:
 
 
 def _alive(rows: Array) -> Mask:
-    """Return True for samples with a changed answer, (M,).
-
-    Compared are the displaced devices and the undisturbed one.
-    """
+    """Return True for samples at which a displaced device differs from the undisturbed one, (M,)."""
     with np.errstate(invalid="ignore"):
         gap = np.abs(rows - rows[:, :, :1])
         return np.asarray((~(gap <= _CUT * gap.max(axis=0))).any(axis=(1, 2, 3)))
 
 
 def _steps(controller: Controller, still: Array, moved: Array, memory: int) -> Array:
-    """Return the wrenches of N devices after a rest.
-
-    See `_answers`. All are computed at once, or one by one if a law needs that.
-    """
+    """Return the wrenches of N devices, as one batch, or one by one if a law does not accept arrays."""
     try:
-        rows = _together(controller, components(still), components(moved), memory, len(still))
-        one = _together(controller, still[-1].tolist(), moved[-1].tolist(), memory, 1)
+        rows = _batch(controller, components(still), components(moved), memory, len(still))
+        single = _batch(controller, still[-1].tolist(), moved[-1].tolist(), memory, 1)
         with np.errstate(invalid="ignore"):
-            apart = np.abs(rows[:, -1:] - one) > _CUT * np.abs(one).max(initial=1e-300)
-        whole = not apart.any()
-    except (MaglevError, TypeError, ValueError):  # a law for floats alone, as with math.sin or `if`
-        whole = False
-    if not whole:
-        each = (_together(controller, *ends, memory, 1) for ends in zip(still.tolist(), moved.tolist(), strict=True))
+            differs = np.abs(rows[:, -1:] - single) > _CUT * np.abs(single).max(initial=1e-300)
+        batched = not differs.any()
+    except (MaglevError, TypeError, ValueError):  # a law that accepts floats only, as with math.sin or `if`
+        batched = False
+    if not batched:
+        each = (_batch(controller, *ends, memory, 1) for ends in zip(still.tolist(), moved.tolist(), strict=True))
         rows = np.concatenate(list(each), axis=1)
     return rows.reshape(memory, -1, 13, 6)
 
 
-def _together(controller: Controller, still: Sequence[Any], moved: Sequence[Any], memory: int, count: int) -> Array:
+def _batch(controller: Controller, still: Sequence[Any], moved: Sequence[Any], memory: int, count: int) -> Array:
     """Return the wrench at each sample, (M, N, 6)."""
-    fresh, rows = copy.copy(controller), np.empty((memory, count, 6))
-    fresh.reset()
+    copied, rows = copy.copy(controller), np.empty((memory, count, 6))
+    copied.reset()
     for tick in range(-_REST, memory):
-        force = fresh.step(Sample(tick, 0.0, moved if tick == 0 else still)).force
+        force = copied.step(Sample(tick, 0.0, moved if tick == 0 else still)).force
         if tick >= 0:
             for axis, part in enumerate(force):
                 rows[tick, :, axis] = part
@@ -393,33 +354,31 @@ def _together(controller: Controller, still: Sequence[Any], moved: Sequence[Any]
 
 
 def realise(response: Array) -> StateSpace | None:
-    """Return the least controller with an impulse response, or None.
+    """Return the minimal realisation of an impulse response by Ho and Kalman's method; None above 24 states.
 
-    Its states are those that the response needs, by Ho and Kalman's method: the response's block Hankel matrix has
-    their number as its rank, and its column space the same one sample later. None is for a response of no linear law
-    with few states.
+    The rank of the block Hankel matrix is the number of states.
 
     Args:
-        response: Answer at sample j to a unit displacement at sample 0 alone, (M, n, n): [j, to, from].
+        response: Force at sample j after a unit displacement at sample 0 alone, (M, n, n): [j, to, from].
     """
     direct, later = response[0], response[1:]
     half, n = len(later) // 2, response.shape[1]
     hankel = np.block([[later[row + column] for column in range(half)] for row in range(half)])
-    to, sizes, come = np.linalg.svd(hankel)
+    to, sizes, source = np.linalg.svd(hankel)
     states = int((sizes > _RANK * sizes[0]).sum())
     if states > _MOST:
         return None
     root = np.sqrt(sizes[:states])
-    seen, reached = to[:, :states] * root, root[:, None] * come[:states]
-    advance = np.linalg.lstsq(seen[:-n], seen[n:], rcond=None)[0]
-    state, fits = reached[:, :n], 0.0
-    with np.errstate(over="ignore", invalid="ignore"):  # of a system that grows
+    observability, controllability = to[:, :states] * root, root[:, None] * source[:states]
+    advance = np.linalg.lstsq(observability[:-n], observability[n:], rcond=None)[0]
+    state, error = controllability[:, :n], 0.0
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable system
         for answer in later:
-            fits = max(fits, float(np.abs(seen[:n] @ state - answer).max()))
+            error = max(error, float(np.abs(observability[:n] @ state - answer).max()))
             state = advance @ state
-    if not fits <= _FIT * np.abs(response).max():
+    if not error <= _FIT * np.abs(response).max():
         return None
-    return StateSpace(advance, reached[:, :n], seen[:n], direct)
+    return StateSpace(advance, controllability[:, :n], observability[:n], direct)
 
 
 def _statespace(*system: Any) -> Any:

@@ -10,22 +10,22 @@ from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.pictures import FIRST, SECOND, TITLE, name_curves, new_figure
 from maglev_mj.theory import ClosedLoop, Linearised, Verdict
 
-_FREE = 1e-6  # to which the double root at 1 of an axis without stiffness is found
+_FREE = 1e-6  # accuracy of the double pole at 1 of an axis without stiffness
 
 
 def pole_map(loop: ClosedLoop | Verdict) -> Any:
-    """Draw the closed loop's eigenvalues in the unit circle.
+    """Draw the poles of the closed loop and the unit circle.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, (panel,) = new_figure(1, 1, 5.4)
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
-    panel.plot(np.cos(turn), np.sin(turn), color=REFERENCE, linewidth=1.2, label="unit circle: boundary of stability")
+    panel.plot(np.cos(turn), np.sin(turn), color=REFERENCE, linewidth=1.2, label="unit circle (stability boundary)")
     outside = np.abs(loop.eigenvalues) > 1.0 + _FREE
     for chosen, color, label in (
-        (~outside, FIRST, "eigenvalues inside"),
-        (outside, SECOND, "outside, or on it"),
+        (~outside, FIRST, "stable poles"),
+        (outside, SECOND, "unstable poles"),
     ):
         poles = loop.eigenvalues[chosen]
         if poles.size:
@@ -37,22 +37,22 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
 
 
 def impulse_response(near: Linearised) -> Any:
-    """Draw the wrench after a unit displacement at one sample.
+    """Draw the impulse response: wrench after a unit displacement at one sample.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     columns = near.columns()
     time = columns.pop("time") * 1e3
-    groups = {"force to a displacement": ("N/m", "N/rad"), "torque to a displacement": ("N m/m", "N m/rad")}
-    shown = {title: [name for name in columns if near.units[name] in units] for title, units in groups.items()}
-    shown = {title: names for title, names in shown.items() if names} or shown
-    figure, panels = new_figure(1, len(shown), 4.0)
-    for panel, (title, names) in zip(panels, shown.items()):
+    groups = {"force per displacement": ("N/m", "N/rad"), "torque per displacement": ("N m/m", "N m/rad")}
+    groups_drawn = {title: [name for name in columns if near.units[name] in units] for title, units in groups.items()}
+    groups_drawn = {title: names for title, names in groups_drawn.items() if names} or groups_drawn
+    figure, panels = new_figure(1, len(groups_drawn), 4.0)
+    for panel, (title, names) in zip(panels, groups_drawn.items()):
         for index, name in enumerate(names):
             color = SERIES[index % len(SERIES)]
             panel.plot(time, columns[name], "o:", color=color, markersize=7 - 2 * (index % 3), label=name)
         panel.set_title(f"{title} ({', '.join(dict.fromkeys(near.units[name] for name in names))})", **TITLE)
-        panel.set_xlabel("time after it (ms)")
+        panel.set_xlabel("time after displacement (ms)")
         name_curves(panel)
     return figure

@@ -1,6 +1,6 @@
 """Stability verdict on any controller.
 
-It follows from the laws' gains if all state them, otherwise from a numerical linearisation.
+It is computed from the gains declared by the laws, or by numerical linearisation if a law declares none.
 """
 
 from __future__ import annotations
@@ -29,33 +29,33 @@ from maglev_mj.theory.closed_loop import MOST_PERIODS, SampledLoop
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
-"""Tolerances of a spectral radius, of gains beside their responses, and of a mean root."""
+"""Tolerances of a spectral radius, of gains relative to their responses, and of the mean of a double root at 1."""
 _SHORT = 16
-"""Samples of a response whose closed loop is exact as it is."""
+"""Longest response that is realised sample by sample [samples]."""
 _POINTS, _STRIDE = 23, 0.9871
 """Number of poses along each axis, and range covered.
 
-The range is a share of the motion range, chosen so that few poses fall on an edge.
+The range is a fraction of the range of motion, chosen so that few poses fall on an edge.
 """
 _LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 12
-"""Longest delay and finest step of a margin [s], delays tried a period, and halvings."""
+"""Longest delay and finest step of a margin [s], delays per period, and bisections."""
 _OFF, _DEPTHS = 1e-5, (1e-6, 1e-4)
 """Distances from an edge [m]; ten times as many [rad].
 
-The first is for a start moved off an edge, the others for poses inside a face.
+The first moves a start off an edge, the others are depths of poses inside a face.
 """
 _SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
 class LoopState(NamedTuple):
-    """Closed loop of like axes in one state of the laws that act there.
+    """Closed loop of axes with equal gains in one combination of law states.
 
     Attributes:
         axes: Names of the axes.
-        acting: States of the laws that act, such as "contact"; () for none.
-        others: States of laws on these axes that do not act.
-        spectral_radius: Spectral radius, those of free motion left out; 0 if there are no others.
-        free: True if nothing pulls back: there are roots at exactly 1.
+        acting: Active states, such as "contact"; () for none.
+        others: Inactive states of the laws on these axes.
+        spectral_radius: Spectral radius without the poles of free motion; 0 if there are no others.
+        free: True without stiffness: poles at exactly 1.
     """
 
     axes: tuple[str, ...]
@@ -71,34 +71,33 @@ class LoopState(NamedTuple):
 
     def row(self) -> tuple[str, ...]:
         """Return axes, state, spectral radius, margin and verdict as texts for a table."""
-        where = "all axes" if self.axes == AXES else ", ".join(self.axes)
-        lacking = (f"no {name}" if name == "contact" else f"not {name}" for name in self.others)
-        state = ", ".join([*self.acting, *lacking]) or "always"
+        axes = "all axes" if self.axes == AXES else ", ".join(self.axes)
+        inactive = (f"no {name}" if name == "contact" else f"not {name}" for name in self.others)
+        state = ", ".join([*self.acting, *inactive]) or "always"
         if not self.spectral_radius:
-            return where, state, "-", "-", "free"
-        word = f"{'free, else ' * self.free}{_word(self.margin > 0.0)}"
-        return where, state, f"{self.spectral_radius:.4f}", f"{self.margin:.4f}", word
+            return axes, state, "-", "-", "free motion"
+        word = f"{_word(self.margin > 0.0)}{' (free motion)' * self.free}"
+        return axes, state, f"{self.spectral_radius:.4f}", f"{self.margin:.4f}", word
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verdict(Result):
-    """Stability verdict with the worst closed loop of a controller.
+    """Stability verdict on a controller, with its worst closed loop.
 
     Attributes:
-        stable: True if all loops are stable, apart from free motion; None if not known.
-        spectral_radius: Spectral radius of the worst loop, without the eigenvalues of free motion: they are exactly 1
-            where nothing pulls back. Below 1 for a stable loop; NaN if not known.
-        axes: Names of the worst loop's axes; () if not known.
-        acting: States of the acting laws: "always", "contact", "stuck" and so on; () if gains are not stated.
+        stable: True if all loops are stable, apart from free motion; None if not computed.
+        spectral_radius: Spectral radius of the worst loop, without the poles of free motion, which are exactly 1
+            without stiffness. Below 1 for a stable loop; NaN if not computed.
+        axes: Names of the worst loop's axes; () if not computed.
+        acting: Active law states of the worst loop: "contact", "stuck" and so on; () if a law declares no gains.
         pose: Pose of the worst loop [m, rad], (6,).
         stiffness: Total stiffness at the pose [N/m, N m/rad], (6, 6).
         damping: Total damping at the pose [N s/m, N m s/rad], (6, 6).
-        stated: True if all laws state their gains, so that the pose does not matter.
-        jumps: Poses with a jump or kink of the wrench, so that no gains describe it, (J, 6); they are left out.
-        unknown: Poses where the controller remembers for more than 512 samples, and not as a linear law of few states
-            does, (U, 6).
-        away: Poses of unstable equilibrium, such as the crest between two detents, (A, 6); they are left out.
-        states: Loop of each axis in each state of the laws on it, like ones together; () if gains are not stated.
+        stated: True if all laws declare their gains, so that the verdict does not depend on the pose.
+        jumps: Skipped poses: the wrench or its slope is discontinuous there, (J, 6).
+        unknown: Skipped poses: the impulse response exceeds 512 samples and has no low-order realisation, (U, 6).
+        away: Skipped poses: unstable equilibria, such as the crest between two detents, (A, 6).
+        states: Loop of each axis in each state of its laws, equal ones merged; () if a law declares no gains.
     """
 
     stable: bool | None
@@ -128,42 +127,46 @@ class Verdict(Result):
         return save(pole_map(self), path)
 
     def table(self) -> Table:
-        """Return a row for each state of the laws, or without stated gains the worst pose."""
+        """Return a row for each combination of law states; without declared gains, the worst pose."""
         rows = [state.row() for state in self.states]
         if self.stated:
-            where = f", with {' and '.join(self.acting)}" if self.acting else ""
-            means = "by the laws' own gains"
+            worst = f" (worst in {' and '.join(self.acting)})" if self.acting else ""
+            method = "from the gains declared by the laws"
         else:
-            parts = [f"{axis} {value:g}" for axis, value in zip(AXES, self.pose, strict=True) if value]
-            where = f"; at {', '.join(parts) or 'centre'} (m, rad)"
-            means = "by the answers of the laws to small displacements"
-        remarks = "\n".join([f"found {means}", *self.remarks])
-        return Table(f"{self}{where}", ("axes", "state", "spectral radius", "margin", "verdict"), rows, remarks)
+            units = ["mm"] * 3 + ["mrad"] * 3
+            parts = [f"{axis} = {1e3 * x:.3g} {unit}" for axis, x, unit in zip(AXES, self.pose, units) if x]
+            worst = f" (worst at {', '.join(parts) or 'the centre'})" if self.axes else ""
+            method = "by numerical linearisation"
+        remarks = "\n".join([f"computed {method}", *self.remarks])
+        return Table(f"{self}{worst}", ("axes", "state", "spectral radius", "margin", "verdict"), rows, remarks)
 
     def __str__(self) -> str:
-        if self.stable and not self.spectral_radius:
-            return f"{', '.join(self.axes)}: free"
-        loop = f"{', '.join(self.axes)}: spectral radius {self.spectral_radius:.4g}" if self.axes else "stability"
-        return f"{loop} {_word(self.stable)}"
+        if self.stable is None:
+            return f"not computed: {next(iter(self._skipped()))[1]}"
+        text = f"{_word(self.stable)}, spectral radius {self.spectral_radius:.3f}"
+        return f"{', '.join(self.axes)}: {'free motion' if self.stable and not self.spectral_radius else text}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the verdict, ready for JSON."""
-        kept = {
+        fields = {
             name: plain(getattr(self, name))
             for name in ("stable", "spectral_radius", "axes", "acting", "pose", "stated")
         }
         states = [{**plain(state), "margin": state.margin} for state in self.states]
-        return {**kept, "states": states, "remarks": list(self.remarks)}
+        return {**fields, "states": states, "remarks": list(self.remarks)}
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on omitted poses, one line each."""
-        omitted = (
-            (self.unknown, "the controller remembers for longer than 512 samples"),
-            (self.jumps, "the wrench jumps or bends"),
-            (self.away, "the laws push away from the pose"),
+        """Number of skipped poses by reason, one line each."""
+        return tuple(f"{count} pose{'s' * (count > 1)} skipped: {reason}" for count, reason in self._skipped())
+
+    def _skipped(self) -> list[tuple[int, str]]:
+        reasons = (
+            (self.unknown, "controller memory exceeds 512 samples"),
+            (self.jumps, "discontinuous force"),
+            (self.away, "unstable equilibrium (negative stiffness)"),
         )
-        return tuple(f"not judged at {len(poses)} poses, where {why}" for poses, why in omitted if len(poses))
+        return [(len(poses), reason) for poses, reason in reasons if len(poses)]
 
 
 class Judged(Protocol):
@@ -187,12 +190,10 @@ class Judged(Protocol):
 
 
 def inertia_of(scene: Judged) -> Array:
-    """Return a scene's mass and moments of inertia, (6,).
-
-    In [kg, kg m²].
+    """Return a scene's mass and moments of inertia [kg, kg m²], (6,).
 
     Raises:
-        ModelError: If the model of its device cannot be used.
+        ModelError: If the model of its device is invalid.
     """
     options = scene.plant_options()
     body = np.array(INERTIA)
@@ -211,7 +212,7 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
     Args:
         scene: The scene.
         inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
-        delay: Transport delay in place of the scene's own [s]; the gains of the scene stay unchanged.
+        delay: Transport delay in place of the scene's own [s]; gains derived from the delay do not change.
 
     Raises:
         ParameterError: If `scene` is not a scene, or a value is outside its bounds.
@@ -223,20 +224,19 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
         (True, False)
     """
     if isinstance(scene, type) or not hasattr(scene, "controller"):
-        raise ParameterError(f"scene must be a scene, such as find_scene('drop')(), not {scene!r}")
-    body, late = inertia_of(scene) if inertia is None else inertia, scene.delay if delay is None else delay
-    return judge(scene.controller(), delay=late, pose=scene.start().pose, inertia=body)
+        raise ParameterError(f"scene must be a Scene, such as find_scene('drop')() (got {scene!r})")
+    body, delay = inertia_of(scene) if inertia is None else inertia, scene.delay if delay is None else delay
+    return judge(scene.controller(), delay=delay, pose=scene.start().pose, inertia=body)
 
 
 def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA) -> Verdict:
-    """Return the stability verdict on a free flotor's loop.
+    """Return the stability verdict on the closed loop of a free flotor.
 
-    If all laws state their gains, it is a closed form in every combination of their states. Otherwise the whole
-    controller is linearised at its start, at the centre, along each axis, and inside each face, and coupled axes are
-    judged together.
+    If all laws declare their gains, the loop is exact in every combination of their states. Otherwise the controller
+    is linearised at the start, at the centre, along each axis, and inside each face; coupled axes form one loop.
 
     Args:
-        controller: The controller, of laws for one device; it is not changed.
+        controller: The controller, with laws for one device; it is not changed.
         delay: Transport delay [s], up to 10 periods.
         pose: Start of the flotor [m, rad], (6,).
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
@@ -254,7 +254,7 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
     check_instance("controller", controller, Controller, "a Controller")
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
     if start.shape != (6,) or body.shape != (6,):
-        raise ParameterError(f"pose and inertia must be (6,), not {start.shape} and {body.shape}")
+        raise ParameterError(f"pose and inertia must have shape (6,) (got {start.shape} and {body.shape})")
     number("delay", delay, at_least=0.0)
     gains = stated_gains(controller)
     if gains is None:
@@ -266,11 +266,9 @@ _Gains: TypeAlias = dict[tuple[str, ...], tuple[Array, Array]]
 
 
 def stated_gains(controller: Controller) -> _Gains | None:
-    """Return total gains for each combination of law states.
+    """Return total stiffness and damping of the six axes for each combination of law states.
 
-    Stiffness and damping on the six axes.
-
-    None if a law states none, one is negative, or the velocity estimate is not linear.
+    None if a law declares no gains, a gain is negative, or the velocity estimator is not linear.
     """
     sums: dict[str, Array] = {"always": np.zeros((2, len(AXES)))}
     for law in controller.laws:
@@ -284,25 +282,25 @@ def stated_gains(controller: Controller) -> _Gains | None:
     always = sums.pop("always")
     states = sorted(state for state, gains in sums.items() if gains.any())
     totals = {}
-    for acts in product((False, True), repeat=len(states)):
-        acting = tuple(compress(states, acts))
+    for active in product((False, True), repeat=len(states)):
+        acting = tuple(compress(states, active))
         stiffness, damping = sum((sums[state] for state in acting), always)
         totals[acting] = stiffness, damping
     return None if any((gains < 0.0).any() for both in totals.values() for gains in both) else totals
 
 
 def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
-    """Return the verdict from stated gains, in closed form."""
+    """Return the verdict from declared gains."""
     kinds: dict[tuple[Any, ...], tuple[list[str], NDArray[Any]]] = {}
     own = [{acting: (float(k[axis]), float(b[axis])) for acting, (k, b) in gains.items()} for axis in range(len(AXES))]
-    known = _known_roots(own, controller, delay, body)
-    for axis, mass, mine in zip(AXES, body.tolist(), own, strict=True):
-        here = [acting[0] for acting in gains if len(acting) == 1 and mine[acting] != mine[()]]
-        for acting in (acting for acting in gains if set(acting) <= set(here)):
-            stiffness, damping = mine[acting]
+    roots_of = _roots_by_gains(own, controller, delay, body)
+    for axis, mass, axis_gains in zip(AXES, body.tolist(), own, strict=True):
+        states_here = [acting[0] for acting in gains if len(acting) == 1 and axis_gains[acting] != axis_gains[()]]
+        for acting in (acting for acting in gains if set(acting) <= set(states_here)):
+            stiffness, damping = axis_gains[acting]
             free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
-            roots = known[mass, stiffness, damping]
-            others = tuple(name for name in here if name not in acting)
+            roots = roots_of[mass, stiffness, damping]
+            others = tuple(name for name in states_here if name not in acting)
             kind = acting, others, round(_spectral_radius(roots, free), 12), free > 0
             kinds.setdefault(kind, ([], roots))[0].append(axis)
     states = tuple(LoopState(tuple(axes), *kind) for kind, (axes, _) in kinds.items())
@@ -322,27 +320,27 @@ def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, 
     )
 
 
-def _known_roots(
+def _roots_by_gains(
     own: Sequence[Mapping[tuple[str, ...], tuple[float, float]]], controller: Controller, delay: float, body: Array
 ) -> dict[tuple[float, float, float], NDArray[Any]]:
-    """Return eigenvalues by mass, stiffness and damping; axes with the same share one computation."""
-    known: dict[tuple[float, float, float], NDArray[Any]] = {}
+    """Return poles by mass, stiffness and damping, computed once for equal axes."""
+    roots_of: dict[tuple[float, float, float], NDArray[Any]] = {}
     for mass in dict.fromkeys(body.tolist()):
         pairs = [*{pair: None for axis in np.flatnonzero(body == mass).tolist() for pair in own[axis].values()}]
         loop = SampledLoop(period=controller.period, delay=delay, mass=mass, velocity=controller.velocity)
         roots = np.linalg.eigvals(loop.matrix(*np.array(pairs).T))
-        known |= {(mass, *pair): each for pair, each in zip(pairs, roots, strict=True)}
-    return known
+        roots_of |= {(mass, *pair): each for pair, each in zip(pairs, roots, strict=True)}
+    return roots_of
 
 
 def _word(stable: bool | None) -> str:
-    return {True: "stable", False: "UNSTABLE", None: "not known"}[stable]
+    return {True: "stable", False: "unstable", None: "not computed"}[stable]
 
 
 def _spectral_radius(roots: NDArray[Any], free: int) -> float:
-    """Return the spectral radius without the roots of free motion, those nearest to 1."""
-    kept = np.argsort(np.abs(roots - 1.0))[free:]
-    return float(np.abs(roots[kept]).max(initial=0.0))
+    """Return the spectral radius without the poles of free motion, those nearest to 1."""
+    bound = np.argsort(np.abs(roots - 1.0))[free:]
+    return float(np.abs(roots[bound]).max(initial=0.0))
 
 
 class _Loop(NamedTuple):
@@ -353,15 +351,15 @@ class _Loop(NamedTuple):
     scaled: Array
     settles: bool
     system: StateSpace | None
-    """Without units; None for a short response, or one that no law of few states has."""
+    """Dimensionless; None for a short response, or one without a low-order realisation."""
     still: int
     """Number of directions without stiffness."""
     moments: tuple[Array, Array]
-    """Sums of the response and of its age times response, without units."""
+    """Sums of the response and of age times response, dimensionless."""
 
     @property
-    def pushes_away(self) -> bool:
-        """True if the flotor leaves the pose by itself."""
+    def unstable_equilibrium(self) -> bool:
+        """True for an unstable equilibrium."""
         static = self.moments[0]
         own = np.linalg.eigvals(-static).real if np.isfinite(static).all() else np.zeros(1)
         return bool(own.min() < -_FREE * np.abs(self.scaled).max())
@@ -378,54 +376,53 @@ class _Loop(NamedTuple):
 _Group: TypeAlias = tuple[tuple[_Loop, ...], tuple[StateSpace, ...], tuple[int, ...]]
 
 
-def _loop(near: Linearised, axes: tuple[int, ...], own: Array, seen: list[_Loop]) -> _Loop:
-    """Return the loop of some axes, added to those seen or like one of them."""
+def _loop(near: Linearised, axes: tuple[int, ...], own: Array, previous: list[_Loop]) -> _Loop:
+    """Return the loop of some axes; a loop equal to a previous other reuses its realisation."""
     settles = bool(near.settled[list(axes)].all())
-    for one in seen:
-        if one.axes == axes and one.settles == settles and _alike(one.scaled, own):
-            return one._replace(near=near)
+    for other in previous:
+        if other.axes == axes and other.settles == settles and _alike(other.scaled, own):
+            return other._replace(near=near)
     memory = _memory(own)
-    # the roots of a long response, cut off where it is small, are those of the cut
+    # truncating a long response would add the poles of the truncation
     system = realise(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
     moments = (own.sum(axis=0), np.tensordot(np.arange(len(own)), own, 1)) if system is None else system.moments()
     sizes = np.linalg.svd(np.nan_to_num(moments[0], neginf=1.0), compute_uv=False)
     still = int((sizes <= _FREE * max(np.abs(own).sum(axis=0).max(), _FREE)).sum())
-    seen.append(_Loop(near, axes, own, settles, system, still, moments))
-    return seen[-1]
+    previous.append(_Loop(near, axes, own, settles, system, still, moments))
+    return previous[-1]
 
 
-def _alike(one: Array, other: Array) -> bool:
-    return bool(np.abs(one - other).max() <= _ROUNDING * np.abs(other).max())
+def _alike(first: Array, second: Array) -> bool:
+    return bool(np.abs(first - second).max() <= _ROUNDING * np.abs(second).max())
 
 
 def _own_spectral_radius(roots: NDArray[np.complex128], still: int) -> float:
-    """Return the spectral radius without the roots of free motion.
+    """Return the spectral radius without the poles of free motion.
 
-    Each direction without stiffness has a root at exactly 1, and a second where there is no damping either. A virtual
-    mass leaves both: nothing holds it and the flotor in place together. Such a pair is known to half of the digits, and
-    its mean to nearly all.
+    Each direction without stiffness has a pole at exactly 1, and a double one without damping or with a virtual mass.
+    A double pole is accurate to half of the digits, its mean to nearly all.
     """
     near = roots[np.argsort(np.abs(roots - 1.0))][: 2 * still]
     free = [count for count in range(still, 2 * still + 1) if abs(near[:count].mean() - 1.0) < _PAIR] if still else []
     return _spectral_radius(roots, max(free, default=still))
 
 
-class _Found(NamedTuple):
-    """Loops of a controller by linearisation, and poses without any."""
+class _Loops(NamedTuple):
+    """Loops of a controller by linearisation, and skipped poses."""
 
     loops: list[_Loop]
-    """Those at unstable equilibria among them only of axes that have no stable one."""
+    """At stable equilibria, or at unstable ones of axes without a stable one."""
     away: list[_Loop]
     jumps: list[Array]
     unknown: list[Array]
     complete: bool
-    """True if each axis has a loop, and none is unknown."""
+    """True if each axis has a loop, and no pose is unknown."""
 
 
-def _linearised(controller: Controller, pose: Array, body: Array) -> _Found:
+def _linearised(controller: Controller, pose: Array, body: Array) -> _Loops:
     loops: list[_Loop] = []
     away: list[_Loop] = []
-    seen: list[_Loop] = []
+    previous: list[_Loop] = []
     jumps, unknown, judged = [], [], set()
     for near in linearise(controller, _poses(controller, pose)):
         scaled = near.scaled(body)
@@ -434,33 +431,33 @@ def _linearised(controller: Controller, pose: Array, body: Array) -> _Found:
             if near.jumps[chosen].any():
                 jumps.append(near.pose)
                 continue
-            loop = _loop(near, axes, scaled[:, chosen][:, :, chosen], seen)
+            loop = _loop(near, axes, scaled[:, chosen][:, :, chosen], previous)
             if loop.system is None and not loop.settles:
                 unknown.append(near.pose)
-            elif loop.pushes_away:
+            elif loop.unstable_equilibrium:
                 away.append(loop)
             else:
                 loops.append(loop)
                 judged |= set(axes)
     # an axis without a stable equilibrium is judged at the unstable ones
-    lost = [loop for loop in away if not judged.issuperset(loop.axes)]
-    nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
-    return _Found(loops + lost, away, jumps, unknown, not (nowhere or unknown))
+    unstable = [loop for loop in away if not judged.issuperset(loop.axes)]
+    missing = set(range(len(AXES))) - judged - {axis for loop in unstable for axis in loop.axes}
+    return _Loops(loops + unstable, away, jumps, unknown, not (missing or unknown))
 
 
 def _numerically(controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
     """Return the verdict by linearisation."""
-    found = _linearised(controller, pose, body)
+    linear = _linearised(controller, pose, body)
     worst: _Loop | None = None
     spectral_radius, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
-    for loop, roots in _roots(_grouped(found.loops), delay, body):
+    for loop, roots in _roots(_grouped(linear.loops), delay, body):
         own = _own_spectral_radius(roots, loop.still)
         if worst is None or own > spectral_radius * (1.0 + _ROUNDING):
             worst, spectral_radius, eigenvalues = loop, own, roots
     unstable = spectral_radius >= 1.0 - _ROUNDING
     stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else worst.gains(body)
     return Verdict(
-        stable=not unstable if unstable or found.complete else None,
+        stable=not unstable if unstable or linear.complete else None,
         spectral_radius=spectral_radius,
         axes=() if worst is None else tuple(AXES[axis] for axis in worst.axes),
         pose=pose if worst is None else worst.near.pose,
@@ -468,16 +465,16 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
         damping=damping,
         eigenvalues=eigenvalues,
         stated=False,
-        jumps=_distinct(found.jumps),
-        unknown=_distinct(found.unknown),
-        away=_distinct([loop.near.pose for loop in found.away]),
+        jumps=_distinct(linear.jumps),
+        unknown=_distinct(linear.unknown),
+        away=_distinct([loop.near.pose for loop in linear.away]),
     )
 
 
 def _roots(
     groups: Iterable[_Group], delay: float, body: Array, hand: Hand | None = None
 ) -> Iterator[tuple[_Loop, NDArray[np.complex128]]]:
-    """Yield different loops with their eigenvalues; loops of one size are computed at once."""
+    """Yield distinct loops with their poles; loops of equal size are computed as one batch."""
     for different, systems, axes in groups:
         period, inertia = different[0].near.period, body[list(axes)]
         held = hand if hand is not None and set(axes) <= set(hand.indices) else None
@@ -487,12 +484,12 @@ def _roots(
 
 
 def _grouped(loops: Sequence[_Loop]) -> Iterator[_Group]:
-    """Yield different loops of the same axes and size, with their systems and axes."""
-    seen: dict[tuple[int, ...], list[_Loop]] = {}
+    """Yield distinct loops of equal axes and size, with their systems and axes."""
+    previous: dict[tuple[int, ...], list[_Loop]] = {}
     sizes: dict[tuple[tuple[int, ...], int], list[tuple[_Loop, StateSpace]]] = {}
     for loop in loops:
-        same = seen.setdefault(loop.axes, [])
-        if any(_alike(one.scaled, loop.scaled) for one in same):
+        same = previous.setdefault(loop.axes, [])
+        if any(_alike(other.scaled, loop.scaled) for other in same):
             continue
         same.append(loop)
         system = loop.system or StateSpace.of(loop.scaled[: _memory(loop.scaled)])
@@ -505,13 +502,13 @@ def _grouped(loops: Sequence[_Loop]) -> Iterator[_Group]:
 def axis_loop(
     controller: Controller, axis: int, *, pose: ArrayLike, delay: float, inertia: Array, hand: Hand | None = None
 ) -> tuple[float, float]:
-    """Return static stiffness and spectral radius of one axis' loop with all that acts there.
+    """Return static stiffness and spectral radius of one axis with all of its laws active.
 
-    By the laws' own gains if all state them, otherwise by linearisation at a pose.
+    Computed from the declared gains, or by linearisation at the pose if a law declares none.
 
     Args:
         controller: The controller, of laws for one device; it is not changed.
-        axis: Index into AXES; the other axes are left out.
+        axis: Index into AXES; coupling to the other axes is ignored.
         pose: Pose [m, rad], (6,).
         delay: Transport delay [s], up to 10 periods.
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
@@ -519,7 +516,7 @@ def axis_loop(
 
     Returns:
         Stiffness [N/m, N m/rad], infinite for an integrator, and spectral radius, below 1 for a stable loop; NaN if
-        not known.
+        not computed.
 
     Raises:
         MaglevError: If a law fails at the pose.
@@ -551,9 +548,9 @@ def axis_loop(
 def delay_margins(
     controller: Controller, hands: Sequence[str], *, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA
 ) -> dict[str, float]:
-    """Return the longest delay that a controller's loops bear, free and in each hand [s].
+    """Return the critical delay of a controller's loops, free and in each hand [s].
 
-    The controller is linearised once. A hand holds the translations; coupled translations and rotations are free.
+    The controller is linearised once. A hand acts on the translations only; translations coupled to rotations are free.
 
     Args:
         controller: The controller, of laws for one device; it is not changed.
@@ -562,8 +559,8 @@ def delay_margins(
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
 
     Returns:
-        By hand: 0 if a loop is unstable without delay, infinity if all are stable up to 30 ms or 10 periods, the
-        shorter; NaN if a loop is not known.
+        By hand: 0 if a loop is unstable without delay, infinity if all are stable up to the lesser of 30 ms and 10
+        periods; NaN if a loop is not computed.
 
     Raises:
         MaglevError: If a law fails at a pose.
@@ -579,10 +576,10 @@ def delay_margins(
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
     gains, period = stated_gains(controller), controller.period
     if gains is None:
-        found = _linearised(controller, start, body)
-        if not found.complete:
+        linear = _linearised(controller, start, body)
+        if not linear.complete:
             return dict.fromkeys(hands, math.nan)
-        loops = [*_grouped(found.loops)]
+        loops = [*_grouped(linear.loops)]
 
     def spectral_radius(delay: float, hand: Hand | None) -> float:
         if gains is not None:
@@ -596,7 +593,7 @@ def delay_margins(
 def _stated_spectral_radius(
     gains: _Gains, controller: Controller, delay: float, body: Array, hand: Hand | None
 ) -> float:
-    """Return the spectral radius of the axes' loops, those of free motion left out."""
+    """Return the spectral radius over all axes and law states, without the poles of free motion."""
     worst = 0.0
     for part, held in ((slice(3), hand), (slice(3, 6), None)):
         stiffness, damping = (np.array([both[kind][part] for both in gains.values()]).ravel() for kind in (0, 1))
@@ -611,7 +608,7 @@ def _stated_spectral_radius(
 def _margin(spectral_radius: Callable[[float], float], period: float) -> float:
     """Return the first delay at which a spectral radius reaches 1 [s]."""
     grid = np.arange(0.0, min(_LONGEST, MOST_PERIODS * period) + 1e-12, max(period / _PER_PERIOD, _FINEST))
-    first = next((place for place, delay in enumerate(grid) if spectral_radius(delay) >= 1.0 - _ROUNDING), None)
+    first = next((index for index, delay in enumerate(grid) if spectral_radius(delay) >= 1.0 - _ROUNDING), None)
     if not first:
         return math.inf if first is None else 0.0
     low, high = grid[first - 1], grid[first]
@@ -622,7 +619,7 @@ def _margin(spectral_radius: Callable[[float], float], period: float) -> float:
 
 
 def _memory(response: Array) -> int:
-    """Return the number of samples up to the last answer."""
+    """Return the length of a response without trailing zeros."""
     return 1 + int(np.flatnonzero(response.any(axis=(1, 2))).max(initial=0))
 
 
@@ -635,12 +632,9 @@ def _coupled(scaled: Array) -> list[tuple[int, ...]]:
 
 
 def _poses(controller: Controller, start: Array) -> Array:
-    """Return the poses of a verdict.
-
-    Start, centre, poses along each axis, and inside each face.
-    """
+    """Return start, centre, poses along each axis, and poses inside each face."""
     (near,) = linearise(controller, start[None])
-    start = start + _OFF * _SCALE * near.jumps  # on an edge of the wrench, each pose of the grid would be a jump
+    start = start + _OFF * _SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
     rows = [start, np.zeros(6)]
     for axis, reach in enumerate(RANGE):
         rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, _POINTS) * reach * _STRIDE]

@@ -49,7 +49,7 @@ fidelity all --out pictures                         | out must be left out for a
 fidelity all --tolerance 1e-3                       | unrecognized arguments: --tolerance 1e-3
 design --mass a:b                                   | mass must be LOW HIGH, LOW:HIGH, or one value, not 'a:b'
 design --hand fist                                  | hand must be one of none, arm, stylus, fingertip
-design --held                                       | hands must be one or more different ones, not none at all
+design --held                                       | hands must be at least one, without duplicates (got none)
 design --spectral-radius 0.4                                | spectral_radius must be above 0.4 here
 design --law observer --pulse                       | pulse must be left out for the observer
 design --out x                                      | mass or delay must be a range for a picture
