@@ -24,9 +24,9 @@ from maglev_mj.scenes.results import figures_of_each
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene, SideBySide
 
-_LEAST = 8  # fewer do not pay for a batch
+_LEAST = 8  # smaller batches are slower than single runs
 _MOST, _AT_ONCE = 512, 64
-_ROOM = 256e6
+_MEMORY = 256e6
 _PER_KNOT = 18 * 8.0
 _FAR = (1e15, 1e15)
 _NEAR = 0.9
@@ -48,40 +48,35 @@ class _Member:
 
 
 class SceneStack:
-    """Scenes with different numbers as one scene for `run`.
+    """N scenes that differ in numbers only, as one scene of N devices for `run`.
 
-    They differ in numbers alone; each is one of N devices.
-
-    An attribute is that of the scenes if they agree, otherwise (N,).
+    An attribute is that of the scenes if equal, otherwise (N,).
     """
 
     def __init__(self, members: Sequence[_Member]) -> None:
-        self.scenes = [one.scene for one in members]
-        self.phases = np.array([one.phase for one in members])
+        self.scenes = [member.scene for member in members]
+        self.phases = np.array([member.phase for member in members])
         self._members = members
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        values = [getattr(one, name) for one in self.scenes]
+        values = [getattr(scene, name) for scene in self.scenes]
         if all(value == values[0] for value in values[1:]):
             return values[0]
         if any(value is None for value in values):  # an array would make it NaN
-            raise TypeError(f"{name} must be a number in all of a batch")
+            raise TypeError(f"{name} must be a number in every scene of a batch")
         return np.array(values, dtype=np.float64)
 
     def __getitem__(self, device: Any) -> Any:
-        """Return one device's scene, or a stack of several.
-
-        Several are given by an array of indices.
-        """
+        """Return one device's scene, or a stack for an array of indices."""
         if np.ndim(device) == 0:
             return self.scenes[device]
         return SceneStack([self._members[index] for index in device.tolist()])
 
     def controller(self) -> Controller:
         """Return one controller with the stacked laws."""
-        laws = [stacked(of_all) for of_all in zip(*(one.laws for one in self._members), strict=True)]
+        laws = [stacked(same) for same in zip(*(member.laws for member in self._members), strict=True)]
         return Controller(laws, period=self.scenes[0].period, velocity=self._members[0].velocity)
 
     def plant_options(self) -> Mapping[str, Any]:
@@ -91,22 +86,20 @@ class SceneStack:
     def plant(
         self, plant: str, *, phase: Array | None = None, timing: Timing | None = None, **keywords: Any
     ) -> ExactPlant:
-        """Return the exact plant of N devices at release.
-
-        No device ends the run by leaving its range.
+        """Return the exact plant of N devices at release; leaving the range does not end the run.
 
         Args:
             plant: "exact".
-            phase: Without effect: each scene has its own timing.
+            phase: Ignored: each scene has its own timing.
             timing: Timing in place of the scenes' own.
-            keywords: Further keywords of the plant; they override the scenes'.
+            keywords: Keywords of the plant; they override the scenes'.
         """
         options = dict(self.plant_options())
         for name in _STACKED:
             if options.get(name) is not None:
-                rows = np.array([one.options[name] for one in self._members], dtype=np.float64)
+                rows = np.array([member.options[name] for member in self._members], dtype=np.float64)
                 options[name] = rows if name == "pose" or (rows != rows[0]).any() else options[name]
-        hands = [one.hand for one in self._members if one.hand is not None]
+        hands = [member.hand for member in self._members if member.hand is not None]
         options |= {"escape": _FAR, "hand_force": SideBySide(hands) if hands else None}
         return ExactPlant(timing or self.timing(), **options | keywords)
 
@@ -115,17 +108,14 @@ class SceneStack:
         return self.scenes[0].ticks(timing)
 
     def timing(self, _: Array | None = None) -> Timing:
-        """Return the timing of samples and commands.
-
-        The phase is ignored: each scene has its own timing already.
-        """
-        phases = [one.timing.phase for one in self._members]
-        alike = all(phase == phases[0] for phase in phases)  # a hand is moved by one clock
-        return replace(self._members[0].timing, phase=phases[0] if alike else np.array(phases))
+        """Return the timing of samples and commands, with the scenes' own phases."""
+        phases = [member.timing.phase for member in self._members]
+        equal = all(phase == phases[0] for phase in phases)  # a hand needs a common clock
+        return replace(self._members[0].timing, phase=phases[0] if equal else np.array(phases))
 
 
 def stacked_scenes(points: Sequence[tuple[Scene, float]]) -> SceneStack:
-    """Return scenes at their phases as one, with their own plants and controllers.
+    """Return scenes at their phases as one stack.
 
     Raises:
         ParameterError: If their laws differ in more than declared gains.
@@ -133,46 +123,44 @@ def stacked_scenes(points: Sequence[tuple[Scene, float]]) -> SceneStack:
     controllers = {id(scene): scene.controller() for scene, _ in points}
     members = []
     for scene, phase in points:
-        made: list[tuple[Timing, dict[str, Any]]] = []
-        scene.plant(lambda timing, made=made, **own: made.append((timing, own)), phase=phase)
-        timing, options = made[0]
+        calls: list[tuple[Timing, dict[str, Any]]] = []
+        scene.plant(lambda timing, calls=calls, **options: calls.append((timing, options)), phase=phase)
+        timing, options = calls[0]
         controller, hand = controllers[id(scene)], options.pop("hand_force")
         members.append(_Member(scene, phase, timing, controller.laws, controller.velocity, options, hand))
-    for laws in zip(*(one.laws for one in members), strict=True):
+    for laws in zip(*(member.laws for member in members), strict=True):
         first, kind = laws[0], law_kind(laws[0])
         if any(law is not first and (kind is None or law_kind(law) != kind) for law in laws):
             name = getattr(first, "name", type(first).__name__)
             raise ParameterError(
-                f"law {name} must be an AxisLaw, or name its gains in per_device, and differ in them alone"
+                f"law {name} must be an AxisLaw or list its gains in per_device, and differ only in those"
             )
     return SceneStack(members)
 
 
 def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float]) -> list[Mapping[str, Any] | None]:
-    """Return the figures of many runs by name.
+    """Return the figures of many runs by name; None for a run that must run alone.
 
-    None for a run that must run alone.
-
-    Runs fit one batch if their laws are of the same kinds and declare the parameters that may differ, and all plant
-    options common to a batch are equal. These run alone: runs of a scene with its own run method, fewer than `_LEAST`
-    of a kind, runs that come near the end of their range, and all of a batch that fails.
+    Runs fit one batch if their laws are of the same kinds and declare the parameters that may differ, and other plant
+    options are equal. These run alone: scenes with a `run_figures` method, fewer than `_LEAST` of a kind, motions near
+    the end of the range, and runs that fail.
 
     Args:
         scenes: Scenes of one class.
         plant: Name from PLANTS.
-        phases: Phases of the samples, one for each scene.
+        phases: Sampling phase of each scene.
     """
-    found: list[Mapping[str, Any] | None] = [None] * len(scenes)
+    results: list[Mapping[str, Any] | None] = [None] * len(scenes)
     cls = type(scenes[0])
     if cls.figures_together is not None:
         figures: list[Mapping[str, Any] | None] = cls.figures_together(scenes, plant, phases)
         return figures
     if plant != "exact" or any(getattr(cls, name) is not getattr(Scene, name) for name in _OWN_RUN):
-        return found
+        return results
     members: dict[int, _Member] = {}
     kinds: dict[Hashable, list[int]] = defaultdict(list)
     for index, (scene, phase) in enumerate(zip(scenes, phases, strict=True)):
-        with suppress(Exception):  # of a scene's own code: its own run reports the error
+        with suppress(Exception):  # errors of user code are reported by the single run
             hand = scene.scripted_hand(phase)
             parts = scene.timing(phase), scene.laws(), scene.velocity_estimator(), scene.plant_keywords("exact", hand)
             members[index] = _Member(scene, phase, *parts, hand)
@@ -181,14 +169,14 @@ def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float
     for indices in kinds.values():
         size = _most_of(members[indices[0]])
         for start in range(0, len(indices), size):
-            some = indices[start : start + size]
-            for place, together in _figures_of([(index, members[index]) for index in some]):
-                found[place] = together
-    return found
+            chunk = [(index, members[index]) for index in indices[start : start + size]]
+            for index, row in _figures_of(chunk):
+                results[index] = row
+    return results
 
 
 def _kind(member: _Member) -> Hashable:
-    """Return the kind of a run, equal for those of one batch; None for no batch."""
+    """Return a key that is equal for runs of one batch; None for a run that must run alone."""
     scene, timing, options = member.scene, member.timing, member.options
     kinds = [law_kind(law) for law in member.laws]
     fixed = content(
@@ -204,84 +192,70 @@ def _kind(member: _Member) -> Hashable:
 
 
 def _most_of(member: _Member) -> int:
-    """Return the largest batch size of a kind.
-
-    It is smaller for long runs, to fit the recorded motion into memory.
-    """
+    """Return the largest batch size, limited by the memory of the recorded motion."""
     step = member.options.get("longest_step") or math.inf
     knots = 3.0 * member.scene.ticks(member.timing) * max(math.ceil(member.scene.period / step), 1)
-    return max(min(_MOST, int(_ROOM / (knots * _PER_KNOT))), 1)
+    return max(min(_MOST, int(_MEMORY / (knots * _PER_KNOT))), 1)
 
 
 def _figures_of(members: Sequence[tuple[int, _Member]]) -> list[tuple[int, Mapping[str, Any]]]:
-    """Return the figures of the successful runs of a batch, by index.
-
-    If one fails, the batch is split in halves.
-    """
+    """Return the figures of the successful runs of a batch by index; a failed batch is split in halves."""
     if len(members) < _LEAST:
         return []
     try:
-        stays = _Stays(members[0][1].options["escape"], len(members))
+        observer = _InRange(members[0][1].options["escape"], len(members))
         stack: Any = SceneStack([member for _, member in members])
-        result = run(stack, plant="exact", phase=stack.phases, observe=stays)
-        stays.look(components(result.trace.pose[-1]))
-        good = np.flatnonzero(stays.all_along)
+        result = run(stack, plant="exact", phase=stack.phases, observe=observer)
+        observer.check(components(result.trace.pose[-1]))
+        good = np.flatnonzero(observer.always)
         rows: list[Mapping[str, Any]] = []
         for start in range(0, good.size, _AT_ONCE):
             figures = figures_of_each(result[good[start : start + _AT_ONCE]])
             rows += [dict(zip(figures, row, strict=True)) for row in zip(*figures.values(), strict=True)]
         return [(members[device][0], row) for device, row in zip(good.tolist(), rows, strict=True)]
-    except Exception:  # of any of them: its own run reports the error
+    except Exception:  # reported by the single run
         half = len(members) // 2
         return [*_figures_of(members[:half]), *_figures_of(members[half:])]
 
 
-class _Stays:
-    """Observer of devices that stay well within range."""
+class _InRange:
+    """Observer that tracks which devices stay well within their range."""
 
     def __init__(self, escape: tuple[float, float], devices: int) -> None:
         distance, angle = escape
         self._bounds = (_NEAR * distance) ** 2, (_NEAR * angle) ** 2
-        self.all_along: Mask = np.ones(devices, dtype=bool)
+        self.always: Mask = np.ones(devices, dtype=bool)
 
     def __call__(self, sample: Sample, _: Command) -> None:
-        """Look at one sample."""
-        self.look(sample.position)
+        """Check one sample."""
+        self.check(sample.position)
 
-    def look(self, position: Sequence[Any]) -> None:
-        """Check six position components against the bounds.
-
-        NaN counts as outside.
-        """
+    def check(self, position: Sequence[Any]) -> None:
+        """Check six position components against the bounds; NaN is outside."""
         x, y, z, rx, ry, rz = position
         distance, angle = self._bounds
-        self.all_along &= (x * x + y * y + z * z < distance) & (rx * rx + ry * ry + rz * rz < angle)
+        self.always &= (x * x + y * y + z * z < distance) & (rx * rx + ry * ry + rz * rz < angle)
 
 
 def law_kind(law: object) -> Hashable | None:
-    """Return the kind of a law, or None.
+    """Return a key that is equal for laws that can be stacked; None for a law that cannot.
 
-    Laws of one kind can be stacked; None is for a law that cannot be stacked.
-
-    A law can be stacked if it is a dataclass that lists in `per_device` the fields that may differ.
+    A law can be stacked if it is a dataclass that lists the fields that may differ in `per_device`.
     """
     if not (isinstance(law, Law) and is_dataclass(law) and law.per_device):
         return None
     fixed = [getattr(law, name) for name in _fixed(type(law))]
-    return None if (known := content(fixed)) is None else (type(law), known)
+    return None if (key := content(fixed)) is None else (type(law), key)
 
 
 @cache
 def _fixed(cls: Any) -> tuple[str, ...]:
-    """Return the field names common to all devices."""
-    return tuple(one.name for one in fields(cls) if one.init and one.name not in cls.per_device)
+    """Return the names of the fields common to all devices."""
+    return tuple(field.name for field in fields(cls) if field.init and field.name not in cls.per_device)
 
 
 def content(value: object) -> bytes | None:
-    """Return bytes that are equal for equal contents.
-
-    None for a local function, which has none.
-    """
+    """Return bytes that are equal for equal contents; None for an object that cannot be pickled."""
     try:
         return pickle.dumps(value)
     except Exception:  # a user's class may raise anything
@@ -289,9 +263,7 @@ def content(value: object) -> bytes | None:
 
 
 def stacked(laws: Sequence[Any]) -> Any:
-    """Return one law for N devices.
-
-    Parameters that differ become (N, axes).
+    """Return one law for N devices; parameters that differ become (N, axes).
 
     Raises:
         ParameterError: If a law is itself for several devices, or does not accept per-device parameters.
@@ -311,13 +283,10 @@ def stacked(laws: Sequence[Any]) -> Any:
 
 
 def _rows(name: str, values: Sequence[Any], width: int) -> Array:
-    """Return a parameter of N laws as (N, axes).
-
-    In each law it is one number or one number per axis.
-    """
+    """Return a parameter of N laws, a number or one per axis, as (N, axes)."""
     try:
         if all(value.__class__ is float for value in values):
             return np.repeat(np.array(values), width).reshape(-1, width)
         return np.stack([np.broadcast_to(np.asarray(value, dtype=np.float64), (width,)) for value in values])
     except (TypeError, ValueError):
-        raise ParameterError(f"{name} must be a number or one for each of {width} axes in each law") from None
+        raise ParameterError(f"{name} must be a number, or one for each of {width} axes") from None

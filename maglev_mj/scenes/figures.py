@@ -1,4 +1,4 @@
-"""Figures of a motion: bounces, perceived hardness, presses; and the stock of them by name."""
+"""Figures of a motion: bounce, perceived hardness, press; stock figures by name."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from maglev_mj.plants.trace import Trace, actuator_work
 from maglev_mj.scenes.results import Figure, RunResult
 
 _STEP = 1e-4  # of the grids on which a motion is evaluated [s]
-_TAIL = 0.2  # share of a press over which its last figures are taken
+_TAIL = 0.2  # last fraction of a press over which its figures are averaged
 
 
 def figures_named(chosen: Sequence[Figure | str] | Mapping[str, Figure | str]) -> dict[str, Figure]:
-    """Return figures by their JSON names.
+    """Return figures by JSON key.
 
     Raises:
         TypeError: If a name is not that of a stock figure.
     """
     if not isinstance(chosen, Mapping):
-        chosen = {one if isinstance(one, str) else one.name: one for one in chosen}
+        chosen = {figure if isinstance(figure, str) else figure.name: figure for figure in chosen}
     figures = {}
-    for name, one in chosen.items():
-        if isinstance(one, str) and one not in STOCK:
-            raise TypeError(f"figure must be one of {', '.join(STOCK)}, or made by @figure, not {one!r}")
-        figures[name] = STOCK[one] if isinstance(one, str) else one
+    for name, figure in chosen.items():
+        if isinstance(figure, str) and figure not in STOCK:
+            raise TypeError(f"figure must be one of {', '.join(STOCK)}, or decorated with @figure (got {figure!r})")
+        figures[name] = STOCK[figure] if isinstance(figure, str) else figure
     return figures
 
 
@@ -38,11 +38,11 @@ class BounceSummary(NamedTuple):
     """Figures of a bounce on a wall, (...) each.
 
     Attributes:
-        penetration: Largest depth behind the wall [m].
-        rebound: Largest height above the wall after the first contact [m], 0 if it never leaves.
-        peak_force: Largest force of the actuators on the axis, either sign [N].
-        settling_time: Time from release after which the position stays within 2 % of the way from start to
-            rest around the rest [s]; NaN if it does not, or if there is no rest.
+        penetration: Largest depth inside the wall [m].
+        rebound: Largest height above the wall after the first contact [m]; 0 without a rebound.
+        peak_force: Largest actuator force on the axis, absolute [N].
+        settling_time: Time from release after which the position stays at its equilibrium within 2 % of the distance
+            from the start [s]; NaN if it does not, or without an equilibrium.
         final_z: Position at the end [m].
     """
 
@@ -54,27 +54,25 @@ class BounceSummary(NamedTuple):
 
 
 def summarise_bounce(trace: Trace, rest: float, *, axis: int = 2, wall: float = 0.0) -> BounceSummary:
-    """Return the bounce figures of a drop.
+    """Return the bounce figures of a drop on a wall that fills x <= `wall`.
 
-    The wall fills x <= `wall`.
-
-    Positions are extremes of the exact curve, not of samples of it.
+    Positions are extremes of the exact curve, not of its samples.
 
     Args:
         trace: The motion.
-        rest: Rest position of the flotor [m]; NaN if there is none.
+        rest: Equilibrium position of the flotor [m]; NaN if there is none.
         axis: Index into AXES.
         wall: Position of the wall [m].
     """
     line = trace.along(axis)
     turn_time, turn = (part[..., 0] for part in line.turning_points())
     times = np.concatenate([line.time, turn_time])
-    places = np.concatenate([line.pose[..., 0], turn])
-    touched = np.where(places <= wall, times, np.inf).min(axis=0)
-    after = times >= touched
-    highest = np.where(after, places - wall, 0.0).max(axis=0)
+    positions = np.concatenate([line.pose[..., 0], turn])
+    contact_start = np.where(positions <= wall, times, np.inf).min(axis=0)
+    after = times >= contact_start
+    highest = np.where(after, positions - wall, 0.0).max(axis=0)
     return BounceSummary(
-        penetration=np.maximum(wall - places.min(axis=0), 0.0),
+        penetration=np.maximum(wall - positions.min(axis=0), 0.0),
         rebound=np.maximum(highest, 0.0),
         peak_force=np.abs(line.wrench[:-1, ..., 0]).max(axis=0),  # the last knot's force has not acted yet
         settling_time=_settling_time(line, rest),
@@ -83,10 +81,7 @@ def summarise_bounce(trace: Trace, rest: float, *, axis: int = 2, wall: float = 
 
 
 def _settling_time(line: Trace, rest: float, share: float = 0.02, step: float = _STEP) -> Array:
-    """Return the last entry into the band around `rest` [s].
-
-    It is interpolated on a grid of `step` [s].
-    """
+    """Return the last entry into the band around `rest` [s], interpolated on a grid of `step` [s]."""
     end = float(line.time[-1].min())
     grid = np.minimum(step * np.arange(int(np.ceil(end / step)) + 1), end)
     away = np.abs(line.at(grid)[0][..., 0] - rest)
@@ -114,16 +109,14 @@ class Hardness(NamedTuple):
 
 
 def perceived_hardness(trace: Trace, window: float, *, axis: int = 2, wall: float = 0.0) -> Hardness:
-    """Return the perceived hardness of the first contact.
+    """Return the perceived hardness of the first contact with a wall that fills x <= `wall`.
 
-    The wall fills x <= `wall`.
-
-    A force held between samples rises in steps, so its rate is that of its mean over a window:
+    A force constant between samples rises in steps, so its rate is averaged over a window:
     (f(t + window) - f(t)) / window.
 
     Args:
-        trace: The motion; a device that does not touch the wall gives NaN.
-        window: Length of the window [s].
+        trace: The motion; NaN for a device without contact.
+        window: Duration of the window [s].
         axis: Index into AXES.
         wall: Position of the wall [m].
 
@@ -147,8 +140,8 @@ def perceived_hardness(trace: Trace, window: float, *, axis: int = 2, wall: floa
     shift = max(round(width / _STEP), 1)
     rise = np.zeros_like(wrench)
     rise[:-shift] = (wrench[shift:] - wrench[:-shift]) / width
-    place = np.arange(len(grid)).reshape((-1,) + (1,) * (rise.ndim - 1))
-    during = (place >= contact - shift) & (place <= leaves)
+    index = np.arange(len(grid)).reshape((-1,) + (1,) * (rise.ndim - 1))
+    during = (index >= contact - shift) & (index <= leaves)
     speed = np.abs(np.take_along_axis(twist, contact[None], axis=0)[0])
     first = np.take_along_axis(rise, contact[None], axis=0)[0]
     most = np.where(during, rise, -np.inf).max(axis=0)
@@ -157,25 +150,23 @@ def perceived_hardness(trace: Trace, window: float, *, axis: int = 2, wall: floa
 
 
 class PressSummary(NamedTuple):
-    """Figures of the hits and the press.
+    """Figures of the hits, (..., hits) each, and of the press and the energy, (...,) each.
 
-    Each figure of the hits is (..., hits), each of the press and the energy (...,).
-
-    A hit lasts from the beginning of its stroke to that of the next one, bounces included. Figures of a hit or press
-    that the run does not reach are NaN.
+    A hit lasts from the start of its stroke to that of the next one, bounces included. Figures of a hit or press after
+    the end of the run are NaN.
 
     Attributes:
-        penetration: Greatest depth behind the wall [m].
-        approach_speed: Speed at the first entry into the wall [m/s]; NaN if there is none.
-        peak_force: Largest force of the actuators along z, either sign [N].
-        contact_time: Time of the flotor behind the wall [s].
+        penetration: Largest depth inside the wall [m].
+        approach_speed: Speed at the first entry into the wall [m/s]; NaN without one.
+        peak_force: Largest actuator force along z, absolute [N].
+        contact_time: Time inside the wall [s].
         contacts: Number of entries into the wall: 1 for a clean hit, more with bounces.
-        final_force: Mean force of the actuators over the last 20 % of the press [N].
+        final_force: Mean actuator force over the last 20 % of the press [N].
         final_depth: Mean depth over the same time [m].
-        force_ripple: Force over the same time, peak to peak [N].
-        ripple: Position over the same time, peak to peak [m].
-        absorbed: Energy absorbed by the wall over the whole run [J]; below 0 the wall has generated energy. Energy
-            stored in the wall's spring at the end is included.
+        force_ripple: Peak-to-peak force over the same time [N].
+        ripple: Peak-to-peak position over the same time [m].
+        absorbed: Energy absorbed by the wall during the run, stored in its spring included [J]; negative if the wall
+            generated energy.
     """
 
     penetration: Array
@@ -191,17 +182,14 @@ class PressSummary(NamedTuple):
 
 
 HIT_FIGURES = PressSummary._fields[:5]
-"""Names of the figures of a single hit."""
+"""Names of the figures of one hit."""
 
 
 class _Motion(NamedTuple):
-    """Motion of one run along z on a refined grid.
-
-    The grid has the knots, a fine spacing, and the bounds of all windows.
-    """
+    """Motion of one run along z on a grid of the knots, a fine spacing, and the bounds of all windows."""
 
     time: Array
-    place: Array
+    position: Array
     speed: Array
     force: Array
     turn_time: Array
@@ -209,14 +197,14 @@ class _Motion(NamedTuple):
 
 
 def summarise_press(trace: Trace, strokes: Sequence[float], settled: float, end: float) -> PressSummary:
-    """Summarise one run on a wall filling z <= 0.
+    """Return the figures of one run on a wall that fills z <= 0.
 
-    Positions are extremes of the recorded curve, not of samples of it, and speeds those at the crossing itself.
+    Positions are extremes of the recorded curve, not of its samples, and speeds are those at the crossing.
 
     Args:
         trace: The motion of one device.
-        strokes: Start times of the strokes [s], in order, that of the press last.
-        settled: Time of the hand's arrival at its pressing position [s].
+        strokes: Start times of the hits and of the press [s].
+        settled: Time at which the hand reaches its pressing position [s].
         end: Planned end of the run [s].
     """
     tail = end - _TAIL * (end - settled)
@@ -242,42 +230,42 @@ def _hit(motion: _Motion, start: float, end: float) -> tuple[float, ...]:
     """Return one hit's figures in the order of `HIT_FIGURES`."""
     if start >= motion.time[-1]:
         return (np.nan,) * len(HIT_FIGURES)
-    place, speed, width = motion.place, motion.speed, np.diff(motion.time)
-    piece = (motion.time[:-1] >= start) & (motion.time[:-1] < end)
-    lowest = np.min(motion.turn[piece], initial=float(place[:-1][piece].min()))
-    before, after = place[:-1], place[1:]
-    entries = np.flatnonzero(piece & (before > 0.0) & (after <= 0.0))
+    position, speed, width = motion.position, motion.speed, np.diff(motion.time)
+    interval = (motion.time[:-1] >= start) & (motion.time[:-1] < end)
+    lowest = np.min(motion.turn[interval], initial=float(position[:-1][interval].min()))
+    before, after = position[:-1], position[1:]
+    entries = np.flatnonzero(interval & (before > 0.0) & (after <= 0.0))
     approach = np.nan
     if entries.size:
         # v² = v0² - 2 a z0, exact under a constant force
         first = entries[0]
         acceleration = (speed[first + 1] - speed[first]) / width[first]
         approach = np.sqrt(max(speed[first] ** 2 - 2.0 * acceleration * before[first], 0.0))
-    # the share of each piece behind the wall, the edge crossed in a straight line
-    behind, whole = np.maximum(-before, 0.0) + np.maximum(-after, 0.0), np.abs(before) + np.abs(after)
-    inside = np.divide(behind, whole, out=np.ones_like(whole), where=whole > 0.0)
-    peak = np.abs(motion.force[piece]).max()
+    # fraction of each interval inside the wall, linear at the edge
+    behind, depths = np.maximum(-before, 0.0) + np.maximum(-after, 0.0), np.abs(before) + np.abs(after)
+    inside = np.divide(behind, depths, out=np.ones_like(depths), where=depths > 0.0)
+    peak = np.abs(motion.force[interval]).max()
     return (
         max(-float(lowest), 0.0),
         float(approach),
         float(peak),
-        float((inside * width)[piece].sum()),
+        float((inside * width)[interval].sum()),
         float(entries.size),
     )
 
 
 def _last_figures(motion: _Motion, start: float) -> tuple[float, ...]:
-    """Return the press figures: force, depth, and their ripples."""
-    piece = motion.time[:-1] >= start
-    width, force = np.diff(motion.time)[piece], motion.force[piece]
-    middle = 0.5 * (motion.place[:-1] + motion.place[1:])[piece]
-    places = np.concatenate([motion.place[motion.time >= start], motion.turn[piece]])
-    whole = width.sum()
+    """Return force and depth of the press, and their ripples."""
+    interval = motion.time[:-1] >= start
+    width, force = np.diff(motion.time)[interval], motion.force[interval]
+    middle = 0.5 * (motion.position[:-1] + motion.position[1:])[interval]
+    positions = np.concatenate([motion.position[motion.time >= start], motion.turn[interval]])
+    duration = width.sum()
     return (
-        float((force * width).sum() / whole),
-        -float((middle * width).sum() / whole),
+        float((force * width).sum() / duration),
+        -float((middle * width).sum() / duration),
         float(np.ptp(force)),
-        float(np.ptp(places)),
+        float(np.ptp(positions)),
     )
 
 
@@ -292,19 +280,19 @@ def _press(result: RunResult) -> PressSummary:
 
 
 def _part(summarise: Callable[[RunResult], Any], name: str) -> Callable[[RunResult], Any]:
-    """Return the function of one figure of a summary, which is made once a run."""
+    """Return the function of one field of a summary, which is computed once per run."""
     return lambda result: getattr(result.once(summarise.__name__, summarise), name)
 
 
 def changes(result: RunResult) -> list[int]:
-    """Return the samples of changes in the friction state."""
+    """Return the indices of samples at which the friction state changes."""
     stuck = result.samples["stuck"][:, 0]
     indices: list[int] = (np.flatnonzero(stuck[1:] != stuck[:-1]) + 1).tolist()
     return indices
 
 
 def _peak_speed(result: RunResult) -> Any:
-    # greatest at a knot: the speed is linear between them
+    # the speed is linear between knots
     return np.abs(result.line.twist[..., 0]).max(axis=0)
 
 
@@ -323,21 +311,21 @@ def _hardness(result: RunResult) -> Any:
 
 
 def press_name(name: str) -> str:
-    """Return the name in `STOCK` of a field of `PressSummary`."""
+    """Return the name of a field of `PressSummary` in `STOCK`."""
     return f"hit_{name}" if name in HIT_FIGURES else name if name == "absorbed" else f"press_{name}"
 
 
 STOCK: Mapping[str, Figure] = {
-    one.name: replace(one, along=True)
-    for one in (
-        Figure("penetration", _part(_bounce, "penetration"), "mm", "greatest depth behind the wall", 1e3, late=True),
-        Figure("rebound", _part(_bounce, "rebound"), "mm", "greatest height after the first contact", 1e3, late=True),
-        Figure("peak_force", _part(_bounce, "peak_force"), "N", "largest force of the actuators", late=True),
-        Figure("settling_time", _part(_bounce, "settling_time"), "ms", "time until within 2 % of rest", 1e3, late=True),
+    figure.name: replace(figure, along=True)
+    for figure in (
+        Figure("penetration", _part(_bounce, "penetration"), "mm", "largest depth inside the wall", 1e3, late=True),
+        Figure("rebound", _part(_bounce, "rebound"), "mm", "height after the first contact", 1e3, late=True),
+        Figure("peak_force", _part(_bounce, "peak_force"), "N", "largest actuator force", late=True),
+        Figure("settling_time", _part(_bounce, "settling_time"), "ms", "time to within 2 % of rest", 1e3, late=True),
         Figure("final_z", _part(_bounce, "final_z"), "mm", "height at the end", 1e3, late=True),
-        Figure("hardness", _hardness, "kN/m", "fastest rise of the force over 5 ms, by speed of impact", 1e-3),
-        Figure("peak_speed", _peak_speed, "mm/s", "greatest speed", 1e3),
-        Figure("stick_time", _stick_time, "ms", "when it last stuck", 1e3, batched=False),
+        Figure("hardness", _hardness, "kN/m", "force rate over 5 ms / impact speed", 1e-3),
+        Figure("peak_speed", _peak_speed, "mm/s", "peak speed", 1e3),
+        Figure("stick_time", _stick_time, "ms", "time of the last stick", 1e3, batched=False),
         Figure(
             "stick_position",
             lambda result: float(result.samples["stick_position"][-1, 0]),
@@ -347,21 +335,21 @@ STOCK: Mapping[str, Figure] = {
             batched=False,
         ),
         Figure("final_position", lambda result: result.line.pose[-1, ..., 0], "mm", "position at the end", 1e3),
-        Figure("transitions", lambda result: len(changes(result)), "", "changes of state", batched=False),
-        Figure("ripple", _ripple, "µm", "position over the last 50 ms, peak to peak", 1e6),
+        Figure("transitions", lambda result: len(changes(result)), "", "changes of the friction state", batched=False),
+        Figure("ripple", _ripple, "µm", "peak-to-peak position, last 50 ms", 1e6),
         *(
             Figure(press_name(name), _part(_press, name), unit, help, scale, batched=False)
             for name, unit, help, scale in (
-                ("penetration", "mm", "greatest depth of each hit", 1e3),
-                ("approach_speed", "mm/s", "speed at which each hit enters", 1e3),
-                ("peak_force", "N", "largest force of each hit", 1.0),
-                ("contact_time", "ms", "time of each hit behind the wall", 1e3),
+                ("penetration", "mm", "largest depth of each hit", 1e3),
+                ("approach_speed", "mm/s", "entry speed of each hit", 1e3),
+                ("peak_force", "N", "peak force of each hit", 1.0),
+                ("contact_time", "ms", "contact time of each hit", 1e3),
                 ("contacts", "", "entries of each hit", 1.0),
                 ("final_force", "N", "mean force, last 20 % of the press", 1.0),
-                ("final_depth", "mm", "mean depth over the same time", 1e3),
-                ("force_ripple", "mN", "its force, peak to peak", 1e3),
-                ("ripple", "µm", "its position, peak to peak", 1e6),
-                ("absorbed", "mJ", "energy that the wall has taken", 1e3),
+                ("final_depth", "mm", "mean depth, last 20 % of the press", 1e3),
+                ("force_ripple", "mN", "peak-to-peak force, same window", 1e3),
+                ("ripple", "µm", "peak-to-peak position, same window", 1e6),
+                ("absorbed", "mJ", "energy absorbed by the wall", 1e3),
             )
         ),
     )

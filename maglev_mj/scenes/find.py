@@ -31,10 +31,10 @@ def find_scene(text: str) -> type[Scene]:
     """Return the class of a scene.
 
     Args:
-        text: NAME, FILE.py, or FILE.py:CLASS if the file has several. A file is run, as Python would run it.
+        text: NAME, FILE.py, or FILE.py:CLASS if the file defines several. A file is executed.
 
     Raises:
-        ParameterError: If there is no such scene, or a file cannot be read, fails, or has several.
+        ParameterError: If there is no such scene, or a file cannot be read, fails, or defines several.
 
     Example:
         >>> from maglev_mj import find_scene
@@ -53,25 +53,22 @@ def find_scene(text: str) -> type[Scene]:
 
 
 def get_scene(scene: SceneLike) -> Scene:
-    """Return a scene, also from its class or text.
+    """Return a scene from a scene, a class or a text.
 
     Raises:
         ParameterError: If it is none of these, or there is no such scene.
     """
-    found = find_scene(str(scene)) if isinstance(scene, str | Path) else scene
-    made = found() if isinstance(found, type) and issubclass(found, Scene) else found
-    if isinstance(made, type) or not hasattr(made, "plants"):  # a stack of scenes is as good as one
-        raise ParameterError(f"scene must be a Scene, or the name of one such as 'drop', not {one_line(scene)}")
-    return made
+    cls = find_scene(str(scene)) if isinstance(scene, str | Path) else scene
+    result = cls() if isinstance(cls, type) and issubclass(cls, Scene) else cls
+    if isinstance(result, type) or not hasattr(result, "plants"):  # a SceneStack is accepted
+        raise ParameterError(f"scene must be a Scene, or the name of one such as 'drop' (got {one_line(scene)})")
+    return result
 
 
 def reference_of(cls: type[Scene]) -> str:
-    """Return the reference text of a scene class.
-
-    `find_scene` finds the class by it again, in another process too.
-    """
-    for name, place in BUILT_IN.items():
-        if place == f"{cls.__module__}:{cls.__qualname__}":
+    """Return the text by which `find_scene` finds a scene class, also in another process."""
+    for name, path in BUILT_IN.items():
+        if path == f"{cls.__module__}:{cls.__qualname__}":
             return name
     if cls.__module__.startswith(_OWN):
         return f"{sys.modules[cls.__module__].__file__}:{cls.__name__}"
@@ -79,55 +76,45 @@ def reference_of(cls: type[Scene]) -> str:
 
 
 def source_of(cls: type[Scene]) -> str | None:
-    """Return the hash of a user scene's file, or None.
-
-    None is for a scene of a package.
-    """
+    """Return the hash of a user scene's file; None for a scene of a package."""
     if not cls.__module__.startswith(_OWN):
         return None
     return hash_of(text_of(cls))
 
 
 def text_of(cls: type[Scene]) -> str:
-    """Return the text of a scene's file.
-
-    That of a user's own scene is as it was when it was run.
+    """Return the text of a scene's file; of a user's file as it was when executed.
 
     Raises:
-        ParameterError: If the scene is not at the top level of a file, as one typed interactively.
+        ParameterError: If the scene is not at the top level of a file, such as one typed interactively.
     """
-    found = file_of(cls)
-    if found is None:
-        raise ParameterError(f"scene must be at the top of a file, so that others can run it, not {cls.__qualname__}")
-    return found[1]
+    file = file_of(cls)
+    if file is None:
+        raise ParameterError(f"scene {cls.__qualname__} must be at the top level of a file, so that others can run it")
+    return file[1]
 
 
 def line_of(error: BaseException) -> str | None:
-    """Return an error's file and line in user code.
-
-    None if the error is not from a user's own scene.
-    """
-    found = None
+    """Return the file and line of an error in a user's scene, or None."""
+    location = None
     for frame, line in walk_tb(error.__traceback__):
         if frame.f_globals.get("__name__", "").startswith(_OWN):
-            found = f"{Path(frame.f_code.co_filename).name}, line {line}"
-    return found
+            location = f"{Path(frame.f_code.co_filename).name}, line {line}"
+    return location
 
 
 def scene_of_text(text: str, name: str) -> type[Scene]:
-    """Return a scene class from a file's text, which need not be on this machine.
+    """Return a scene class from the text of a file that need not exist on this machine.
 
     Raises:
         ParameterError: If the text fails.
     """
-    found: type[Scene] = object_of_text(text, name, f"{name}.py")
-    return found
+    cls: type[Scene] = object_of_text(text, name, f"{name}.py")
+    return cls
 
 
 def object_of_text(text: str, name: str, file: str) -> Any:
-    """Return a class or function from a file's text.
-
-    The text is run as a module, once per process.
+    """Return a class or function from a file's text, executed as a module once per process.
 
     Args:
         text: The text.
@@ -142,21 +129,19 @@ def object_of_text(text: str, name: str, file: str) -> Any:
 
 @lru_cache(maxsize=16)
 def _module_of_text(text: str, file: str) -> ModuleType:
-    return _made(_OWN + hash_of(text), text, file)
+    return _executed(_OWN + hash_of(text), text, file)
 
 
 def defined_in(module: ModuleType, name: str, file: str) -> Any:
-    """Return a class or function defined in a module.
-
-    An imported one does not count.
+    """Return a class or function defined, not imported, in a module.
 
     Raises:
         ParameterError: If there is no such name.
     """
-    found = getattr(module, name, None)
-    if getattr(found, "__module__", None) != module.__name__:
+    value = getattr(module, name, None)
+    if getattr(value, "__module__", None) != module.__name__:
         raise ParameterError(f"{file} must define {name}")
-    return found
+    return value
 
 
 def scene_again(reference: str, values: Mapping[str, Any]) -> Scene:
@@ -166,50 +151,48 @@ def scene_again(reference: str, values: Mapping[str, Any]) -> Scene:
     return cls.from_json(values)
 
 
-def _in_module(place: str) -> type[Scene]:
-    found: type[Scene] = loaded(place)
-    return found
+def _in_module(path: str) -> type[Scene]:
+    cls: type[Scene] = loaded(path)
+    return cls
 
 
 def _installed(entry: Any) -> type[Scene]:
     try:
-        found = entry.load()
+        cls = entry.load()
     except Exception as error:
-        raise ParameterError(f"scene {entry.name} of {entry.value} cannot be loaded: {_said(error)}") from error
-    if not (isinstance(found, type) and issubclass(found, Scene)):
-        raise ParameterError(f"scene {entry.name} of {entry.value} must be a class of Scene, not {found!r}")
-    return found
+        raise ParameterError(f"scene {entry.name} of {entry.value} cannot be loaded: {_message(error)}") from error
+    if not (isinstance(cls, type) and issubclass(cls, Scene)):
+        raise ParameterError(f"scene {entry.name} of {entry.value} must be a subclass of Scene (got {cls!r})")
+    return cls
 
 
 def class_in_file(text: str, base: type[T]) -> type[T]:
-    """Return the class of a kind in a file.
-
-    The file is run, as Python would run it.
+    """Return a subclass defined in a file, which is executed.
 
     Args:
-        text: FILE.py, or FILE.py:CLASS if the file has several.
+        text: FILE.py, or FILE.py:CLASS if the file defines several.
         base: Its base class, such as `Scene` or `Law`.
 
     Raises:
         ParameterError: If there is no such class, or the file cannot be read or fails.
     """
-    name, _, wanted = text.partition(".py:") if ".py:" in text else (text.removesuffix(".py"), "", "")
+    name, _, class_name = text.partition(".py:") if ".py:" in text else (text.removesuffix(".py"), "", "")
     path, kind = Path(f"{name}.py"), base.__name__
     if not path.is_file():
-        raise ParameterError(f"{kind.lower()} must be a file that is there, not {str(path)!r}")
-    found = _classes_of(_run(path.resolve(), path.stat().st_mtime_ns), base)
-    if wanted:
-        if wanted not in found:
-            raise ParameterError(not_one_of(f"{kind.lower()} of {path.name}", found or ["none"], wanted))
-        return found[wanted]
-    if len(found) != 1:
-        several = f"has {', '.join(found)}: name one as {path.name}:CLASS" if found else f"has no class of {kind}"
-        raise ParameterError(f"{kind.lower()} must be one of its file, but {path.name} {several}")
-    return next(iter(found.values()))
+        raise ParameterError(f"{kind.lower()} file {str(path)!r} does not exist")
+    classes = _classes_of(_run(path.resolve(), path.stat().st_mtime_ns), base)
+    if class_name:
+        if class_name not in classes:
+            raise ParameterError(not_one_of(f"{kind.lower()} of {path.name}", classes or ["none"], class_name))
+        return classes[class_name]
+    if len(classes) != 1:
+        several = f"several ({', '.join(classes)}); choose one as {path.name}:CLASS" if classes else f"no {kind}"
+        raise ParameterError(f"{path.name} defines {several}")
+    return next(iter(classes.values()))
 
 
 def _classes_of(module: ModuleType, base: type[T]) -> dict[str, type[T]]:
-    """Return the classes of a kind that a module defines, by name."""
+    """Return the subclasses defined in a module by name."""
     return {
         value.__name__: value
         for value in vars(module).values()
@@ -223,17 +206,17 @@ def _reduced(scene: Scene) -> Any:
 
 @lru_cache(maxsize=16)
 def _run(path: Path, written: int) -> ModuleType:
-    """Run a file as a module, again after each change."""
+    """Execute a file as a module, again after each change."""
     name = _OWN + hashlib.sha256(str(path).encode()).hexdigest()[:8] + "_" + path.stem
     sys.path.insert(0, str(path.parent))  # as with `python FILE`, for imports of files beside it
     try:
-        return _made(name, path.read_bytes(), str(path))
+        return _executed(name, path.read_bytes(), str(path))
     finally:
         sys.path.remove(str(path.parent))
 
 
-def _made(name: str, text: str | bytes, file: str) -> ModuleType:
-    """Run a file's text as a module."""
+def _executed(name: str, text: str | bytes, file: str) -> ModuleType:
+    """Execute a file's text as a module."""
     module, before = ModuleType(name), sys.modules.get(name)
     module.__file__ = file
     sys.modules[name] = module
@@ -245,29 +228,29 @@ def _made(name: str, text: str | bytes, file: str) -> ModuleType:
             copyreg.pickle(cls, _reduced)  # no other process has this module
     except Exception as error:
         del sys.modules[name]
-        if before is not None:  # whose scenes go on
+        if before is not None:  # its scenes may still be in use
             sys.modules[name] = before
-        raise ParameterError(f"file {Path(file).name} cannot be read: {_said(error)}") from error
+        raise ParameterError(f"file {Path(file).name} cannot be read: {_message(error)}") from error
     return module
 
 
 def recorded_scene(name: Any, values: Mapping[str, Any], own: type[Scene] | None = None) -> Scene:
-    """Return the scene named by a recording; code of others is never run.
+    """Return the scene named by a recording, without executing recorded code.
 
     Args:
         name: Its name.
         values: Its parameters.
-        own: Its class if it is not of this package.
+        own: Its class if it is not built in.
 
     Raises:
         ParameterError: If there is no such scene here, or a value is outside its bounds.
     """
-    if isinstance(name, str) and name in BUILT_IN:  # of a file it may be anything
+    if isinstance(name, str) and name in BUILT_IN:  # a file may contain anything
         return find_scene(name).from_json(values)
     if own is None:
         raise ParameterError(not_one_of("scene", BUILT_IN, name))
     return own.from_json(values)
 
 
-def _said(error: Exception) -> str:
+def _message(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -16,10 +16,7 @@ from maglev_mj.spec import INERTIA
 
 
 class _Body(Scene):
-    """Scene with a run that ends at a sample.
-
-    There is no extra sample if the end coincides with one.
-    """
+    """Scene whose run has no extra sample if its end coincides with one."""
 
     takes_phase: ClassVar[bool] = False
 
@@ -33,10 +30,7 @@ class _Body(Scene):
 
 
 class Twist(_Body):
-    """A free flotor rotating at 3.7 rad/s.
-
-    The rotation is about all three axes.
-    """
+    """Free flotor rotating at 3.7 rad/s about all three axes."""
 
     figures: ClassVar = ("peak_speed", "final_position")
     shown_axis: ClassVar[str] = "rx"
@@ -50,31 +44,25 @@ class Twist(_Body):
 
     def describe(self) -> str:
         """Return a one-line description."""
-        return "a free flotor that turns at 3.7 rad/s about all three axes"
+        return "free flotor rotating at 3.7 rad/s about all three axes"
 
 
 class LetGo(_Body):
-    """The flotor falls on its stop, without currents.
-
-    It starts at the centre.
-    """
+    """Fall of the flotor from the centre on its stop, without currents."""
 
     figures: ClassVar = ("peak_speed", "final_position")
     tolerance: ClassVar[float] = 1e-4
-    tolerance_reason: ClassVar[str] = "well below the 0.5 mm over which the stop gives"
+    tolerance_reason: ClassVar[str] = "well below the 0.5 mm compression of the stop"
 
     duration: float = param("simulated time", "s", default=0.08, above=0.0, at_most=1e6)
 
     def describe(self) -> str:
         """Return a one-line description."""
-        return "the currents off at centre: the flotor falls on its stop"
+        return "currents off at the centre: the flotor falls on its stop"
 
 
 def _soft(gain: str) -> Callable[[Any], float]:
-    """Return a function that derives a soft hold's gain.
-
-    The hold is that of `Hold.critically_damped`.
-    """
+    """Return a function that derives a gain of `Hold.critically_damped`."""
 
     def derived(scene: SixAxes) -> float:
         soft = Hold.critically_damped("x", inertia=INERTIA[0], period=scene.period, delay=scene.delay)
@@ -86,7 +74,7 @@ def _soft(gain: str) -> Callable[[Any], float]:
 class SixAxes(_Body):
     """PD centring of the flotor on all six axes.
 
-    The gains of rotations are those of translations times the square of the radius of gyration.
+    Rotational gains are the translational ones times the square of the radius of gyration.
     """
 
     figures: ClassVar = ("peak_speed", "final_position", "ripple")
@@ -106,13 +94,10 @@ class SixAxes(_Body):
         return [Hold(stiffness=self.stiffness * share, damping=self.damping * share)]
 
     def start(self) -> Start:
-        """Return a flotor displaced on all six axes.
-
-        Its weight is compensated.
-        """
+        """Return a flotor displaced on all six axes, its weight compensated."""
         return Start(pose=(0.003, -0.002, 0.003, 0.06, -0.04, 0.05), gravity=0.0)
 
     def describe(self) -> str:
         """Return a one-line description."""
         gains = f"{self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
-        return f"drawn back to the centre from 3 mm and 3.4 degrees on all six axes, by {gains}"
+        return f"PD centring from 3 mm and 3.4 degrees on all six axes, {gains}"

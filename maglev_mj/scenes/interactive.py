@@ -1,4 +1,4 @@
-"""Interactive scenes: the joystick, a box, a corner, a table; walls, friction and springs by inertia."""
+"""Interactive scenes (joystick, table, box, corner); walls, friction and springs scaled by inertia."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MASS = Spec.moving_mass.value
 """Moving mass [kg]."""
 
 INERTIA = np.array(spec.INERTIA)
-"""Mass and moments of inertia [kg, kg m²], six."""
+"""Mass and moments of inertia [kg, kg m²], (6,)."""
 
 WEIGHT = (0.0, 0.0, MASS * GRAVITY, 0.0, 0.0, 0.0)
 """Wrench that compensates the flotor's weight [N, N m]."""
@@ -37,35 +37,28 @@ _GATE = 0.02
 
 
 def _share(axes: str | Sequence[str]) -> Array:
-    """Return inertia over mass for each axis.
-
-    Gains scaled by it give rotations the same response as translations.
-    """
+    """Return inertia over mass per axis: gains scaled by it give rotations the response of translations."""
     return np.asarray(INERTIA[list(axis_indices(axes))] / MASS)
 
 
 def shared(scene: InteractiveScene) -> InteractiveScene:
-    """Return the scene with gains shared by walls and friction.
+    """Return the scene with its gains halved if walls and friction are both on.
 
-    If both are on, each gets half the gains, because they may act on the same axis.
-
-    The delay limits the sum of their stiffnesses.
+    Both may act on the same axis, and the delay limits the sum of their stiffnesses.
     """
     if not (scene.wall and scene.friction):
         return scene
-    # half of the least stiffness is below a scene's bound
+    # clamp: half of the least stiffness is below the parameter's bound
     return scene.replace(stiffness=max(0.5 * scene.stiffness, LEAST_STIFFNESS), damping=0.5 * scene.damping)
 
 
 def wall(
     scene: InteractiveScene, axes: str | Sequence[str], *, lower: ArrayLike = -math.inf, upper: ArrayLike = math.inf
 ) -> Wall:
-    """Return walls with the scene's gains and a braking pulse.
+    """Return walls with the scene's gains and a braking pulse that absorbs the momentum at entry.
 
-    The pulse takes up the momentum at entry.
-
-    The pulse lasts the same share of the period as the paper's, 3 ms of 5 ms. It is given from an approach speed of
-    20 mm/s on: below that it would cause rattling.
+    The pulse lasts the same fraction of the period as the paper's, 3 ms of 5 ms. Its gate is 20 mm/s: slower approaches
+    would rattle.
 
     Args:
         scene: Gains, period, and pulse switch.
@@ -89,10 +82,7 @@ def wall(
 
 
 def walls(scene: InteractiveScene, faces: Sequence[Face]) -> list[Law]:
-    """Return walls at given faces with the scene's gains.
-
-    See `wall`.
-    """
+    """Return walls at faces with the scene's gains; see `wall`."""
     lower = {axis: edge for axis, normal, edge in faces if normal > 0}
     upper = {axis: edge for axis, normal, edge in faces if normal < 0}
     axes = [axis for axis in AXES if axis in lower or axis in upper]
@@ -105,17 +95,14 @@ def walls(scene: InteractiveScene, faces: Sequence[Face]) -> list[Law]:
 def contacts(
     scene: InteractiveScene, axes: str | Sequence[str], *, lower: ArrayLike = -math.inf, upper: ArrayLike = math.inf
 ) -> list[Law]:
-    """Return the walls and friction that are switched on.
-
-    Walls are on the given axes, friction on all; they share the gains.
-    """
+    """Return the enabled walls, on some axes, and friction, on all; see `shared`."""
     gains = shared(scene)
     walls = [wall(gains, axes, lower=lower, upper=upper)] if scene.wall else []
     return [*walls, friction(gains)] if scene.friction else [*walls]
 
 
 def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupled: bool = False) -> StickSlip:
-    """Return stick-slip friction, independent or coupled per axis.
+    """Return stick-slip friction, per axis or coupled.
 
     Args:
         scene: Gains.
@@ -135,62 +122,55 @@ def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupl
 
 
 def spring(axes: str | Sequence[str], *, stiffness: float, damping: float, target: ArrayLike = 0.0) -> Hold:
-    """Return a soft spring and damper, scaled by inertia.
-
-    The gains are those of a translation [N/m, N s/m].
-    """
+    """Return a soft spring and damper; translational gains [N/m, N s/m] are scaled by inertia."""
     share = _share(axes)
     return Hold(axes=axes, stiffness=stiffness * share, damping=damping * share, target=target)
 
 
 def weight(scene: InteractiveScene) -> list[Bias]:
-    """Return the weight compensation, if switched on."""
+    """Return the weight compensation, if enabled."""
     return [Bias(WEIGHT)] if scene.weightless else []
 
 
 Face: TypeAlias = tuple[str, int, float]
-"""Wall: axis name, normal (1 or -1), edge [m, rad].
-
-The axis is free on the normal's side.
-"""
+"""Wall: axis name, normal (1 or -1, towards the free side), edge [m, rad]."""
 
 _UNSCRIPTED, _TAIL = 0.6, 0.4
 _PROGRAMS_ONLY = Turn()
 
 
 def _faces(walls: Any) -> tuple[Face, ...]:
-    """Return checked walls."""
     if isinstance(walls, str) or not isinstance(walls, Sequence):
-        raise ParameterError(f"walls must be a list of an axis, a normal and an edge each, not {walls!r}")
+        raise ParameterError(f"walls must be a list of [axis, normal, edge] (got {walls!r})")
     faces: dict[tuple[str, int], Face] = {}
     for wall in walls:
         if isinstance(wall, str) or not isinstance(wall, Sequence) or len(wall) != 3:
-            raise ParameterError(f"a wall must be an axis, a normal and an edge, not {wall!r}")
+            raise ParameterError(f"a wall must be [axis, normal, edge] (got {wall!r})")
         axis, normal, edge = wall
         check_one_of("a wall's axis", AXES, axis)
         if isinstance(normal, bool) or normal not in (1, -1):
-            raise ParameterError(f"a wall's normal must be 1 or -1, not {normal!r}")
+            raise ParameterError(f"a wall's normal must be 1 or -1 (got {normal!r})")
         if (axis, normal) in faces:
-            raise ParameterError(f"walls must be one from each side of an axis, not two of normal {normal} on {axis}")
+            raise ParameterError(f"walls must have different axes or normals (got two of normal {normal} on {axis})")
         reach = RANGE[AXES.index(axis)]
         edge = number(f"a wall's edge on {axis}", edge, at_least=-reach, at_most=reach)
         faces[axis, int(normal)] = axis, int(normal), edge
     for axis in AXES:
         lower, upper = faces.get((axis, 1)), faces.get((axis, -1))
         if lower is not None and upper is not None and not lower[2] < upper[2]:
-            raise ParameterError(f"walls must leave room between them, not {lower[2]:g} to {upper[2]:g} on {axis}")
+            raise ParameterError(f"walls must leave a gap (got {lower[2]:g} to {upper[2]:g} on {axis})")
     return tuple(faces.values())
 
 
 class InteractiveScene(Scene):
     """Scene with walls, braking pulses and friction, adjustable while running.
 
-    Rotations get the gains at their radius of gyration.
+    Rotational gains are scaled by inertia.
 
     Class attributes:
         says: Short description.
         pose: Pose at the start [m, rad].
-        script: Trajectory of the scripted hand; None for none.
+        script: Trajectory of the scripted hand; None without a hand.
     """
 
     says: ClassVar[str] = ""
@@ -200,7 +180,7 @@ class InteractiveScene(Scene):
     wall: bool = param("walls", default=True, live=True)
     pulse: bool = param("braking pulses of the walls", default=True, live=True)
     friction: bool = param("stick-slip friction", default=False, live=True)
-    weightless: bool = param("currents that carry the flotor's weight", default=True, live=_PROGRAMS_ONLY)
+    weightless: bool = param("weight compensation", default=True, live=_PROGRAMS_ONLY)
     stiffness: float = param(
         "stiffness of walls and friction",
         "N/m",
@@ -220,10 +200,10 @@ class InteractiveScene(Scene):
     period: float = Scene.like("period", at_least=1e-4, at_most=0.1)
     delay: float = Scene.like("delay", at_most=0.1)
     breakaway: float = param(
-        "force at which friction breaks away", "N", default=2.0, at_least=0.01, at_most=50.0, live=_PROGRAMS_ONLY
+        "breakaway force of friction", "N", default=2.0, at_least=0.01, at_most=50.0, live=_PROGRAMS_ONLY
     )
     walls: Sequence[Face] | None = param(
-        "walls in place of the scene's own, at most one from each side of an axis",
+        "walls in place of the scene's own, at most one per side of an axis",
         default=None,
         optional=True,
         parse=_faces,
@@ -235,10 +215,7 @@ class InteractiveScene(Scene):
         raise ParameterError(f"{named(type(self))} must define own_laws()")
 
     def laws(self) -> list[Law]:
-        """Return the laws with the present walls.
-
-        These are the scene's own, or those set by another program.
-        """
+        """Return the laws, with `walls` in place of the scene's own if set."""
         laws = self.own_laws()
         if self.walls is None or not self.wall:
             return laws
@@ -247,14 +224,11 @@ class InteractiveScene(Scene):
         return [law for law in laws if not law.faces()] + walls(gains, self.walls)
 
     def start(self) -> Start:
-        """Return a flotor at rest.
-
-        The currents carry its weight if `weightless`.
-        """
+        """Return a flotor at rest, its weight compensated if `weightless`."""
         return Start(pose=self.pose, wrench=WEIGHT if self.weightless else ZERO)
 
     def scripted_hand(self, phase: float = 0.0) -> SpringHand | None:
-        """Return a hand that follows the script."""
+        """Return a hand that follows the script, if there is one."""
         return None if self.script is None else SpringHand(target=self.script)
 
     def describe(self) -> str:
@@ -263,7 +237,7 @@ class InteractiveScene(Scene):
 
     @property
     def end(self) -> float:
-        """End of the script with its last movement [s]."""
+        """End of the script and of the motion after it [s]."""
         return _UNSCRIPTED if self.script is None else self.script.end + _TAIL
 
 
@@ -275,9 +249,9 @@ _EDGES = (0.0035,) * 3 + (math.radians(4.5),) * 3
 
 
 class Joystick(InteractiveScene):
-    """A joystick in a box of walls."""
+    """Joystick in a box of walls."""
 
-    says: ClassVar = "soft centring on six axes in a box of walls; friction on a key"
+    says: ClassVar = "soft centring on six axes in a box of walls; optional friction"
     model: ClassVar = "scenes/joystick"
     shown_axis: ClassVar = "x"
     script: ClassVar = Trajectory(
@@ -305,9 +279,9 @@ class Joystick(InteractiveScene):
 
 
 class Table(InteractiveScene):
-    """A block with friction on a table (figures 8, 9)."""
+    """Block with friction on a table (figures 8, 9)."""
 
-    says: ClassVar = "a block with dry friction on a table (figures 8 and 9)"
+    says: ClassVar = "block with dry friction on a table (figures 8 and 9)"
     model: ClassVar = "scenes/table"
     shown_axis: ClassVar = "x"
     script: ClassVar = Trajectory(
@@ -329,13 +303,13 @@ class Table(InteractiveScene):
 _AIR = 1.0
 
 BOX_WALLS = (0.003,) * 3 + (math.radians(4.0),) * 3
-"""Distance of each wall from the centre [m, rad]."""
+"""Distances of the walls from the centre [m, rad], (6,)."""
 
 
 class Box(InteractiveScene):
-    """A box of stiff walls on all six axes."""
+    """Box of stiff walls on all six axes."""
 
-    says: ClassVar = "a box of walls on all six axes"
+    says: ClassVar = "box of walls on all six axes"
     model: ClassVar = "scenes/box"
     shown_axis: ClassVar = "x"
     script: ClassVar = Trajectory(
@@ -365,9 +339,9 @@ _INTO = ("x", "z", "ry")
 
 
 class Corner(InteractiveScene):
-    """A corner of two walls and a rotation stop."""
+    """Corner of two walls and a rotation stop."""
 
-    says: ClassVar = "drawn into a corner of two walls, and a stop for a rotation"
+    says: ClassVar = "spring into a corner of two walls and a rotation stop"
     model: ClassVar = "scenes/corner"
     pose: ClassVar = (0.003, 0.0, 0.003, 0.0, 0.04, 0.0)
     script: ClassVar = Trajectory(
@@ -380,7 +354,7 @@ class Corner(InteractiveScene):
 
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
-        # a press of 0.4 N at the walls, and as much acceleration at the stop
+        # presses the walls with 0.4 N, and the stop with the same acceleration
         target = np.isin(AXES, _INTO) * -2e-3
         soft = spring(AXES, stiffness=200.0, damping=4.0, target=target)
         return [*weight(self), soft, *contacts(self, _INTO, lower=0.0)]

@@ -1,7 +1,4 @@
-"""Names of scenes, without loading the scenes.
-
-They are those of this package and of other packages.
-"""
+"""Names of built-in and installed scenes, without loading them."""
 
 from __future__ import annotations
 
@@ -27,19 +24,16 @@ BUILT_IN: Mapping[str, str] = {
     "six-axes": "maglev_mj.scenes.free:SixAxes",
     "wall": "maglev_mj.studies.stability_map:RestingWall",
 }
-"""Built-in scenes: name -> module and class.
-
-The order is that in which a key steps through them.
-"""
+"""Built-in scenes: name -> module and class, in the order of the viewer's key."""
 
 
 def installed_scenes() -> EntryPoints:
     """Return the entry points of other packages' scenes."""
-    from importlib.metadata import entry_points  # slow to load: as long as a whole command line takes
+    from importlib.metadata import entry_points  # slow to load
 
     return entry_points(group=GROUP)
 
 
 def scene_names() -> list[str]:
-    """Return all scene names, those of this package first."""
+    """Return all scene names, built-in ones first."""
     return [*BUILT_IN, *sorted(set(installed_scenes().names) - set(BUILT_IN))]

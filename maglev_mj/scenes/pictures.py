@@ -13,7 +13,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.pictures import HEAD, SHADE, TITLE, broken, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.results import RunResult, Variants, share_below
+from maglev_mj.scenes.results import RunResult, Variants, figure_head, percentile_rank
 from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.spec import Spec
 
@@ -23,7 +23,7 @@ _NAMES = {"z": "height"}
 
 
 def series(variants: Variants) -> Any:
-    """Draw each series over time, one line a run.
+    """Draw each series over time, one line per run.
 
     Args:
         variants: The runs.
@@ -38,7 +38,7 @@ def series(variants: Variants) -> Any:
     scene = result.scene
     figure.axes[0].set_title(
         f"{scene.name}, axis {scene.axis}, {1.0 / scene.period:g} Hz, delay {scene.delay * 1e3:g} ms"
-        f"{f', phase {result.phase:g}' * scene.takes_phase} ({result.plant})",
+        f"{f', sampling phase {result.phase:g}' * scene.takes_phase}, plant {result.plant}",
         **TITLE,
     )
     if len(variants.runs) > 1:
@@ -47,32 +47,30 @@ def series(variants: Variants) -> Any:
 
 
 def _over_time(runs: Mapping[str, RunResult], named: Mapping[str, str], **options: Any) -> tuple[Any, dict[str, Any]]:
-    """Return a figure of series over time, one line a run, and its panels.
-
-    Lengths and angles are in mm and mrad.
+    """Return a figure of series over time, one line per run, and its panels; in mm and mrad.
 
     Args:
         runs: The runs.
-        named: Names of the series, by label.
+        named: Names of the series by label.
         options: See `new_grid`.
     """
-    shown = [one.series(_FINE) for one in runs.values()]
-    found = {}
+    motions = [result.series(_FINE) for result in runs.values()]
+    quantities = {}
     for label, name in named.items():
         unit = next(iter(runs.values())).units.get(name, "")
         scale, prefix = (1e3, "m") if unit in ("m", "rad", "m/s", "rad/s") else (1.0, "")
-        found[label] = [scale * one[name] for one in shown], prefix + unit
-    figure, panels = new_grid(found, "time (s)", high=_MOST_PANELS, more=1.2, **options)
+        quantities[label] = [scale * motion[name] for motion in motions], prefix + unit
+    figure, panels = new_grid(quantities, "time (s)", high=_MOST_PANELS, more=1.2, **options)
     for name, panel in panels.items():
-        for place, (label, one, values) in enumerate(zip(runs, shown, found[name][0], strict=True)):
-            style = line_style(place) | {"label": label, "zorder": 4.0 - 0.01 * place}
-            panel.plot(one["time"], values, drawstyle="steps-post" if "force" in name else "default", **style)
-    panel.set_xlim(0.0, max(float(shown[0]["time"][-1]), _FINE))
+        for index, (label, motion, values) in enumerate(zip(runs, motions, quantities[name][0], strict=True)):
+            style = line_style(index) | {"label": label, "zorder": 4.0 - 0.01 * index}
+            panel.plot(motion["time"], values, drawstyle="steps-post" if "force" in name else "default", **style)
+    panel.set_xlim(0.0, max(float(motions[0]["time"][-1]), _FINE))
     return figure, panels
 
 
 def first_contact(variants: Variants) -> Any:
-    """Draw each series around the first contact with a wall at 0, one line a run.
+    """Draw each series around the first contact with a wall at 0, one line per run.
 
     Args:
         variants: The runs.
@@ -81,13 +79,14 @@ def first_contact(variants: Variants) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     figure = series(variants)
-    begin = min(float(one.line.time[np.argmax(one.line.pose[:, 0] <= 0.0)]) for one in variants.runs.values())
+    lines = [result.line for result in variants.runs.values()]
+    begin = min(float(line.time[np.argmax(line.pose[:, 0] <= 0.0)]) for line in lines)
     figure.axes[0].set_xlim(max(begin - 0.01, 0.0), begin + 0.15)
     return figure
 
 
 def spread(variants: Variants) -> Any:
-    """Draw each figure over the sampling phase, but for those that are flat.
+    """Draw each figure over the sampling phase, except constant ones.
 
     Args:
         variants: The runs, with their phases or bands.
@@ -97,21 +96,21 @@ def spread(variants: Variants) -> Any:
         ParameterError: If there are neither phases nor bands, or no figures.
     """
     scene = variants.first.scene
-    shown = variants.phases or {label: band.over_phases() for label, band in variants.bands.items()}
-    if not shown:
-        raise ParameterError("phases must be run for their picture: see run_phases")
+    swept = variants.phases or {label: band.over_phases() for label, band in variants.bands.items()}
+    if not swept:
+        raise ParameterError("this picture needs sampling phases: see run_phases")
     if not scene.figures:
-        raise ParameterError(f"phases have no picture: {scene.name} has no figures to draw")
-    found = {}
-    for name, one in scene.figures.items():
-        values = [one.scale * np.asarray(by.figures[name], dtype=np.float64) for by in shown.values()]
-        found[name] = values, unit_of(one.unit, scene.axis, one.along)
-    figure, panels = new_grid(found, "phase of the first sample")
+        raise ParameterError(f"this picture needs figures: {scene.name} has none")
+    quantities = {}
+    for name, definition in scene.figures.items():
+        values = [definition.scale * np.asarray(each.figures[name], dtype=np.float64) for each in swept.values()]
+        quantities[figure_head(name)] = values, unit_of(definition.unit, scene.axis, definition.along)
+    figure, panels = new_grid(quantities, "sampling phase")
     for name, panel in panels.items():
-        for place, (label, by, values) in enumerate(zip(shown, shown.values(), found[name][0])):
-            lines = panel.plot(*broken(by.phases, values.reshape(len(by.phases), -1)), **line_style(place))
-            lines[0].set_label(label if len(shown) > 1 else None)
-        if name == "peak_force" and scene.axis == "z":
+        for index, (label, each, values) in enumerate(zip(swept, swept.values(), quantities[name][0])):
+            lines = panel.plot(*broken(each.phases, values.reshape(len(each.phases), -1)), **line_style(index))
+            lines[0].set_label(label if len(swept) > 1 else None)
+        if name == figure_head("peak_force") and scene.axis == "z":
             panel.axhline(Spec.largest_vertical_force.value, **_LIMIT)
         panel.set_xlim(0.0, 1.0)
     name_curves(figure, figure.axes)
@@ -119,10 +118,10 @@ def spread(variants: Variants) -> Any:
 
 
 def time_series(variants: Variants) -> Any:
-    """Draw position and force over time, as figure 3 does.
+    """Draw position and force over time (figure 3).
 
-    One column for each drop with a pulse; a drop without one and the analog wall stand in all of them. A band
-    holds the drop at every phase of the sampler.
+    One column for each drop with a pulse, each with the drop without a pulse and the analog wall. Bands are the range
+    over the sampling phase.
 
     Args:
         variants: The drops, with their bands if there are any.
@@ -137,16 +136,16 @@ def time_series(variants: Variants) -> Any:
         lower.axhline(Spec.largest_vertical_force.value, **_LIMIT)
         lower.set_xlabel("time after release (s)")
     heights[0].set(ylim=(bottom, None), ylabel="height above the wall (mm)")
-    forces[0].set_ylabel("force on the flotor (N)")
+    forces[0].set_ylabel("actuator force (N)")
     name_curves(figure, forces)
     return figure
 
 
 def phase_plane(variants: Variants) -> Any:
-    """Draw velocity over position beside the analog wall (figure 4).
+    """Draw velocity over position (figure 4).
 
-    One panel for each drop with a pulse; a drop without one and the analog wall stand in all of them. Thin lines
-    are the drop at other phases of the sampler.
+    One panel for each drop with a pulse, each with the drop without a pulse and the analog wall. Thin lines are other
+    sampling phases.
 
     Args:
         variants: The drops, with their bands if there are any.
@@ -165,7 +164,7 @@ def phase_plane(variants: Variants) -> Any:
 
 
 def _draw_drops(variants: Variants, pairs: Sequence[tuple[int, int]], height: float) -> tuple[Any, list[list[Any]]]:
-    """Draw drops and bands, a row for each abscissa and ordinate; return the rows."""
+    """Draw drops and bands, one row for each abscissa and ordinate, and return the rows."""
     time = _times(variants)
     columns = _columns(variants, time)
     figure, panels = new_figure(len(pairs), len(columns), height, sharex=True, sharey="row")
@@ -192,20 +191,20 @@ def _draw_drops(variants: Variants, pairs: Sequence[tuple[int, int]], height: fl
 
 _TIME, _HEIGHT, _VELOCITY, _FORCE = range(4)
 _AS_PIXELS = {"rasterized": True}
-"""Of a band of many curves, which would be megabytes of an SVG."""
+"""Rasterise the curves of a band, which would take megabytes in an SVG."""
 
 _IDEAL: dict[str, Any] = {"color": REFERENCE, "linestyle": ":", "linewidth": 1.8}
-_ANALOG: dict[str, Any] = _IDEAL | {"label": "analog wall, 10 kHz filter"}
+_ANALOG: dict[str, Any] = _IDEAL | {"label": "analog wall, 10 kHz low-pass"}
 _LIMIT: dict[str, Any] = {
     "color": "black",
     "linestyle": (0, (6, 3)),
     "linewidth": 1.0,
-    "label": f"{Spec.largest_vertical_force.value:g} N, the device's largest",
+    "label": f"force limit, {Spec.largest_vertical_force.value:g} N",
 }
 
 
 def _published(scene: Any) -> tuple[float, float, float] | None:
-    """Return stiffness, damping and pulse of the published wall; None for another law."""
+    """Return stiffness, damping and pulse of the PD wall; None without one."""
     for law in scene.laws():
         if isinstance(law, Wall) and not any(map(np.ndim, gains := (law.stiffness, law.damping, law.pulse))):
             stiffness, damping, pulse = np.array(gains, dtype=np.float64).tolist()
@@ -214,13 +213,10 @@ def _published(scene: Any) -> tuple[float, float, float] | None:
 
 
 def _times(variants: Variants) -> Array:
-    """Return the times to draw [s].
-
-    Until all drops have settled, and half as long again.
-    """
+    """Return the times to draw [s], up to 1.5 times the longest settling time."""
     end: float = variants.first.scene.end
-    settling = [one.figures["settling_time"] for one in variants.runs.values()]
-    settled = 1.5 * float(np.max(settling))  # NaN if one never does
+    settling = [result.figures["settling_time"] for result in variants.runs.values()]
+    settled = 1.5 * float(np.max(settling))  # NaN if one does not settle
     return np.linspace(0.0, settled if settled < end else end, _POINTS)
 
 
@@ -228,7 +224,7 @@ _Motion: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 class _Drop(NamedTuple):
-    """Drop alone and at N phases: time [s], z [mm], velocity [m/s], force [N]."""
+    """Single drop and band over the sampling phase: time [s], z [mm], velocity [m/s], force [N]."""
 
     scene: Drop
     style: dict[str, Any]
@@ -237,11 +233,11 @@ class _Drop(NamedTuple):
 
 
 def _columns(variants: Variants, time: Array) -> list[list[_Drop]]:
-    """Return the drops of each column, pulsed ones first."""
+    """Return the drops of each column, those with a pulse first."""
     pulsed: list[_Drop] = []
     plain: list[_Drop] = []
-    for place, (label, result) in enumerate(variants.runs.items()):
-        style = line_style(place) | {"label": label, "linewidth": 1.8, "zorder": 4.0 - 0.01 * place}
+    for index, (label, result) in enumerate(variants.runs.items()):
+        style = line_style(index) | {"label": label, "linewidth": 1.8, "zorder": 4.0 - 0.01 * index}
         band = _in_mm(time, *variants.bands[label].motion(time)) if label in variants.bands else None
         drop = _Drop(result.scene, style, _in_mm(time, *result.motion(time)), band)
         has_pulse = (_published(result.scene) or (0.0,))[-1] > 0.0
@@ -254,42 +250,38 @@ def _in_mm(time: Array, z: Array, velocity: Array, force: Array) -> _Motion:
 
 
 def _analog(scene: Drop, time: Array) -> _Motion | None:
-    """Return the drop on the analog wall.
-
-    None for a wall without stiffness.
-    """
+    """Return the drop on the analog wall; None without stiffness."""
     return _in_mm(time, *scene.analog(time)) if scene.stiffness else None
 
 
 def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]], variants: Variants) -> None:
-    """Add the titles, which name the phase of the lines."""
+    """Add the titles."""
     for panel, (drop, *others) in zip(tops, columns, strict=True):
         wall = _published(drop.scene)
-        if wall is not None and (wall[2] > 0.0 or not others):  # else the legend names them all
-            panel.set_title(f"{drop.style['label']}: {wall[1] + wall[2]:g} N s/m", fontweight="bold", **TITLE)
+        if wall is not None and (wall[2] > 0.0 or not others):  # otherwise the legend is enough
+            panel.set_title(drop.style["label"], fontweight="bold", **TITLE)
     p, label = columns[0][0].scene, columns[0][0].style["label"]
     result, shaded = variants.runs[label], ""
     if (band := variants.bands.get(label)) is not None:
-        share = 100.0 * share_below(band.figures["penetration"], result.figures["penetration"])
-        shaded = f", deeper than {share:.0f} % of the phases; shaded: all of {len(band.phase)} phases"
-    figure.suptitle(f"{p.height * 1e3:g} mm drop, {_loop_of(variants)}\nlines: phase {result.phase:g}{shaded}", **HEAD)
+        rank = percentile_rank(band.figures["penetration"], result.figures["penetration"])
+        shaded = f" ({rank} of depth); band: {len(band.phase)} phases"
+    lines = f"lines: sampling phase {result.phase:g}{shaded}"
+    figure.suptitle(f"{p.height * 1e3:g} mm drop, {_loop_of(variants)}\n{lines}", **HEAD)
 
 
 def _loop_of(variants: Variants) -> str:
-    """Return gains and stability of the wall that all scenes have, then timing, limit and plant."""
-    scenes, wall = [one.scene for one in variants.runs.values()], ""
+    """Return gains and stability of the wall if common to all scenes, then timing, force limit and plant."""
+    scenes, wall = [result.scene for result in variants.runs.values()], ""
     p, gains = scenes[0], {(_published(scene) or ())[:2] for scene in scenes}
     if len(gains) == 1 and (common := gains.pop()):
         margin = wall_margin(p, held=True)
-        wall = "wall of {:g} N/m and {:g} N s/m".format(*common) + (f" ({margin})\n" if margin else "\n")
-    limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
-    return f"{wall}{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({variants.first.plant})"
+        wall = "wall {:g} N/m, {:g} N s/m".format(*common) + (f" ({margin})\n" if margin else "\n")
+    limit = "" if p.force_limit is None else f", force limit {p.force_limit:g} N"
+    return f"{wall}{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit}, plant {variants.first.plant}"
 
 
 def figure_6(variants: Variants) -> Any:
-    """Draw position and control force over time (figure 6).
-
-    The hand's target is drawn too.
+    """Draw position, the hand's target, and actuator force over time (figure 6).
 
     Args:
         variants: The presses; the first is drawn in front.
@@ -298,45 +290,46 @@ def figure_6(variants: Variants) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     height = "height above the wall"
-    figure, panels = _over_time(variants.runs, {height: "z", "control force": "force"}, row=2.6, always=height)
+    figure, panels = _over_time(variants.runs, {height: "z", "actuator force": "force"}, row=2.6, always=height)
     upper, first = panels[height], variants.first
     bottom, top = upper.get_ylim()
     bottom = min(bottom, -0.5)
     p, pulled = first.scene, first.series(_FINE)
-    label = f"where the hand pulls to, down to {p.resting_point * 1e3:.1f} mm"
+    label = f"target of the hand, down to {p.resting_point * 1e3:.1f} mm"
     upper.plot(pulled["time"], pulled["target"] * 1e3, color=REFERENCE, linewidth=0.8, label=label)
     upper.axhspan(bottom, 0.0, **SHADE)
     upper.set_ylim(bottom, top)
     upper.text(0.008, 0.02, "wall", transform=upper.transAxes, color=REFERENCE, fontsize=9.0)
     name_curves(figure, [upper])
-    upper.set_title(f"hand {p.hand}, {p.press:g} N in the end\n{_loop_of(variants)}", **TITLE)
+    upper.set_title(f"hand: {p.hand}, final press {p.press:g} N\n{_loop_of(variants)}", **TITLE)
     return figure
 
 
 def stick_slip(variants: Variants) -> Any:
-    """Draw position and velocity against exact friction (figure 8).
+    """Draw position and velocity beside the exact motion (figure 8).
 
     Args:
-        variants: The pulls, the first of which is drawn.
+        variants: The runs; the first one is drawn.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     result = variants.first
     p, motion = result.scene, result.series(_FINE)
-    time, place = motion["time"], f"position along {p.axis}"
-    exact, named = p.exact(time), {place: "position", "velocity": "velocity"}
-    figure, panels = _over_time({f"{p.law}, {1.0 / p.period:g} Hz": result}, named, row=2.6, always=place)
-    upper = panels[place]
+    time, position = motion["time"], f"position along {p.axis}"
+    exact, named = p.exact(time), {position: "position", "velocity": "velocity"}
+    figure, panels = _over_time({f"{p.law}, {1.0 / p.period:g} Hz": result}, named, row=2.6, always=position)
+    upper = panels[position]
     anchor = np.where(motion["state"] == "stuck", motion["stick_position"], np.nan)
     upper.plot(time, anchor * 1e3, color=STUCK, linewidth=1.6, linestyle="--", label="stick position")
     upper.plot(time, exact.position * 1e3, label=f"{p.exact_name}, exact", **_IDEAL)
     if "velocity" in panels:
         panels["velocity"].plot(time, exact.velocity * 1e3, **_IDEAL)
     name_curves(figure, [upper])
+    stiff, damp, force = (unit_of(unit, p.axis) for unit in ("N/m", "N s/m", "N"))
     upper.set_title(
-        f"spring {p.spring:.4g}, breakaway {p.breakaway:.4g}, stiffness {p.stiffness:.4g}, damping {p.damping:.4g} "
-        f"(SI), delay {p.delay * 1e3:g} ms ({result.plant})",
+        f"spring {p.spring:.4g} {stiff}, breakaway {p.breakaway:.4g} {force}, delay {p.delay * 1e3:g} ms\n"
+        f"friction law {p.stiffness:.4g} {stiff}, {p.damping:.4g} {damp}, plant {result.plant}",
         **TITLE,
     )
     return figure

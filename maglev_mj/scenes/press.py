@@ -1,7 +1,4 @@
-"""Scene: a hand hits a wall, then presses.
-
-Figure 6 of Salcudean and Vlaar (1997).
-"""
+"""Scene: a hand hits a wall, then presses, figure 6 of Salcudean and Vlaar (1997)."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from maglev_mj.scenes.scene import Start
 from maglev_mj.scenes.wall_scene import WallScene, hold, others
 from maglev_mj.spec import ESCAPE
 
-# as shares of an interval: wait before the first stroke, and duration of each way
+# fractions of an interval: wait before the first stroke, and duration of a stroke down or up
 _WAIT, _WAY = 0.5, 0.25
 _LEAST_SAMPLES = 8
 _PRESSING = 1.0
@@ -32,30 +29,30 @@ class Press(WallScene):
     """Hit the wall several times, then press (figure 6).
 
     The muscles move the rest point of the arm's spring along z: for each hit from `height` down to `resting_point` and
-    back up within half an interval, and finally down to stay. Each way is a minimum-jerk trajectory. Impact speed and
-    rebound of the flotor follow from the arm's dynamics.
+    back within half an interval, and finally down. Strokes are minimum-jerk trajectories. Impact speed and rebound of
+    the flotor follow from the arm's dynamics.
 
-    The muscle force is held from sample to sample; mass, damping and stiffness of the hand act continuously.
-    Weight is compensated: there is no gravity. The five other axes are held.
+    The muscle force is constant from sample to sample; mass, damping and stiffness of the hand act continuously. The
+    weight is compensated, and the five other axes are held.
     """
 
-    title: ClassVar = "A hand hits the wall several times, then presses against it (figure 6)"
+    title: ClassVar = "Hit the wall several times, then press (figure 6)"
     model: ClassVar = "scenes/press"
     figures: ClassVar = {name: press_name(name) for name in PressSummary._fields}
     plots: ClassVar[Mapping[str, str]] = {"press": "maglev_mj.scenes.pictures:figure_6"}
 
     hand: str = param("arm, stylus, fingertip or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]", default="arm")
-    hits: int = param("how many hits", default=4, at_least=1, at_most=1000)
-    interval: float = param("from one hit to the next", "s", default=0.4, at_most=100.0)
-    height: float = param("height above the wall from which the hand hits", "m", default=0.003, above=0.0, below=ESCAPE)
-    press: float = param("force with which it presses in the end", "N", default=5.0, above=0.0, at_most=1e6)
-    # an eighth of the speed of a hit, and 20 times the apparent speed from one step of the device's sensor (5 µm): a
-    # hit gets its pulse, and a light press that noise lifts off the edge does not rattle
+    hits: int = param("number of hits", default=4, at_least=1, at_most=1000)
+    interval: float = param("interval between hits", "s", default=0.4, at_most=100.0)
+    height: float = param("start height of a hit above the wall", "m", default=0.003, above=0.0, below=ESCAPE)
+    press: float = param("force of the final press", "N", default=5.0, above=0.0, at_most=1e6)
+    # an eighth of the speed of a hit, and 20 times the apparent speed of one step of the device's sensor (5 µm): hits
+    # trigger a pulse, and a light press with noise at the edge does not rattle
     pulse_gate: float = param(
-        "approach speed from which on a pulse is given", "m/s", default=0.02, at_least=0.0, at_most=1e3
+        "least approach speed for a braking pulse", "m/s", default=0.02, at_least=0.0, at_most=1e3
     )
     duration: float = param(
-        "simulated time; one second from the hand's coming to its end",
+        "simulated time; by default 1 s from the start of the final press",
         "s",
         default=None,
         derive=lambda scene: scene.down + _PRESSING,
@@ -66,22 +63,19 @@ class Press(WallScene):
         """See `Scene`."""
         held = get_hand(self.hand)
         if held is None or not np.all(np.asarray(held.stiffness) > 0.0):
-            raise ParameterError(f"hand must have an arm of some stiffness, by which it presses, not {self.hand!r}")
+            raise ParameterError(f"hand must have a stiffness above 0, in order to press (got {self.hand!r})")
         number("stiffness", self.stiffness, above=0.0, at_most=1e8)
         super().check()
         if self.force_limit is not None and not self.press < self.force_limit:
             raise ParameterError(
-                f"press must be below the force_limit of {self.force_limit:g} N, or it goes through the wall, "
-                f"not {self.press:g}"
+                f"press must be below the force_limit of {self.force_limit:g} N, or it penetrates the wall "
+                f"(got {self.press:g})"
             )
         number("interval", self.interval, at_least=_LEAST_SAMPLES * self.period, at_most=100.0)
         number("duration", self.duration, above=self.down, at_most=1e5)
 
     def start(self) -> Start:
-        """Return a flotor at rest above the wall.
-
-        Its weight is compensated.
-        """
+        """Return a flotor at rest above the wall, its weight compensated."""
         return Start(pose=(0.0, 0.0, self.height, 0.0, 0.0, 0.0), gravity=0.0)
 
     def laws(self) -> list[Law]:
@@ -89,10 +83,7 @@ class Press(WallScene):
         return [self.wall(gate=self.pulse_gate), hold(self, others("z"), self.mass)]
 
     def timing(self, phase: Component = 0.0) -> Timing:
-        """Return a timing with samples from release on.
-
-        The phase shifts the hand's motion, because the hand holds the flotor all the time.
-        """
+        """Return a timing without phase, which shifts the hand's motion instead: the hand is always in contact."""
         return Timing(period=self.period, delay=self.delay)
 
     def scripted_hand(self, phase: float = 0.0) -> GuidedHand:
@@ -104,11 +95,9 @@ class Press(WallScene):
         return super().plant_options() | {"longest_step": self.longest_step}
 
     def longest_step(self, plant: object = None) -> float:
-        """Return the longest time between two states [s].
+        """Return the longest integration step [s]: 0.1 rad of the fastest mode of flotor and hand, at least 10 µs.
 
-        It is a tenth of a radian of the fastest mode of flotor and hand.
-
-        The recorded curve is then within a nanometre of the true one. The step has a lower bound of 10 µs.
+        The recorded curve is then within a nanometre of the exact one.
         """
         fastest = float(np.abs(np.linalg.eigvals(motion(self.mass, self.impedance)[0])).max())
         # the engine integrates the hand, the exact plant only records it
@@ -119,40 +108,34 @@ class Press(WallScene):
         """Return a one-line description."""
         wall = f"a wall of {self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
         hits = f"a hand ({self.hand}) hits {wall} from {self.height * 1e3:g} mm"
-        return f"{hits}, then presses by {self.press:g} N"
+        return f"{hits}, then presses with {self.press:g} N"
 
     @property
     def impedance(self) -> Hand:
         """Mass, damping and stiffness of the hand."""
         hand = get_hand(self.hand)
-        assert hand is not None  # checked when made
+        assert hand is not None  # see check()
         return hand
 
     @property
     def down(self) -> float:
-        """Latest time of the hand's arrival for the press [s]."""
+        """Latest start of the final press [s], over all phases."""
         return self.period + (_WAIT + self.hits + _WAY) * self.interval
 
     @property
     def resting_point(self) -> float:
-        """Rest point of the arm's spring in the press [m].
+        """Rest point of the arm's spring in the press [m]: -press (1/k_wall + 1/k_arm + 1/k_grip).
 
-        It is -press (1 / wall + 1 / arm + 1 / grip), of stiffnesses.
-
-        Wall, grip and arm are three springs in series, and each carries the same force. The wall deflects by
-        press / wall, a soft grip by press / grip, a rigid one by nothing; the rest is the arm's.
+        Wall, grip and arm are springs in series; a rigid grip has no deflection.
         """
         hand = self.impedance
         springs = [self.stiffness, hand.stiffness, *([] if hand.grip_stiffness is None else [hand.grip_stiffness])]
         return -self.press * sum(1.0 / float(np.asarray(spring)) for spring in springs)
 
     def strokes(self, phase: float) -> list[float]:
-        """Return the start times of the strokes [s].
-
-        (hits + 1,): those of the hits come first, then that of the press.
-        """
+        """Return the start times of the hits and of the press [s], (hits + 1,)."""
         begin = (1.0 - phase) * self.period
-        return [begin + (_WAIT + place) * self.interval for place in range(self.hits + 1)]
+        return [begin + (_WAIT + stroke) * self.interval for stroke in range(self.hits + 1)]
 
     def path(self, phase: float) -> Trajectory:
         """Return the trajectory of the arm's rest point."""
@@ -164,9 +147,6 @@ class Press(WallScene):
         return Trajectory(times[:-1], poses[:-1])
 
     def series(self, result: RunResult, time: Array) -> dict[str, Array]:
-        """Return height [m], actuator force [N], and target [m].
-
-        The target is the rest point of the arm's spring.
-        """
+        """Return height [m], actuator force [N], and rest point of the arm's spring as target [m]."""
         path = self.path(result.phase)
         return super().series(result, time) | {"target": np.array([path.at(instant)[2] for instant in time.tolist()])}

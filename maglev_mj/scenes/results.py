@@ -1,4 +1,4 @@
-"""Results of a scene: figures, one run, many phases, variants side by side."""
+"""Results of a scene: figures, one run, many sampling phases, variants side by side."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ _PREFIXES = {1e-3: "k", 1.0: "", 1e3: "m", 1e6: "µ"}
 _STEP = 1e-3
 _ROUNDING = 1.0 + 1e-9
 _UNITS = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "z": "m", "target": "m", "stick_position": "m"}
+_HEADS = {"final_z": "final height"}
 
 
 @dataclass(frozen=True)
@@ -33,14 +34,14 @@ class Figure:
     """One figure of a run.
 
     Attributes:
-        name: Its name.
+        name: Key in JSON.
         function: Function of a `RunResult` that returns a number, or a list of them; for a batch (..., N).
         unit: Unit in tables.
         help: Short description.
         scale: Factor from SI units to that unit.
-        batched: True if the function takes a batch of devices at once, with the same bits as one by one.
-        late: True if a missing figure counts as the largest in percentiles; otherwise it is left out.
-        along: True if it is along the scene's axis, with the unit of a translation; see `unit_of`.
+        batched: True if the function accepts a batch of devices, with results equal to the last bit.
+        late: True if NaN counts as the largest value in percentiles; otherwise it is ignored.
+        along: True for a figure along the scene's axis: the unit is that of a translation; see `unit_of`.
 
     Example:
         >>> from maglev_mj import find_scene, run
@@ -70,27 +71,21 @@ class Figure:
 
     @property
     def si_unit(self) -> str:
-        """SI unit of the function's values; empty if not known."""
+        """SI unit of the function's values; empty for a scale that is not a power of 1000."""
         prefix = _PREFIXES.get(self.scale)
         return "" if prefix is None else self.unit.removeprefix(prefix)
 
     def text(self, value: Any, *bounds: Any) -> str:
-        """Return one or several values, or a median with bounds.
-
-        Bounds only if they differ.
-        """
+        """Return one or several values, or a median with bounds if they differ."""
         values = np.atleast_1d(np.asarray(value, dtype=np.float64))
         if values.size > _MOST_SHOWN:
             return f"{self._number(values.min())} to {self._number(values.max())}"
-        text = "/".join(self._number(one) for one in values)
-        around = [self._number(bound) for bound in bounds]
-        return f"{text} ({around[0]} to {around[1]})" if len(set(around)) > 1 else text
+        text = "/".join(self._number(x) for x in values)
+        ends = [self._number(bound) for bound in bounds]
+        return f"{text} ({ends[0]} to {ends[1]})" if len(set(ends)) > 1 else text
 
     def spread(self, values: Any, shares: Iterable[float] = _SHARES) -> str:
-        """Return median and 5 to 95 %, or other percentiles, over phases.
-
-        Several hits are pooled.
-        """
+        """Return the median with 5th and 95th percentile, or other percentiles; several hits are pooled."""
         return self.text(*(self.percentile(np.ravel(values), share) for share in shares))
 
     def _number(self, value: float) -> str:
@@ -101,14 +96,14 @@ class Figure:
 
         Args:
             values: Figures of N runs, (N, ...).
-            share: Percentile in per cent.
+            share: Percentile, 0 to 100.
         """
         if self.late:
-            late = np.where(np.isnan(values), np.inf, values)
-            if np.isinf(np.percentile(late, share, method="higher")):
+            ranked = np.where(np.isnan(values), np.inf, values)
+            if np.isinf(np.percentile(ranked, share, method="higher")):
                 return np.array(np.nan)
-            # a missing figure keeps its rank without an effect on the interpolation
-            return np.asarray(np.percentile(np.where(np.isinf(late), np.finfo(float).max, late), share))
+            # finite, because infinity would make the interpolation NaN
+            return np.asarray(np.percentile(np.where(np.isinf(ranked), np.finfo(float).max, ranked), share))
 
         def finite_percentile(column: Array) -> float:
             finite = column[np.isfinite(column)]
@@ -126,7 +121,7 @@ def figure(
     late: bool = False,
     along: bool = False,
 ) -> Callable[[Callable[[RunResult], Any]], Figure]:
-    """Make a figure of a function; see `Figure`.
+    """Return a decorator that makes a `Figure` from a function.
 
     Example:
         >>> from maglev_mj import figure, find_scene, run
@@ -145,15 +140,15 @@ def figure(
 
 @dataclass(frozen=True, eq=False)
 class RunResult(Result):
-    """Result of one run or of a batch.
+    """Result of one run, or of a batch of N devices.
 
     Attributes:
         scene: The scene.
         plant: Name of the plant.
-        phase: Phase of the samples, a number or (N,).
-        trace: The motion along all axes.
-        sample_time: Time of each answered sample [s], (K,) or (K, N).
-        samples: Law signals from each sample on, by name, (K, ...).
+        phase: Sampling phase, a number or (N,).
+        trace: Motion on all axes.
+        sample_time: Time of each sample with a command [s], (K,) or (K, N).
+        samples: Law signals after each sample, by name, (K, ...).
 
     Example:
         >>> from maglev_mj import find_scene, run
@@ -173,25 +168,22 @@ class RunResult(Result):
 
     @cached_property
     def line(self) -> Trace:
-        """Motion along the scene's axis: the last dimension is 1."""
+        """Motion along the scene's axis; the last dimension is 1."""
         return self.trace.along(AXES.index(self.scene.axis))
 
     @cached_property
     def figures(self) -> Mapping[str, Any]:
         """The scene's figures by name."""
-        return {name: one(self) for name, one in self.scene.figures.items()}
+        return {name: figure(self) for name, figure in self.scene.figures.items()}
 
     def once(self, name: str, make: Callable[[RunResult], Any]) -> Any:
-        """Return a cached intermediate result of several figures."""
+        """Return an intermediate result shared by several figures, computed once."""
         if name not in self._known:
             self._known[name] = make(self)
         return self._known[name]
 
     def motion(self, time: Array) -> tuple[Array, Array, Array]:
-        """Return position, velocity and force along the scene's axis.
-
-        At times (M,), (M, ...) each.
-        """
+        """Return position, velocity and force along the scene's axis at times (M,), (M, ...) each."""
         pose, twist, wrench = self.line.at(time)
         return pose[..., 0], twist[..., 0], wrench[..., 0]
 
@@ -199,18 +191,15 @@ class RunResult(Result):
         """Return a time grid over the run [s], (M,).
 
         Raises:
-            ParameterError: If the step is not above 0, or the run is of several phases.
+            ParameterError: If the step is not above 0, or the result is a batch.
         """
         if np.ndim(self.phase):
-            raise ParameterError(f"result must be of one phase, as result[0] is, not of {len(self.phase)}")
+            raise ParameterError(f"result must be of one sampling phase, such as result[0] (got {len(self.phase)})")
         count = math.floor(float(self.trace.time[-1]) / number("step", step, above=0.0) + 1e-9) + 1
         return np.arange(count, dtype=np.float64) * step
 
     def series(self, step: float = _STEP) -> dict[str, Array]:
-        """Return time and the scene's series, by name.
-
-        On a grid of `step` [s], (M,) each.
-        """
+        """Return time and the scene's series by name on a grid of `step` [s], (M,) each."""
         time = self.times(step)
         return {"time": time, **self.scene.series(self, time)}
 
@@ -220,25 +209,25 @@ class RunResult(Result):
 
     @property
     def units(self) -> dict[str, str]:
-        """Unit of each column the package knows."""
+        """Unit of each predefined column."""
         return {name: unit_of(unit, self.scene.axis) for name, unit in _UNITS.items()}
 
     def plot(self, path: Path | None = None, picture: str | None = None) -> Any:
-        """Draw the run as its scene does; see `Variants.plot`.
+        """Draw the run with the plots of its scene; see `Variants.plot`.
 
         Raises:
-            ParameterError: If there is no such picture, or the run is of several phases.
+            ParameterError: If there is no such picture, or the result is a batch.
         """
-        self.times()  # several phases have no grid in common
+        self.times()  # raises for a batch, whose runs share no time grid
         return Variants({self.scene.name: self}).plot(path, picture)
 
     def table(self) -> Table:
-        """Return the figures and what exceeds the device; those of several phases as `Phases` does."""
+        """Return the figures with warnings; for a batch, the table of its `Phases`."""
         return self.over_phases().table() if np.ndim(self.phase) else Variants({self.scene.name: self}).table()
 
     def over_phases(self) -> Phases:
-        """Return the figures at each phase, a batch of one for a single phase."""
-        each = figures_of_each(self) if np.ndim(self.phase) else {name: [one] for name, one in self.figures.items()}
+        """Return the figures at each phase; a single run has one phase."""
+        each = figures_of_each(self) if np.ndim(self.phase) else {name: [x] for name, x in self.figures.items()}
         figures = {name: np.asarray(values) for name, values in each.items()}
         furthest = self.trace.furthest().reshape(-1, len(AXES))
         return Phases(self.scene, self.plant, np.atleast_1d(self.phase), figures, furthest)
@@ -255,28 +244,25 @@ class RunResult(Result):
         }
 
     def __getitem__(self, device: Any) -> RunResult:
-        """Return one device's run from a batch.
-
-        An array of indices returns the runs of several devices.
-        """
+        """Return one device's run from a batch, or a batch for an array of indices."""
         scene = self.scene[device] if hasattr(type(self.scene), "__getitem__") else self.scene
         phase = self.phase[device]
         parts = (part[:, device] for part in (self.trace.time, self.trace.pose, self.trace.twist, self.trace.wrench))
-        kept = {name: values[..., device] for name, values in self.samples.items()}
+        samples = {name: values[..., device] for name, values in self.samples.items()}
         time = self.sample_time[..., device] if self.sample_time.ndim > 1 else self.sample_time
-        return RunResult(scene, self.plant, phase if np.ndim(phase) else float(phase), Trace(*parts), time, kept)
+        return RunResult(scene, self.plant, phase if np.ndim(phase) else float(phase), Trace(*parts), time, samples)
 
 
 @dataclass(frozen=True, eq=False)
 class Phases(Result):
-    """Results of a scene at several phases.
+    """Results of a scene at several sampling phases.
 
     Attributes:
         scene: The scene.
         plant: Name of the plant.
-        phases: The phases, (N,).
+        phases: Sampling phases, (N,).
         figures: The scene's figures by name, (N, ...) each.
-        furthest: Greatest distance from the centre on each axis [m, rad], (N, 6).
+        furthest: Largest distance from the centre on each axis [m, rad], (N, 6).
 
     Example:
         >>> from maglev_mj import find_scene, run_phases
@@ -292,10 +278,7 @@ class Phases(Result):
     furthest: Array
 
     def columns(self) -> dict[str, Array]:
-        """Return phases and figures in SI units, (N,) each.
-
-        A figure of several hits has a column for each hit.
-        """
+        """Return phases and figures in SI units, (N,) each; a figure of several hits has a column per hit."""
         columns = {"phase": self.phases}
         for name, values in self.figures.items():
             rows = values.reshape(len(self.phases), -1)
@@ -307,11 +290,11 @@ class Phases(Result):
     def units(self) -> dict[str, str]:
         """Unit of each column."""
         named: Mapping[str, Figure] = self.scene.figures
-        units = {name: unit_of(one.si_unit, self.scene.axis, one.along) for name, one in named.items()}
+        units = {name: unit_of(figure.si_unit, self.scene.axis, figure.along) for name, figure in named.items()}
         return {column: units[column.partition(".")[0]] for column in self.columns() if column != "phase"}
 
     def plot(self, path: Path | None = None) -> Any:
-        """Draw each figure over the phase; see `Result.plot`.
+        """Draw each figure over the sampling phase; see `Result.plot`.
 
         Raises:
             ParameterError: If the scene has no figures.
@@ -321,11 +304,11 @@ class Phases(Result):
         return save(spread(Variants({}, {self.scene.name: self})), path)
 
     def table(self) -> Table:
-        """Return median and 5 to 95 % of each figure."""
+        """Return median, 5th and 95th percentile of each figure."""
         return Variants({}, {self.scene.name: self}).table()
 
     def percentile(self, share: float) -> dict[str, Array]:
-        """Return a percentile of each figure over the phases.
+        """Return a percentile of each figure over the sampling phases.
 
         Args:
             share: Percentile, 0 to 100.
@@ -338,11 +321,8 @@ class Phases(Result):
         return {name: named[name].percentile(values, share) for name, values in self.figures.items()}
 
     def as_json(self) -> dict[str, Any]:
-        """Return the figures at each phase, ready for JSON.
-
-        Their median, 5th and 95th percentile are included.
-        """
-        rows = [{name: values[place] for name, values in self.figures.items()} for place in range(len(self.phases))]
+        """Return the figures at each phase with their median, 5th and 95th percentile, ready for JSON."""
+        rows = [{name: values[index] for name, values in self.figures.items()} for index in range(len(self.phases))]
         settled = self.figures.get("settling_time")
         return {
             **({} if settled is None else {"settled": int(np.isfinite(settled).sum())}),
@@ -355,13 +335,13 @@ class Phases(Result):
 
 @dataclass(frozen=True, eq=False)
 class Variants(Result):
-    """Runs of a scene and of its variants, side by side.
+    """Runs of a scene and its variants, side by side.
 
     Attributes:
         runs: Run for each label, the scene itself first; empty for phases alone.
-        phases: Their figures at many phases; may be empty.
-        bands: Their motion at many phases, which pictures show around the runs; may be empty.
-        gap: Largest distance between the two plants in the first run [m, rad]; None if not compared.
+        phases: Figures at many sampling phases by label; may be empty.
+        bands: Motion at many sampling phases by label, drawn around the runs; may be empty.
+        gap: Maximum deviation between the two plants in the first run [m, rad]; None if not compared.
     """
 
     runs: Mapping[str, RunResult]
@@ -371,12 +351,12 @@ class Variants(Result):
 
     @property
     def first(self) -> Any:
-        """Run of the scene itself, or its phases if it was not run alone."""
+        """Run of the scene itself, or its phases without a single run."""
         return next(iter((self.runs or self.phases).values()))
 
     @property
     def pictures(self) -> Mapping[str, str]:
-        """Pictures by file name without ending, each the function that draws it as "module:function"."""
+        """Drawing functions as "module:function", by file name without suffix."""
         scene = self.first.scene
         general = {scene.name: "maglev_mj.scenes.pictures:series"} if self.runs else {}
         if self.phases and scene.figures:
@@ -384,7 +364,7 @@ class Variants(Result):
         return scene.plots or general
 
     def columns(self) -> dict[str, Array]:
-        """Return the columns of the scene itself."""
+        """Return the columns of the first run."""
         columns: dict[str, Array] = self.first.columns()
         return columns
 
@@ -395,12 +375,12 @@ class Variants(Result):
         return units
 
     def as_json(self) -> dict[str, Any]:
-        """Return the run of the scene itself and its phases, ready for JSON."""
-        phases = [{"sweep": one.as_json()} for one in self.phases.values()]
+        """Return the first run and its phases, ready for JSON."""
+        phases = [{"sweep": swept.as_json()} for swept in self.phases.values()]
         return {**(self.first.as_json() if self.runs else {}), **(phases[0] if phases else {})}
 
     def plot(self, path: Path | None = None, picture: str | None = None) -> Any:
-        """Draw the runs, or their phases; see `Result.plot`.
+        """Draw the runs or their phases; see `Result.plot`.
 
         Args:
             path: File to write; None to return the figure.
@@ -415,15 +395,19 @@ class Variants(Result):
         return save(loaded(names[chosen])(self), path)
 
     def table(self) -> Table:
-        """Return the figures of each run, their spread over the phases, and what exceeds the device."""
+        """Return the figures of each run and their spread over the phases, below any warnings."""
+        table, warnings = self._figures(), "\n".join(self._warnings())
+        return Table("", (), (), warnings, below=[table]) if warnings else table
+
+    def _figures(self) -> Table:
         scene = self.first.scene
-        runs: dict[str, Mapping[str, Any]] = {label: one.figures for label, one in self.runs.items()}
+        runs: dict[str, Mapping[str, Any]] = {label: result.figures for label, result in self.runs.items()}
         runs |= scene.compared(self.first) if runs else {}
-        spreads = {label: one.figures for label, one in self.phases.items()}
+        spreads = {label: swept.figures for label, swept in self.phases.items()}
         over = f"median (5 to 95 %) over {len(next(iter(self.phases.values())).phases)} phases" if spreads else ""
         at = f"phase {self.first.phase:g}" if runs and scene.takes_phase else ""
-        where = ", ".join(filter(None, [f"plant {self.first.plant}", at if runs else over]))
-        title = f"{scene.title or scene.name}, {where}: {', '.join(_parameter_texts(scene))}"
+        plant = ", ".join(filter(None, [f"plant {self.first.plant}", at if runs else over]))
+        title = f"{scene.title or scene.name}, {plant}: {', '.join(_parameter_texts(scene))}"
         note = "\n".join(self._remarks())
         if not runs:
             return _figures_table(title, scene, spreads, Figure.spread)._replace(note=note)
@@ -435,53 +419,46 @@ class Variants(Result):
         )
 
     def _remarks(self) -> Iterator[str]:
-        """Yield a line for each rank, missing figure and excess over the device's limits."""
         yield from self._rank()
         yield from self._missing()
-        yield from self._beyond_force()
-        yield from self._beyond_range()
         if self.gap is not None:
-            yield f"MuJoCo and the exact plant differ by at most {self.gap:.1e} {unit_of('m', self.first.scene.axis)}"
+            yield f"max. deviation, MuJoCo vs exact plant: {self.gap:.1e} {unit_of('m', self.first.scene.axis)}"
 
     def _rank(self) -> Iterator[str]:
-        """Yield the rank of the first run among its phases; one phase alone says little."""
-        for label, name in zip([one for one in self.runs if one in self.phases], list(self.first.scene.figures)[:1]):
+        for label, name in zip([x for x in self.runs if x in self.phases], list(self.first.scene.figures)[:1]):
             if (values := self.phases[label].figures[name]).ndim == 1:
-                share = 100.0 * share_below(values, self.runs[label].figures[name])
-                yield f"{label}: {name.replace('_', ' ')} above that of {share:.0f} % of the phases"
+                rank = percentile_rank(values, self.runs[label].figures[name])
+                yield f"{label}: {figure_head(name)} at phase {self.runs[label].phase:g} is the {rank}"
 
     def _missing(self) -> Iterator[str]:
-        """Yield a line for each figure missing at some phases."""
-        for label, one in self.phases.items():
-            for name, values in one.figures.items():
-                there = int(np.isfinite(values).reshape(len(values), -1).all(axis=1).sum())
-                if there < len(values):
-                    yield f"{label}: {name.replace('_', ' ')} is there at {there} of {len(values)} phases"
+        for label, swept in self.phases.items():
+            for name, values in swept.figures.items():
+                count = int(np.isfinite(values).reshape(len(values), -1).all(axis=1).sum())
+                if count < len(values):
+                    yield f"{label}: {figure_head(name)} defined at {count} of {len(values)} phases"
 
-    def _beyond_force(self) -> Iterator[str]:
-        """Yield any line on vertical forces beyond the device's."""
-        most = Spec.largest_vertical_force.value
+    def _warnings(self) -> Iterator[str]:
+        """Yield a line for a force and for a motion that the device cannot produce."""
+        limit, scene = Spec.largest_vertical_force.value, self.first.scene
         # the last knot's force has not acted yet
-        peaks = {label: float(np.abs(one.trace.wrench[:-1, 2]).max(initial=0.0)) for label, one in self.runs.items()}
-        beyond = [f"{label} {peak:.3g}" for label, peak in peaks.items() if peak > most * _ROUNDING]
-        if beyond:
-            yield f"Above the device's {most:g} N (z): {', '.join(beyond)}"
-
-    def _beyond_range(self) -> Iterator[str]:
-        """Yield any line on motions beyond the device's range."""
-        texts, limits, left = [], np.array(RANGE), np.zeros(len(RANGE))
+        peaks = [float(np.abs(result.trace.wrench[:-1, 2]).max(initial=0.0)) for result in self.runs.values()]
+        if (peak := max(peaks, default=0.0)) > limit * _ROUNDING:
+            axis = "" if scene.axis == "z" else " along z"
+            option = f"; --force-limit {limit:g} applies it" if hasattr(scene, "force_limit") else ""
+            yield f"Warning: peak force {peak:.3g} N{axis} exceeds the device's {limit:g} N limit{option}"
+        texts, limits, exceeded = [], np.array(RANGE), np.zeros(len(RANGE))
         for label in dict.fromkeys([*self.runs, *self.phases]):
             alone = [self.runs[label].trace.furthest()] if label in self.runs else []
             swept = self.phases[label].furthest if label in self.phases else np.empty((0, len(RANGE)))
             furthest = np.vstack([*alone, swept])
             outside = np.where(furthest > limits * _ROUNDING, furthest, 0.0)
             if outside.any():
-                left = np.where(outside.any(axis=0), limits, left)
+                exceeded = np.where(outside.any(axis=0), limits, exceeded)
                 phases = int(outside[len(alone) :].any(axis=1).sum())
                 count = f" ({phases} of {len(swept)} phases)" if phases else ""
                 texts.append(f"{label} {_distances(outside.max(axis=0))}{count}")
         if texts:
-            yield f"Beyond the range of {_distances(left)}: {', '.join(texts)}"
+            yield f"Warning: motion exceeds the range of {_distances(exceeded)}: {', '.join(texts)}"
 
 
 def _figures_table(
@@ -492,17 +469,17 @@ def _figures_table(
     *,
     brief: bool = False,
 ) -> Table:
-    """Return a row for each figure, and its meaning beside the column of a single label."""
+    """Return a row for each figure, with its meaning if there is a single label."""
     named: Mapping[str, Figure] = scene.figures
     meaning = len(figures) == 1 and not brief
     rows = [
         (
-            name.replace("_", " "),
-            *(show(one, values.get(name, math.nan)) for values in figures.values()),
-            unit_of(one.unit, scene.axis, one.along),
-            *([one.help] if meaning else []),
+            figure_head(name),
+            *(show(figure, values.get(name, math.nan)) for values in figures.values()),
+            unit_of(figure.unit, scene.axis, figure.along),
+            *([figure.help] if meaning else []),
         )
-        for name, one in named.items()
+        for name, figure in named.items()
     ]
     return Table(title, ("figure", *figures, "unit", *(["meaning"] if meaning else [])), rows)
 
@@ -510,28 +487,39 @@ def _figures_table(
 def _parameter_texts(scene: Any) -> list[str]:
     """Return rate, delay and parameters with their units."""
     texts = [f"{1.0 / scene.period:g} Hz", f"delay {scene.delay * 1e3:g} ms"]
-    for one in scene.parameters():
-        value = getattr(scene, one.name)
-        if one.name in ("period", "delay") or one.kind in (object, bool) or value is None:
+    for parameter in scene.parameters():
+        name, value = parameter.name, getattr(scene, parameter.name)
+        if name in ("period", "delay") or parameter.kind in (object, bool) or value is None:
             continue
-        text = f"{value:.6g}" if one.kind in (int, float) else str(value)
-        texts.append(f"{one.name.replace('_', ' ')} {text} {unit_of(one.unit, scene.axis, one.along)}".rstrip())
+        text = f"{value:.6g}" if parameter.kind in (int, float) else str(value)
+        texts.append(f"{name.replace('_', ' ')} {text} {unit_of(parameter.unit, scene.axis, parameter.along)}".rstrip())
     return texts
 
 
+def figure_head(name: str) -> str:
+    """Return the name of a figure in tables and pictures."""
+    return _HEADS.get(name, name.replace("_", " "))
+
+
 def _distances(furthest: Array) -> str:
-    """Return the largest nonzero translation and rotation with units."""
     parts = [(furthest[:3].max() * 1e3, "mm"), (np.degrees(furthest[3:].max()), "deg")]
     return " and ".join(f"{value:.4g} {unit}" for value, unit in parts if value > 0.0)
 
 
 def share_below(values: Array, value: float) -> float:
-    """Return the share of values below another, but for the rounding of two plants."""
+    """Return the fraction of values below another by more than the rounding between plants."""
     return float(np.mean(values < value - 1e-9))
 
 
+def percentile_rank(values: Array, value: float) -> str:
+    """Return the rank of a value among others, such as "94th percentile"."""
+    rank = round(100.0 * share_below(values, value))
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(rank % 10, "th")
+    return f"{rank}{'th' if 10 < rank < 14 else ending} percentile"
+
+
 def parameters_json(scene: Any, plant: str, phase: Any) -> dict[str, Any]:
-    """Return run and scene parameters, ready for JSON."""
+    """Return parameters of the run and the scene, ready for JSON."""
     head: dict[str, Any] = {"plant": plant}
     if scene.takes_phase:
         head["phase"] = phase
@@ -539,13 +527,11 @@ def parameters_json(scene: Any, plant: str, phase: Any) -> dict[str, Any]:
 
 
 def figures_of_each(result: RunResult) -> dict[str, Array | list[Any]]:
-    """Return the figures of N devices by name, N of each.
-
-    Figures that accept a batch are computed at once, the others device by device.
-    """
+    """Return the figures of N devices by name, N each, as a batch where a figure accepts one."""
     named: Mapping[str, Figure] = result.scene.figures
-    devices = [] if all(one.batched for one in named.values()) else [result[k] for k in range(np.size(result.phase))]
+    batched = all(figure.batched for figure in named.values())
+    devices = [] if batched else [result[k] for k in range(np.size(result.phase))]
     return {
-        name: np.asarray(one(result)) if one.batched else [one(device) for device in devices]
-        for name, one in named.items()
+        name: np.asarray(figure(result)) if figure.batched else [figure(device) for device in devices]
+        for name, figure in named.items()
     }

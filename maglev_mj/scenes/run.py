@@ -1,4 +1,4 @@
-"""Runs of a scene: one device, N phases, many phases."""
+"""Runs of a scene: on one device, as a batch, over many sampling phases."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.spec import ESCAPE
 
 _MOST_PHASES = 10_000
-_TOGETHER = 64
+_CHUNK = 64
 
 Observe: TypeAlias = Callable[[Sample, Command], object]
 
 Begin: TypeAlias = Callable[[Scene, Any, Controller, int], Record]
-"""Function of scene, plant, controller and number of samples that begins a recording of them."""
+"""Function of scene, plant, controller and number of samples that begins a recording."""
 
 
 def run(
@@ -40,21 +40,19 @@ def run(
     observe: Observe | None = None,
     begin: Begin | None = None,
 ) -> RunResult:
-    """Run a scene on one device or N devices.
-
-    N phases give N devices.
+    """Run a scene on one device, or at N sampling phases on N devices.
 
     Args:
         scene: The scene, its class, or a text for `find_scene`.
-        plant: Name from PLANTS; the scene's usual one by default.
-        phase: The samples are at (k + phase) period, in [0, 1); (N,) for N devices, on the exact plant.
-        observe: Function called with each sample and the command as applied.
-        begin: Begins a recording of the run, of one device; see `maglev_mj.session.replay.recorded`.
+        plant: Name from PLANTS; the scene's first one by default.
+        phase: Sampling phase in [0, 1): samples are at (k + phase) period; (N,) for N devices, on the exact plant.
+        observe: Function called with each sample and the applied command.
+        begin: Begins a recording of a run on one device; see `maglev_mj.session.replay.recorded`.
 
     Raises:
         ParameterError: If there is no such plant, or a phase is outside its bounds.
-        DivergenceError: If a flotor leaves its range by a wide margin; its `partial` attribute is the `RunResult` up to
-            there, for one device.
+        DivergenceError: If a flotor leaves its range by a wide margin; for one device its `partial` attribute is the
+            `RunResult` up to then.
 
     Example:
         >>> from maglev_mj import find_scene, run
@@ -67,7 +65,7 @@ def run(
     check_one_of("plant", PLANTS, plant, f" to run {scene.name}")
     single = np.ndim(phase) == 0
     if not single and plant != "exact":
-        raise ParameterError(f"phase must be one number on {plant}, whose runs differ in length: see run_phases")
+        raise ParameterError(f"phase must be a number on {plant}; use run_phases for several")
     at: Component = checked_phase(phase) if single else _phases(phase)
     controller = scene.controller()
     with scene.plant(plant, phase=at, record=True) as device, engine_warnings_silenced():
@@ -86,7 +84,7 @@ def run(
 
 
 def figures_of(scene: Scene, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
-    """Return the figures of one run by name, by any `run_figures` of the scene."""
+    """Return the figures of one run by name, from the scene's `run_figures` if defined."""
     if scene.run_figures is None:
         return run(scene, plant=plant, phase=phase).figures
     figures: Mapping[str, Any] = scene.run_figures(plant, phase)
@@ -100,18 +98,16 @@ def run_phases(
     plant: str | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> Phases:
-    """Run a scene at many phases.
-
-    On the exact plant they run in batches, elsewhere one after the other.
+    """Run a scene at many sampling phases, in batches on the exact plant, otherwise one by one.
 
     Args:
         scene: See `run`.
-        phases: Number of phases, evenly spread over a period, or the phases themselves.
-        plant: Name from PLANTS; the scene's usual one by default.
-        progress: Function called with the number of phases done and the number of all.
+        phases: Number of phases, evenly spaced over a period, or the phases themselves.
+        plant: Name from PLANTS; the scene's first one by default.
+        progress: Function called with the numbers of finished and of all phases.
 
     Raises:
-        ParameterError: If there is no phase, or one is outside [0, 1).
+        ParameterError: If there is no phase, or a phase is outside [0, 1).
         DivergenceError: If a flotor leaves its range by a wide margin.
 
     Example:
@@ -122,13 +118,13 @@ def run_phases(
     """
     scene = get_scene(scene)
     chosen, plant = _phases(phases), checked_plant(scene, plant)
-    size = _TOGETHER if plant == "exact" else 1
-    parts: list[Phases] = []  # a trace is large: only its figures are kept
+    size = _CHUNK if plant == "exact" else 1
+    parts: list[Phases] = []  # figures only: traces are large
     for start in range(0, chosen.size, size):
-        some = chosen[start : start + size]
-        parts.append(run(scene, plant=plant, phase=some if plant == "exact" else float(some[0])).over_phases())
+        chunk = chosen[start : start + size]
+        parts.append(run(scene, plant=plant, phase=chunk if plant == "exact" else float(chunk[0])).over_phases())
         if progress is not None:
-            progress(start + some.size, chosen.size)
+            progress(start + chunk.size, chosen.size)
     together = {name: np.concatenate([part.figures[name] for part in parts]) for name in parts[0].figures}
     return Phases(scene, plant, chosen, together, np.concatenate([part.furthest for part in parts]))
 
@@ -144,20 +140,20 @@ def run_variants(
     compare: bool = False,
     progress: Callable[[int, int], object] | None = None,
 ) -> Variants:
-    """Run a scene and its variants, at one phase and at many.
+    """Run a scene and its variants at one sampling phase, and optionally at many.
 
     Args:
         variants: Scenes by label, such as those of `Scene.variants`; the scene itself first.
         plant: See `run`.
         phase: See `run`.
-        phases: Phases at which the figures are taken too, see `run_phases`; None for none.
-        bands: Phases at which the motion on the exact plant is kept too, for pictures; None for none.
-        recording: Context that gives what begins a recording, of the first run alone; see `run`.
-        compare: True to run the scene itself on its other plant too, for `gap`.
+        phases: Additional phases for the figures, see `run_phases`; None for none.
+        bands: Additional phases for the motion on the exact plant, for pictures; None for none.
+        recording: Context of the function that begins a recording of the first run; see `run`.
+        compare: True to run the first scene on its other plant too, for `gap`.
         progress: See `run_phases`.
 
     Raises:
-        DivergenceError: If a flotor leaves its range by a wide margin; `partial` is the first run, as far as it went.
+        DivergenceError: If a flotor leaves its range by a wide margin; `partial` is the first run, up to its end.
     """
     runs: dict[str, RunResult] = {}
     swept: dict[str, Phases] = {}
@@ -165,28 +161,30 @@ def run_variants(
     gap = None
     try:
         for label, variant in variants.items():
-            with (not runs and recording) or nullcontext() as begin:  # later faults are not its own
+            with (not runs and recording) or nullcontext() as begin:  # only the first run is recorded
                 runs[label] = run(variant, plant=plant, phase=phase, begin=begin)
         if phases is not None:
-            swept = {one: run_phases(variants[one], phases, plant=plant, progress=progress) for one in variants}
+            swept = {
+                label: run_phases(each, phases, plant=plant, progress=progress) for label, each in variants.items()
+            }
         if bands is not None:
-            drawn = {one: run(variants[one], plant="exact", phase=_phases(bands)) for one in variants}
+            drawn = {k: run(v, plant="exact", phase=_phases(bands)) for k, v in variants.items()}
         if compare:
-            gap = _distance_of_plants(next(iter(runs.values())))
+            gap = _plant_deviation(next(iter(runs.values())))
     except DivergenceError as error:
         if runs:
-            error.partial = next(iter(runs.values()))  # the run itself is worth keeping
+            error.partial = next(iter(runs.values()))
         raise
     return Variants(runs, swept, drawn, gap)
 
 
-def _distance_of_plants(result: RunResult) -> float | None:
-    """Return the largest distance from the other plant [m, rad]; None without one or an engine."""
+def _plant_deviation(result: RunResult) -> float | None:
+    """Return the maximum deviation from the other plant [m, rad]; None without another plant or MuJoCo."""
     others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
     if not others or not has_engine():
         return None
-    twin, time = run(result.scene, plant=others[0], phase=result.phase), result.times()
-    return float(np.abs(result.motion(time)[0] - twin.motion(time)[0]).max())
+    other, time = run(result.scene, plant=others[0], phase=result.phase), result.times()
+    return float(np.abs(result.motion(time)[0] - other.motion(time)[0]).max())
 
 
 def checked_plant(scene: Scene, plant: str | None) -> str:
@@ -209,21 +207,21 @@ def checked_phase(phase: object) -> float:
 def _phases(phases: Any) -> Array:
     if isinstance(phases, Integral):
         if not 1 <= int(phases) <= _MOST_PHASES:
-            raise ParameterError(f"phases must be at least 1 and at most {_MOST_PHASES}, not {phases}")
+            raise ParameterError(f"phases must be at least 1 and at most {_MOST_PHASES} (got {phases})")
         return np.arange(int(phases)) / int(phases)
     chosen = numbers("phases", phases, at_least=0.0)
     if chosen.ndim != 1 or not chosen.size:
-        raise ParameterError(f"phases must be a whole number or a list of phases, not {phases!r}")
+        raise ParameterError(f"phases must be an integer or a list of phases (got {phases!r})")
     if not (chosen < 1.0).all():
-        raise ParameterError(f"phases must be below 1 everywhere, not {chosen.max():g}")
+        raise ParameterError(f"phases must all be below 1 (got {chosen.max():g})")
     return chosen
 
 
 class _SignalLog:
-    """Recorder of the laws' signals at each sample."""
+    """Log of the laws' signals at each sample."""
 
     def __init__(self, controller: Controller, observe: Observe | None, batch: tuple[int, ...]) -> None:
-        self._controller, self._also, self._batch = controller, observe, batch
+        self._controller, self._observe, self._batch = controller, observe, batch
         self._time: list[Any] = []
         self._rows: list[dict[str, Any]] = []
 
@@ -233,8 +231,8 @@ class _SignalLog:
             row = {name: self._copied(parts) for name, parts in (("position", sample.position), *signals.items())}
             self._time.append(sample.time)
             self._rows.append(row)
-        if self._also is not None:
-            self._also(sample, command)
+        if self._observe is not None:
+            self._observe(sample, command)
 
     def _copied(self, parts: Sequence[Any]) -> Any:
         if not self._batch:
@@ -244,18 +242,15 @@ class _SignalLog:
     def result(self, scene: Scene, plant: str, phase: Any, trace: Trace) -> RunResult:
         """Return the result up to the end of a trace."""
         time = np.array(self._time)
-        kept = time <= float(trace.time[-1]) if time.ndim == 1 and trace.time.ndim == 1 else slice(None)
+        within = time <= float(trace.time[-1]) if time.ndim == 1 and trace.time.ndim == 1 else slice(None)
         columns = (
-            {name: np.array([row[name] for row in self._rows])[kept] for name in self._rows[0]} if self._rows else {}
+            {name: np.array([row[name] for row in self._rows])[within] for name in self._rows[0]} if self._rows else {}
         )
-        return RunResult(scene, plant, phase, trace, time[kept], columns)
+        return RunResult(scene, plant, phase, trace, time[within], columns)
 
 
 def _escaped_later(trace: Trace, end: float) -> bool:
-    """Return True if a run diverged after its end [s].
-
-    A run goes on to the sample after its end, and escape is found at samples.
-    """
+    """Return True if a run diverged after its end [s], because escape is detected at the sample after it."""
     if float(trace.time[-1].min()) < end:
         return False
     return bool((np.linalg.norm(trace.until(end).pose[..., :3], axis=-1) < ESCAPE).all())

@@ -1,7 +1,4 @@
-"""Base class of scenes.
-
-A scene has parameters, laws, a start, a hand, and figures of its run.
-"""
+"""Base class of scenes: parameters, laws, start, hand, and figures of a run."""
 
 from __future__ import annotations
 
@@ -28,10 +25,10 @@ from maglev_mj.scenes.results import RunResult
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 
 RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
-"""Key settings of a sample period."""
+"""Key steps of the sample rate."""
 
 DELAY = Turn(add=0.0005, least=0.0, most=0.02, word="delay")
-"""Key settings of a delay."""
+"""Key steps of the delay."""
 
 _MOST_PERIODS = 1_000_000
 
@@ -44,7 +41,7 @@ PLANTS: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoPlant}
 RESERVED = frozenset(
     "version plant phase phases json out format record seconds size fps workers scheduler vary set scene plots".split()
 )
-"""Option names of every command, not allowed for parameters."""
+"""Option names of every command, reserved."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +51,7 @@ class Start:
     Attributes:
         pose: Pose [m, rad], (6,).
         twist: Velocity [m/s, rad/s], (6,).
-        wrench: Wrench of the coils until the first command acts [N, N m], (6,).
+        wrench: Wrench of the coils until the first command takes effect [N, N m], (6,).
         gravity: Acceleration of free fall [m/s²].
 
     Example:
@@ -70,24 +67,25 @@ class Start:
 
 
 class Scene(Parameters):
-    """Base class of scenes: a simulated experiment with the flotor.
+    """Base class of scenes, which are simulated experiments with the flotor.
 
     Subclass it, declare parameters with `param`, and define `laws`.
 
     Class attributes:
-        name: Name on the command line; the class's own in kebab-case by default.
-        title: Heading of its tables; the first line of its docstring by default.
+        name: Name on the command line; the class name in kebab-case by default.
+        title: Title of tables; the first line of the docstring by default.
         shown_axis: Axis of plots and figures.
-        figures: Figures of a run: names of stock figures, or `Figure` objects; a mapping renames them in JSON.
-        plants: Names of its plants, the default first.
-        takes_phase: True if the phase of the samples makes a difference worth a sweep.
-        tolerance: Negligible displacement of a coil [m], as in `fidelity`.
+        figures: Figures of a run: names of stock figures, or `Figure` objects; a mapping sets other JSON keys.
+        plants: Names of supported plants, the default first.
+        takes_phase: True if results depend on the sampling phase.
+        tolerance: Negligible displacement of a coil [m], for `fidelity`.
         tolerance_reason: Reason for that value.
-        model: MJCF file for display: a path, or the name of one of the package's.
-        plots: Own plots: name of the file, without ending -> "module:function" that draws `Variants`.
-        run_figures: Own method (plant, phase) that returns the figures of a run; None to run it as others.
-        figures_together: Own class method (scenes, plant, phases) that returns those of many runs; None for batches.
-        drawn_phases: Number of phases whose motion its own plots show around that of a run; 0 for none.
+        model: MJCF file for display: a path, or the name of a model of the package.
+        plots: User-defined plots: file name without suffix -> "module:function" that draws `Variants`.
+        run_figures: User-defined method (plant, phase) that returns the figures of a run; None for the default.
+        figures_together: User-defined class method (scenes, plant, phases) that returns those of many runs; None for
+            batches.
+        drawn_phases: Number of sampling phases in the bands of the plots; 0 for none.
 
     Raises:
         ParameterError: If a parameter is outside its bounds, or a run has more than a million periods.
@@ -95,7 +93,7 @@ class Scene(Parameters):
     Example:
         >>> from maglev_mj import Hold, Scene, Start, param, run
         >>> class Release(Scene):
-        ...     "Let the flotor go beside the pose at which it is held."
+        ...     "Release the flotor beside the setpoint of a hold."
         ...
         ...     shown_axis = "x"
         ...     offset: float = param("offset at release", "m", default=0.001, above=0.0, at_most=0.004)
@@ -107,7 +105,7 @@ class Scene(Parameters):
         ...     def laws(self):
         ...         return [Hold(axes="x", stiffness=2000.0, damping=60.0)]
         >>> result = run(Release(offset=0.002))
-        >>> bool(abs(result.motion(0.5)[0]) < 1e-5)  # back in half a second
+        >>> bool(abs(result.motion(0.5)[0]) < 1e-5)  # settled after half a second
         True
     """
 
@@ -118,7 +116,7 @@ class Scene(Parameters):
     plants: ClassVar[Sequence[str]] = ("mujoco", "exact")
     takes_phase: ClassVar[bool] = True
     tolerance: ClassVar[float] = 1e-5
-    tolerance_reason: ClassVar[str] = "two steps of the sensor"
+    tolerance_reason: ClassVar[str] = "twice the sensor resolution"
     plots: ClassVar[Mapping[str, str]] = {}
     drawn_phases: ClassVar[int] = 0
     run_figures: ClassVar[Any] = None
@@ -129,7 +127,7 @@ class Scene(Parameters):
         "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0, live=RATE
     )
     delay: float = param(
-        "from a sample to its command taking effect",
+        "delay from a sample to the effect of its command",
         "s",
         default=Spec.transport_delay.value,
         at_least=0.0,
@@ -152,12 +150,12 @@ class Scene(Parameters):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.end / self.period > _MOST_PERIODS:
-            raise ParameterError(f"duration must be at most {_MOST_PERIODS} periods, not {self.end:g} s")
+            raise ParameterError(f"duration must be at most {_MOST_PERIODS} periods (got {self.end:g} s)")
 
     # --- defined by a scene ---------------------------------------------------------------------
 
     def laws(self) -> Sequence[Law | Callable[..., Any]]:
-        """Return the laws; their wrenches add up.
+        """Return the laws, whose wrenches are summed.
 
         A function f(position, velocity) is a law too; see `Controller`.
         """
@@ -168,10 +166,7 @@ class Scene(Parameters):
         return Start()
 
     def scripted_hand(self, phase: float = 0.0) -> HandForce | None:
-        """Return the scripted hand; None for none.
-
-        Its impedance is its attribute `hand`, if it has one.
-        """
+        """Return the scripted hand, or None; its optional attribute `hand` is its impedance."""
         return None
 
     def velocity_estimator(self) -> VelocityEstimator | None:
@@ -183,14 +178,11 @@ class Scene(Parameters):
         return Timing(period=self.period, delay=self.delay, phase=phase)
 
     def plant_options(self) -> dict[str, Any]:
-        """Return keywords of the plant: mass, limits, sensor.
-
-        `longest_step` may be a function of the plant's name.
-        """
+        """Return keywords of the plant: mass, limits, sensor; `longest_step` may be a function of the plant's name."""
         return {}
 
     def variants(self) -> Mapping[str, Self]:
-        """Return scenes to compare, by label; this one first."""
+        """Return scenes to compare by label, this one first."""
         return {self.name: self}
 
     def describe(self) -> str:
@@ -209,30 +201,21 @@ class Scene(Parameters):
 
     @property
     def end(self) -> float:
-        """End of a run [s]: parameter `duration`, or 1 s."""
+        """End of a run [s]: the parameter `duration`, or 1 s."""
         return float(getattr(self, "duration", 1.0))
 
     def series(self, result: RunResult, time: Array) -> dict[str, Array]:
-        """Return the JSON series on a time grid (M,).
-
-        By name, (M,) each.
-        """
+        """Return the JSON series by name on a time grid (M,), (M,) each."""
         pose, twist, wrench = result.trace.at(time)
         index = AXES.index(self.axis)
         return {"position": pose[:, index], "velocity": twist[:, index], "force": wrench[:, index]}
 
     def extra_json(self, result: RunResult) -> dict[str, Any]:
-        """Return further JSON entries of a run.
-
-        They are added to parameters, series and summary.
-        """
+        """Return additional JSON entries of a run."""
         return {}
 
     def compared(self, result: RunResult) -> Mapping[str, Mapping[str, float]]:
-        """Return reference figures, by label and name.
-
-        They are shown beside those of a run, such as those of a closed form.
-        """
+        """Return reference figures, such as those of a closed form, by label and name."""
         return {}
 
     # --- derived from it --------------------------------------------------------------------------
@@ -254,40 +237,36 @@ class Scene(Parameters):
         timing: Timing | None = None,
         **keywords: Any,
     ) -> SampledPlant:
-        """Return the plant at release, with a hand.
-
-        The hand is the scripted one unless another is given.
+        """Return the plant at release, with the scripted hand or another.
 
         Args:
-            plant: Name from PLANTS, or a function that makes a plant.
-            phase: Phase of the samples, in [0, 1); (N,) for N devices.
+            plant: Name from PLANTS, or a function that returns a plant.
+            phase: Sampling phase, in [0, 1); (N,) for N devices.
             hand: Hand in place of the scripted one.
             timing: Timing in place of the scene's own.
-            keywords: Further keywords of the plant; they override the scene's.
+            keywords: Keywords of the plant; they override the scene's.
 
         Raises:
-            ParameterError: If a plant given by name lacks an option of the scene.
+            ParameterError: If a plant from PLANTS does not accept a keyword of the scene.
         """
         scripted = self._hands(phase)
         timing = timing or self.timing(phase)
         options = self.plant_keywords(plant, scripted)
-        if np.ndim(phase) and not np.ndim(timing.phase):  # the hands alone differ
+        if np.ndim(phase) and not np.ndim(timing.phase):  # only the hands differ
             options["pose"] = [options["pose"]] * np.size(phase)
         options |= keywords
         if isinstance(plant, str):
             if unknown := sorted(options.keys() - _keywords(plant)):
-                raise ParameterError(f"plant_options must be those of plant {plant}, which has no {', '.join(unknown)}")
+                raise ParameterError(f"plant {plant} does not accept {', '.join(unknown)} of plant_options")
             plant = PLANTS[plant]
         return plant(timing, hand_force=hand or scripted, **options)
 
     def plant_keywords(self, plant: str | PlantMaker, hand: HandForce | None) -> dict[str, Any]:
-        """Return all keywords of a plant at release.
-
-        Those of `plant_options` are included.
+        """Return all keywords of a plant at release, including `plant_options`.
 
         Args:
-            plant: Name from PLANTS, or a function that makes a plant.
-            hand: The scripted hand, whose impedance is on the flotor.
+            plant: Name from PLANTS, or a function that returns a plant.
+            hand: The scripted hand, whose impedance acts on the flotor.
         """
         start = self.start()
         check_instance(f"start() of {named(type(self))}", start, Start, "a Start")
@@ -306,19 +285,17 @@ class Scene(Parameters):
     def _hands(self, phase: Component) -> HandForce | None:
         if np.ndim(phase) == 0:
             return self.scripted_hand(float(phase))
-        hands = [self.scripted_hand(float(one)) for one in np.asarray(phase)]
-        known = [hand for hand in hands if hand is not None]
-        return SideBySide(known) if known else None
+        hands = [hand for x in np.asarray(phase) if (hand := self.scripted_hand(float(x))) is not None]
+        return SideBySide(hands) if hands else None
 
 
 @cache
 def _keywords(plant: str) -> frozenset[str]:
-    """Return the keywords of a plant."""
     return frozenset(inspect.signature(PLANTS[plant]).parameters) | frozenset(PlantKeywords.__annotations__)
 
 
 class SideBySide:
-    """N hands as one of a batch, each at its own device's time and state."""
+    """N hands of a batch as one, each at the time and state of its device."""
 
     def __init__(self, hands: Sequence[HandForce]) -> None:
         self._hands, self.hand = hands, getattr(hands[0], "hand", None)

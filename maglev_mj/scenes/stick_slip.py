@@ -1,7 +1,4 @@
-"""Scene: flotor pulled out of rendered friction by a spring.
-
-Figure 8 of Salcudean and Vlaar (1997).
-"""
+"""Scene: flotor pulled out of rendered friction by a spring, figure 8 of Salcudean and Vlaar (1997)."""
 
 from __future__ import annotations
 
@@ -32,15 +29,13 @@ LAWS: Mapping[str, Callable[..., control.Friction]] = {
 }
 """Friction laws by name.
 
-Each accepts the axes and the common parameters, and drops those it does not use.
+Each accepts the axes and the common parameters, and ignores those it does not use.
 """
 
 _SLIDES_AT = {"stick-slip": 0.0, "spring-reset": 0.0, "lugre": 0.8}
-"""Nominal friction in steady sliding, as a share of breakaway.
+"""Nominal friction in steady sliding over breakaway force; 1 for other laws.
 
-It is 1 for laws not listed.
-
-Spring reset is intended as stick-slip; in fact its force is a sawtooth.
+Spring reset is intended as stick-slip, but its force is a sawtooth.
 """
 
 VELOCITIES: Mapping[str, Callable[[float], control.VelocityEstimator]] = {
@@ -52,10 +47,7 @@ VELOCITIES: Mapping[str, Callable[[float], control.VelocityEstimator]] = {
 
 
 def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> Any:
-    """Declare a parameter along the axis, its default scaled for rotations.
-
-    The default is given for a translation and scaled by a power of the radius of gyration of the scene's axis.
-    """
+    """Declare a parameter along the axis; on a rotation its default scales by a power of the radius of gyration."""
 
     def derived(scene: StickSlip) -> float:
         radius = 1.0 if AXES.index(scene.axis) < 3 else math.sqrt(scene.inertia / Spec.moving_mass.value)
@@ -67,10 +59,9 @@ def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> 
 class StickSlip(Scene):
     """Pull the flotor out of rendered friction (figure 8).
 
-    A flotor at rest and stuck at 0 is released against a virtual spring whose far end is at `target`. On a rotation
-    axis the defaults are those of a translation at the radius of gyration, so that the motion is the same in units of
-    it; given values are then in N m/rad, rad, N m s/rad, N m and rad/s. Gravity is compensated, the other axes are
-    held.
+    A flotor at rest and stuck at 0 is released against a virtual spring whose far end is at `target`. On a rotation the
+    defaults are those of a translation at the radius of gyration, and units are N m/rad, rad, N m s/rad, N m and rad/s.
+    Gravity is compensated, the other axes are held.
     """
 
     model: ClassVar = "scenes/table"
@@ -83,7 +74,7 @@ class StickSlip(Scene):
     axis: str = param("axis", default="x", choices=AXES)
     quantize: float = WallScene.like("quantize", along=True)
     spring: float = _scaled(1000.0, 2, "stiffness of the virtual spring", "N/m", above=0.0, at_most=1e8)
-    target: float = _scaled(0.003, -1, "where the spring's far end is", "m", at_least=-0.5, at_most=0.5)
+    target: float = _scaled(0.003, -1, "position of the spring's far end", "m", at_least=-0.5, at_most=0.5)
     stiffness: float = _scaled(
         6000.0, 2, "stiffness of the friction law while stuck", "N/m", above=0.0, at_most=1e8, live=True
     )
@@ -104,10 +95,7 @@ class StickSlip(Scene):
         return [friction, spring, hold(self, others(self.axis))]
 
     def velocity_estimator(self) -> control.VelocityEstimator:
-        """Return the chosen velocity estimator.
-
-        It is made for the sensor's resolution.
-        """
+        """Return the velocity estimator, adapted to the sensor resolution."""
         return VELOCITIES[self.velocity](self.quantize)
 
     def plant_options(self) -> dict[str, Any]:
@@ -118,7 +106,7 @@ class StickSlip(Scene):
         """Return a one-line description."""
         stiff, damp = (unit_of(unit, self.axis) for unit in ("N/m", "N s/m"))
         gains = f"{self.stiffness:.6g} {stiff} and {self.damping:.4g} {damp} while stuck"
-        return f"pulled out of {self.law} friction by a spring, as in figure 8; {gains}"
+        return f"{self.law} friction against a spring, as in figure 8; {gains}"
 
     @property
     def inertia(self) -> float:
@@ -126,12 +114,10 @@ class StickSlip(Scene):
         return INERTIA[AXES.index(self.axis)]
 
     def exact(self, time: Array) -> KarnoppMotion:
-        """Return the motion with the ideal friction rendered.
+        """Return the exact motion with ideal friction, and the same spring, mass and damping.
 
-        Spring, mass and damping are the same.
-
-        It is Karnopp friction for the laws that slide freely, and Coulomb friction for the others. Against a motion in
-        one direction, Coulomb friction is a constant force: the spring's end moved by f / k.
+        Ideal friction is Karnopp's for the laws without sliding friction, and Coulomb's for the others. In a motion of
+        one direction, Coulomb friction is a constant force, equivalent to the spring's end displaced by f / k.
 
         Args:
             time: Times [s], (M,).
@@ -153,13 +139,13 @@ class StickSlip(Scene):
 
     def series(self, result: RunResult, time: Array) -> dict[str, Array]:
         """Return position, velocity, stick position, state and force."""
-        held = np.clip(np.searchsorted(result.sample_time, time + 1e-12, side="right") - 1, 0, None)
-        place, speed, force = result.motion(time)
+        index = np.clip(np.searchsorted(result.sample_time, time + 1e-12, side="right") - 1, 0, None)
+        position, speed, force = result.motion(time)
         return {
-            "position": place,
+            "position": position,
             "velocity": speed,
-            "stick_position": result.samples["stick_position"][held, 0],
-            "state": np.where(result.samples["stuck"][held, 0], "stuck", "sliding"),
+            "stick_position": result.samples["stick_position"][index, 0],
+            "state": np.where(result.samples["stuck"][index, 0], "stuck", "sliding"),
             "force": force,
         }
 
@@ -180,21 +166,21 @@ class StickSlip(Scene):
 
     @property
     def exact_name(self) -> str:
-        """Name of the ideal friction rendered."""
+        """Name of the ideal friction."""
         return "Coulomb" if _SLIDES_AT.get(self.law, 1.0) else "Karnopp"
 
     def events(self, result: RunResult) -> list[FrictionEvent]:
-        """Return the law's state changes, at their samples."""
-        index, told = AXES.index(self.axis), result.samples
+        """Return the changes of the friction state, at their samples."""
+        index, samples = AXES.index(self.axis), result.samples
         return [
             FrictionEvent(
                 float(result.sample_time[k]),
-                "stick" if told["stuck"][k, 0] else "slip",
-                float(told["position"][k, index]),
+                "stick" if samples["stuck"][k, 0] else "slip",
+                float(samples["position"][k, index]),
             )
             for k in changes(result)
         ]
 
     def extra_json(self, result: RunResult) -> dict[str, Any]:
-        """Return the state changes for JSON."""
+        """Return the changes of the friction state for JSON."""
         return {"events": [event._asdict() for event in self.events(result)]}

@@ -27,22 +27,17 @@ def others(axis: str) -> list[str]:
 
 
 def along(axis: str, value: Component, elsewhere: float = 0.0) -> Array:
-    """Return six numbers, one on an axis and another elsewhere; (N, 6) of values (N,)."""
+    """Return six components with `value` on one axis and `elsewhere` on the others; (N, 6) for values (N,)."""
     return np.where(np.arange(len(AXES)) == AXES.index(axis), np.asarray(value)[..., None], elsewhere)
 
 
 def stepped(axis: str, quantum: float) -> Sensor | None:
-    """Return a quantizing sensor for one axis, or None.
-
-    The resolution is [m, rad]; 0 gives None, an ideal sensor.
-    """
+    """Return a sensor of a resolution [m, rad] on one axis, or None (an ideal sensor) for 0."""
     return Sensor(quantum=along(axis, quantum)) if quantum else None
 
 
 def hold(scene: Scene, axes: str | Sequence[str], mass: float = Spec.moving_mass.value) -> Hold:
-    """Return a soft hold of the given axes.
-
-    It is as stiff as period and delay allow with a wide margin.
+    """Return a soft hold of some axes, as stiff as period and delay allow with a wide margin.
 
     Example:
         >>> from maglev_mj import find_scene, hold
@@ -70,15 +65,15 @@ def wall_controller(
     velocity: VelocityEstimator | None = None,
     **gains: ArrayLike,
 ) -> Controller:
-    """Return a controller of one wall along z that holds the five other axes.
+    """Return a controller with one wall along z and a hold of the five other axes.
 
     Args:
-        law: The wall; None for the PD wall of eq. (3) of Salcudean & Vlaar 1997 with pulses, which fills z <= 0.
+        law: The wall; None for the PD wall with pulses of eq. (3) of Salcudean & Vlaar 1997, which fills z <= 0.
         period: Sample period [s].
         delay: Transport delay [s], for the hold of the other axes.
         mass: Moving mass [kg], for the hold of the other axes.
-        velocity: Velocity estimate; None for the finite difference.
-        gains: Further parameters of `Wall`: numbers, or (N,) for N devices.
+        velocity: Velocity estimator; None for the finite difference.
+        gains: Parameters of `Wall`: numbers, or (N,) for N devices.
     """
     if law is None:
         columns: Any = {name: gain if np.ndim(gain) == 0 else np.asarray(gain)[:, None] for name, gain in gains.items()}
@@ -87,20 +82,17 @@ def wall_controller(
 
 
 class WallScene(Scene):
-    """Wall that fills z <= 0, with a braking pulse.
-
-    The five other axes are held.
-    """
+    """Wall that fills z <= 0, with a braking pulse; the five other axes are held."""
 
     stiffness: float = param("wall stiffness", "N/m", default=6000.0, at_least=0.0, at_most=1e8, live=True)
     damping: float = param("wall damping", "N s/m", default=80.0, at_least=0.0, at_most=1e6, live=True)
     pulse: float = param(
-        "further damping in the braking pulse; 0 for none", "N s/m", default=220.0, at_least=0.0, at_most=1e6, live=True
+        "damping added by the braking pulse; 0 for none", "N s/m", default=220.0, at_least=0.0, at_most=1e6, live=True
     )
-    pulse_width: float = param("how long the pulse lasts", "s", default=0.003, at_least=0.0, at_most=1.0)
+    pulse_width: float = param("duration of the braking pulse", "s", default=0.003, at_least=0.0, at_most=1.0)
     mass: float = param("moving mass", "kg", default=Spec.moving_mass.value, at_least=1e-3, at_most=1e3)
     force_limit: float | None = param(
-        f"largest force of the actuators along z; the device's is {Spec.largest_vertical_force.value:g}",
+        f"force limit along z; the device's is {Spec.largest_vertical_force.value:g}",
         "N",
         default=None,
         above=0.0,
@@ -108,18 +100,16 @@ class WallScene(Scene):
         optional=True,
     )
     quantize: float = param(
-        "resolution of the position sensor; 0 for an ideal one", "m", default=0.0, at_least=0.0, at_most=1.0
+        "resolution of the position sensor; 0 for an ideal sensor", "m", default=0.0, at_least=0.0, at_most=1.0
     )
 
     def check(self) -> None:
         """See `Scene`."""
         if self.pulse > 0.0 and self.pulse_width == 0.0:
-            raise ParameterError("pulse_width must be above 0 where there is a pulse, not 0.0")
+            raise ParameterError("pulse_width must be above 0 for a pulse (got 0.0)")
 
     def wall(self, *, gate: float = 0.0, force_limit: float = math.inf) -> Wall:
-        """Return the PD wall with its braking pulse.
-
-        It is that of eq. (3) of Salcudean & Vlaar 1997.
+        """Return the PD wall with its braking pulse, eq. (3) of Salcudean & Vlaar 1997.
 
         Args:
             gate: Least approach speed for a pulse [m/s].
@@ -144,8 +134,8 @@ class WallScene(Scene):
 
     def series(self, result: RunResult, time: Array) -> dict[str, Array]:
         """Return height [m] and force of the actuators [N]."""
-        place, _, force = result.motion(time)
-        return {"z": place, "force": force}
+        position, _, force = result.motion(time)
+        return {"z": position, "force": force}
 
     def plant_options(self) -> dict[str, Any]:
         """See `Scene`."""

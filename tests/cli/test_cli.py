@@ -79,8 +79,8 @@ def test_a_wild_run_says_one_line_and_leaves_no_log(
 def test_the_press_table_says_what_the_device_could_not_do(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["press", "--plant", "exact", "--height", "0.006", "--hits", "8", "--interval", "0.3"]) == 0
     out = capsys.readouterr().out
-    assert "Above the device's 60 N (z): with pulse 85.7" in out
-    assert "Beyond the range of 4.5 mm: with pulse" in out
+    assert "Warning: peak force 85.7 N exceeds the device's 60 N limit" in out
+    assert "Warning: motion exceeds the range of 4.5 mm: with pulse" in out
     (depths,) = [line for line in out.splitlines() if "penetration" in line]
     assert re.findall(r"\S+ to \S+", depths) == ["1.59 to 2.21", "2.35 to 3.25"]  # of eight hits
     assert cli.main(["press", "--plant", "exact", "--hits", "1"]) == 0

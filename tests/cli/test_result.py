@@ -237,10 +237,10 @@ def test_a_verdict_and_its_closed_loop_have_the_same_worst_eigenvalue() -> None:
     assert list(verdict.to_pandas()["stiffness"])[2] == 12000.0
     assert "unstable" in verdict.table().title and "(worst in contact)" in verdict.table().title
     assert "unstable" in loop.table().title
-    outside = next(line for line in lines(verdict.plot()) if line.get_label().startswith("outside"))
+    outside = next(line for line in lines(verdict.plot()) if line.get_label().startswith("unstable poles"))
     assert len(outside.get_xdata()) == 2 and (np.hypot(*outside.get_data()) > 1.0).all()
     stable = stability(Drop())
-    assert not any(line.get_label().startswith("outside") for line in lines(stable.plot()))
+    assert not any(line.get_label().startswith("unstable poles") for line in lines(stable.plot()))
 
 
 def test_a_linearised_wall_answers_now_and_one_sample_later() -> None:

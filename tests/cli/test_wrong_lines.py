@@ -110,7 +110,7 @@ sweep drop                                          | a sweep needs --vary NAME=
 sweep joystick --vary stiffness=1000,2000 --out .   | out must be left out: joystick has no figures to draw
 card nothing.json | calibration 'nothing.json' cannot be read: No such file or directory
 card drop --delay 0.06                              | delay must be at most 10 periods, not 12 periods
-sweep moon.py                                       | scene must be a file that is there, not 'moon.py'
+sweep moon.py                                       | scene file 'moon.py' does not exist
 sweep drop --vary height=0:inf:3                    | height must vary as LOW:HIGH:COUNT
 sweep drop --vary height                            | a parameter must be given as NAME=VALUE, not 'height'
 sweep drop --set mass=1 --vary mass=1,2             | mass must be either set or varied, not both

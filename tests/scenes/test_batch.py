@@ -87,7 +87,7 @@ def test_few_runs_other_plants_and_other_periods_are_made_alone(
     assert batches == []
     run_scene_cells(Grid(Drop(), {"pulse_width": [0.002, 0.003], "stiffness": spread(3e3, 6e3, 10)}, plant="exact"))
     assert batches == [10, 10]  # of two kinds
-    monkeypatch.setattr(batch, "_ROOM", 12 * 243 * 144.0)  # a run of 80 samples keeps about 240 knots of 144 bytes
+    monkeypatch.setattr(batch, "_MEMORY", 12 * 243 * 144.0)  # a run of 80 samples keeps about 240 knots of 144 bytes
     run_scene_cells(Grid(Drop(), {"stiffness": spread(3000.0, 6000.0, 24)}, plant="exact"))
     assert batches[2:] == [12, 12]
 
@@ -215,7 +215,7 @@ def test_laws_are_stacked_by_the_parameters_that_may_differ() -> None:
     assert np.array_equal(whole.damping, [[1.0, 1.0], [1.0, 2.0], [1.0, 3.0]])
     assert stacked([walls[0], walls[0]]) is walls[0]
     assert stacked([Bias([float(n)] * 6) for n in range(2)]).batch == (2,)
-    with pytest.raises(ParameterError, match="stiffness must be a number or one for each of 1 axes in each law"):
+    with pytest.raises(ParameterError, match="stiffness must be a number, or one for each of 1 axes"):
         stacked([Hold(axes="z", stiffness=[[1.0], [2.0]], damping=0.0), Hold(axes="z", stiffness=1.0, damping=0.0)])
 
 

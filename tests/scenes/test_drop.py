@@ -167,10 +167,10 @@ def test_hardness_of_a_pulse_is_its_damping_over_the_window(height: float) -> No
 @pytest.mark.parametrize(
     ("changes", "labels"),
     [
-        ({"pulse": 140.0}, ["pulse 140 further", "no pulse"]),
-        ({"damping": 0.0}, ["pulse 220 further", "no pulse"]),
-        ({"damping": 220.0}, ["pulse 220 further", "no pulse"]),
-        ({"damping": 60.0}, ["pulse 220 further", "pulse 220 in all", "no pulse"]),
+        ({"pulse": 140.0}, ["+140 N s/m (220 total)", "no pulse"]),
+        ({"damping": 0.0}, ["+220 N s/m (220 total)", "no pulse"]),
+        ({"damping": 220.0}, ["+220 N s/m (440 total)", "no pulse"]),
+        ({"damping": 60.0}, ["+220 N s/m (280 total)", "220 N s/m total", "no pulse"]),
         ({"pulse": 0.0}, ["no pulse"]),
     ],
 )

@@ -17,7 +17,7 @@ from maglev_mj.scenes.run import run, run_phases, run_variants
 from tests.sweeps import sweep
 
 DROP, PHASE, BANDS = Drop(), 0.56, 20
-ANALOG = "analog wall, 10 kHz filter"
+ANALOG = "analog wall, 10 kHz low-pass"
 
 
 @cache
@@ -39,14 +39,11 @@ def reach(band: Any) -> tuple[float, float]:
 def test_figure_3_has_a_column_for_each_reading() -> None:
     figure = time_series(drops(DROP))
     heights, forces = figure.axes[:2], figure.axes[2:]
-    for upper, lower, title in zip(
-        heights, forces, ("pulse 220 further: 300 N s/m", "pulse 220 in all: 220 N s/m"), strict=True
-    ):
+    for upper, lower, title in zip(heights, forces, ("+220 N s/m (300 total)", "220 N s/m total"), strict=True):
         assert upper.get_title(loc="left") == title
-        label = title.split(":")[0]
-        assert list(lines(upper)) == [label, "no pulse", ANALOG]
-        assert set(lines(lower)) == {label, "no pulse", ANALOG, "60 N, the device's largest"}
-        assert list(lines(lower)["60 N, the device's largest"].get_ydata()) == [60.0, 60.0]
+        assert list(lines(upper)) == [title, "no pulse", ANALOG]
+        assert set(lines(lower)) == {title, "no pulse", ANALOG, "force limit, 60 N"}
+        assert list(lines(lower)["force limit, 60 N"].get_ydata()) == [60.0, 60.0]
         for panel, part, scale in ((upper, 0, 1e3), (lower, 2, 1.0)):
             time, drawn = lines(panel)[ANALOG].get_data()
             np.testing.assert_allclose(drawn, DROP.analog(time)[part] * scale, rtol=0.0, atol=1e-9)
@@ -87,7 +84,7 @@ def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float) -
     depth = run(DROP, plant="exact", phase=phase).figures["penetration"]
     others = run_phases(DROP, BANDS, plant="exact").figures["penetration"]
     share = 100.0 * float(np.mean(others < depth))
-    words = f"lines: phase {phase:g}, deeper than {share:.0f} % of the phases; shaded: all of {BANDS} phases"
+    words = f"lines: sampling phase {phase:g} ({share:.0f}th percentile of depth); band: {BANDS} phases"
     assert words in figure.get_suptitle()
 
 
@@ -116,7 +113,7 @@ def test_a_figure_that_is_flat_has_no_panel() -> None:
     found = drops(DROP, bands=20)
     figure = spread(found)
     titles = [panel.get_title(loc="left") for panel in figure.axes]
-    assert "final z (mm)" not in titles and titles[:2] == ["penetration (mm)", "rebound (mm)"]
-    assert figure.get_suptitle() == "not shown (constant): final z"
+    assert "final height (mm)" not in titles and titles[:2] == ["penetration (mm)", "rebound (mm)"]
+    assert figure.get_suptitle().endswith(": final height")
     marked = [panel for panel in figure.axes for line in panel.lines if [*line.get_ydata()] == [60.0, 60.0]]
     assert [panel.get_title(loc="left") for panel in marked] == ["peak force (N)"]

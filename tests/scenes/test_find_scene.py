@@ -106,7 +106,7 @@ def test_of_several_scenes_in_a_file_one_is_named(push: Path) -> None:
     push.write_text(TWO)
     with pytest.raises(ParameterError) as refused:
         find_scene(str(push))
-    said = "scene must be one of its file, but my_push.py has Push, Pull: name one as my_push.py:CLASS"
+    said = "my_push.py defines several (Push, Pull); choose one as my_push.py:CLASS"
     assert str(refused.value) == said
     assert [find_scene(f"{push}:{name}").name for name in ("Push", "Pull")] == ["push", "pull"]
     with pytest.raises(ParameterError, match=r"scene of my_push\.py must be one of Push, Pull, not 'Shove'"):
@@ -117,7 +117,7 @@ def test_scenes_that_a_file_imports_are_not_its_own(push: Path) -> None:
     push.write_text("from maglev_mj.scenes.drop import Drop\n\nclass Mine(Drop):\n    pass\n")
     assert find_scene(str(push)).__name__ == "Mine"
     push.write_text("from maglev_mj.scenes.drop import Drop\n")
-    with pytest.raises(ParameterError, match=r"scene must be one of its file, but my_push\.py has no class of Scene"):
+    with pytest.raises(ParameterError, match=r"my_push\.py defines no Scene"):
         find_scene(str(push))
     with pytest.raises(ParameterError, match=r"scene of my_push\.py must be one of none, not 'Drop'"):
         find_scene(f"{push}:Drop")
@@ -150,9 +150,9 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.py").mkdir()
     for text in ("nowhere.py", "nowhere.py:Push", "folder.py", ".py"):
-        with pytest.raises(ParameterError, match="scene must be a file that is there, not") as refused:
+        with pytest.raises(ParameterError, match=r"scene file .* does not exist") as refused:
             find_scene(text)
-        assert str(refused.value).endswith(f"{text.partition(':')[0]!r}")
+        assert repr(text.partition(":")[0]) in str(refused.value)
 
 
 def test_a_file_finds_its_neighbours(push: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -190,7 +190,7 @@ def test_a_broken_package_breaks_its_own_scenes_alone(installed: Callable[..., N
     for name, words in (
         ("missing", "of nowhere_at_all:Push cannot be loaded: ModuleNotFoundError: No module named 'nowhere_at_all'"),
         ("absent", "of other_scenes:Shove cannot be loaded: AttributeError: module 'other_scenes' has no attribute"),
-        ("number", "of other_scenes:PUSH must be a class of Scene, not 3"),
+        ("number", "of other_scenes:PUSH must be a subclass of Scene (got 3)"),
     ):
         with pytest.raises(ParameterError) as refused:
             find_scene(name)

@@ -20,7 +20,7 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import RANGE, Spec
 from tests.sweeps import further, sweep
 
-LINE = re.compile(r"  Beyond the range of (.*): (.*)")
+LINE = re.compile(r"  Warning: motion exceeds the range of (.*?): (.*)")
 
 
 def remark(text: str) -> str | None:
@@ -116,4 +116,4 @@ def test_a_force_beyond_the_devices_is_told_if_it_acted(knot: int, told: bool) -
     assert np.abs(forces[:, 2]).max() < most
     forces[knot, 2] = -1.5 * most
     text = str(Variants({"drop": replace(ran, trace=replace(ran.trace, wrench=forces))}).table())
-    assert (f"Above the device's {most:g} N (z): drop {1.5 * most:.3g}" in text) is told
+    assert (f"Warning: peak force {1.5 * most:.3g} N exceeds the device's {most:g} N limit" in text) is told

@@ -100,7 +100,9 @@ def test_only_laws_are_required() -> None:
     assert Empty().start() == Start() and Start().gravity == GRAVITY
     with pytest.raises(ParameterError, match="axis must be one of x, y, z, rx, ry, rz, not 'w'"):
         type("Mine", (Scene,), {"shown_axis": "w"})
-    with pytest.raises(TypeError, match=r"figure must be one of penetration, .*, or made by @figure, not 'depth'"):
+    with pytest.raises(
+        TypeError, match=r"figure must be one of penetration, .*, or decorated with @figure .got 'depth'"
+    ):
         type("Mine", (Scene,), {"figures": ("penetration", "depth")})
 
 
@@ -173,10 +175,10 @@ def test_a_run_is_on_the_scene_s_usual_plant_unless_it_is_told() -> None:
 
 def test_phases_outside_their_bounds_are_refused() -> None:
     for phases, words in (
-        ([0.5, 1.0], "phases must be below 1 everywhere, not 1"),
+        ([0.5, 1.0], "phases must all be below 1 .got 1"),
         ([-0.5, 0.0], "phases must be finite and at least 0 everywhere, not -0.5"),
-        ([], "phases must be a whole number or a list of phases"),
-        ([[0.5]], "phases must be a whole number or a list of phases"),
+        ([], "phases must be an integer or a list of phases"),
+        ([[0.5]], "phases must be an integer or a list of phases"),
     ):
         for call in (lambda given: run(Fall(), plant="exact", phase=given), lambda given: run_phases(Fall(), given)):
             with pytest.raises(ParameterError, match=words):
@@ -374,5 +376,5 @@ def test_an_option_that_a_plant_lacks_is_named() -> None:
             return {"stops": True}
 
     Stopped().plant("mujoco", model="maglev").close()
-    with pytest.raises(ParameterError, match="plant_options must be those of plant exact, which has no stops"):
+    with pytest.raises(ParameterError, match="plant exact does not accept stops"):
         run(Stopped(), plant="exact")

@@ -58,10 +58,13 @@ def test_the_margin_is_where_the_walls_own_root_passes_one(name: str, stiffness:
 @pytest.mark.parametrize(
     ("scene", "says"),
     [
-        (Drop(), "root 0.877, stiffness 59 % of its limit"),
-        (Drop(stiffness=15_000.0), "root 1.105 UNSTABLE, stiffness 148 % of its limit"),
-        (Drop(stiffness=400.0), "root 0.975"),  # up to tenfold it is stable
-        (Joystick(period=1e-4, delay=0.0, stiffness=5e5), "root 0.995"),  # up to the largest stiffness that it takes
+        (Drop(), "spectral radius 0.877, 59 % of critical stiffness"),
+        (Drop(stiffness=15_000.0), "unstable, spectral radius 1.105, 148 % of critical stiffness"),
+        (Drop(stiffness=400.0), "spectral radius 0.975"),  # up to tenfold it is stable
+        (
+            Joystick(period=1e-4, delay=0.0, stiffness=5e5),
+            "spectral radius 0.995",
+        ),  # up to the largest stiffness that it takes
     ],
 )
 def test_it_is_said_in_a_line(scene: Scene, says: str) -> None:
@@ -71,7 +74,7 @@ def test_it_is_said_in_a_line(scene: Scene, says: str) -> None:
 def test_what_remembers_too_long_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)
     monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:100])
-    assert str(wall_margin(Echoing())) == "root not known"
+    assert str(wall_margin(Echoing())) == "spectral radius not computed"
 
 
 def test_without_a_stiff_wall_there_is_none() -> None:
@@ -79,8 +82,8 @@ def test_without_a_stiff_wall_there_is_none() -> None:
 
 
 def test_it_is_that_of_the_hand_delay_and_flotor_in_question() -> None:
-    assert str(wall_margin(Press(stiffness=12_000.0))).startswith("root 1.044 UNSTABLE")
-    assert str(wall_margin(Press(stiffness=12_000.0), held=True)) == "root 0.956, stiffness 78 % of its limit"
+    assert str(wall_margin(Press(stiffness=12_000.0))).startswith("unstable, spectral radius 1.044")
+    assert str(wall_margin(Press(stiffness=12_000.0), held=True)) == "spectral radius 0.956, 78 % of critical stiffness"
     assert wall_margin(Drop(), delay=0.003) == wall_margin(Drop(delay=0.003))
     assert wall_margin(Drop(), inertia=[1.4] * 3 + [1e-3] * 3) == wall_margin(Drop(mass=1.4))
 
@@ -149,14 +152,16 @@ def test_a_viewer_outlives_the_process(beside: StabilityMap) -> None:
 
 def test_charts_of_runs_and_recordings_say_it() -> None:
     figure = run(Press(stiffness=12_000.0, hits=1), plant="exact").plot()
-    assert "wall of 12000 N/m and 80 N s/m (root 0.956, stiffness 78 % of its limit)\n" in figure.axes[0].get_title(
+    assert "wall 12000 N/m, 80 N s/m (spectral radius 0.956, 78 % of critical stiffness)\n" in figure.axes[0].get_title(
         "left"
     )
     runs = {f"{gain:g} N/m": run(Press(stiffness=gain, hits=1), plant="exact") for gain in (3000.0, 6000.0)}
     assert "wall of" not in Variants(runs).plot().axes[0].get_title("left")  # they differ
     segment = record_run(Press(hits=1), plant="exact").segments[0]
     report = analyse(segment, rebuild)
-    assert _describe(report).startswith("press, 200 Hz, delay 1.5 ms; wall: root 0.853, stiffness 39 % of its limit\n")
+    assert _describe(report).startswith(
+        "press, 200 Hz, delay 1.5 ms; wall: spectral radius 0.853, 39 % of critical stiffness\n"
+    )
     for other in ({"kind": "device"}, {"scene": "unknown"}):
         assert analyse(replace(segment, setup={**segment.setup, **other})).wall is None
     bare = {name: value for name, value in segment.setup.items() if name != "scene"}  # of a loop of one's own

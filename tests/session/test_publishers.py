@@ -132,12 +132,10 @@ def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch
     with plant:
         assert flown.run(0.6).ticks == 120
     wall, tick, unmade, failing = asks.answers
-    pushed = re.fullmatch(
-        r"settings must change the force on z, where the flotor is, by at most 2 N, not -(.*) N", str(wall)
-    )
+    pushed = re.fullmatch(r"force step on z at the present pose must be at most 2 N \(got -(.*) N\)", str(wall))
     assert pushed and float(pushed[1]) == pytest.approx(12.0, abs=0.5)
     assert "law broken raises ValueError: no" in str(failing)
-    assert unmade == "the parameters are refused: ValueError: never"
+    assert unmade == "parameters rejected: ValueError: never"
     assert asks.snapshots[-1].scene == good and asks.snapshots[-1].since == tick
     assert any(wall in one.notes for one in asks.snapshots) and failing in asks.snapshots[-1].notes
     asks = Asks(Joystick(walls=around, stiffness=1000.0))
