@@ -154,7 +154,7 @@ def test_a_choice_of_model_draws_the_distance_of_each_level() -> None:
 def test_a_batch_says_that_a_series_needs_one_phase() -> None:
     batch = run(Drop(), plant="exact", phase=[0.0, 0.5])
     for wanted in (batch.to_pandas, batch.plot, batch.times):
-        with pytest.raises(ParameterError, match=r"result must be of one phase, as result\[0\] is, not of 2"):
+        with pytest.raises(ParameterError, match=r"result must be of one sampling phase, such as result\[0\] \(got 2"):
             wanted()
     alone = batch[1].to_pandas()
     assert alone["z"].min() == pytest.approx(run(Drop(), plant="exact", phase=0.5).to_pandas()["z"].min(), abs=1e-15)

@@ -186,7 +186,7 @@ def test_phases_outside_their_bounds_are_refused() -> None:
     for phase in (-0.1, 1.0, math.nan, "x", None):
         with pytest.raises(ParameterError, match="phase must be a finite number at least 0 and below 1, not "):
             run(Fall(), plant="exact", phase=phase)  # type: ignore[arg-type]
-    with pytest.raises(ParameterError, match=r"phase must be one number on mujoco, .*: see run_phases"):
+    with pytest.raises(ParameterError, match=r"phase must be a number on mujoco; use run_phases"):
         run(Fall(), plant="mujoco", phase=[0.0, 0.5])
     longest: dict[str, Any] = {"duration": 10.0, "period": 1e-5}
     assert Drop(**longest).end == 10.0
