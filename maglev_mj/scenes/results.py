@@ -396,10 +396,6 @@ class Variants(Result):
 
     def table(self) -> Table:
         """Return the figures of each run and their spread over the phases, below any warnings."""
-        table, warnings = self._figures(), "\n".join(self._warnings())
-        return Table("", (), (), warnings, below=[table]) if warnings else table
-
-    def _figures(self) -> Table:
         scene = self.first.scene
         runs: dict[str, Mapping[str, Any]] = {label: result.figures for label, result in self.runs.items()}
         runs |= scene.compared(self.first) if runs else {}
@@ -408,15 +404,15 @@ class Variants(Result):
         at = f"phase {self.first.phase:g}" if runs and scene.takes_phase else ""
         plant = ", ".join(filter(None, [f"plant {self.first.plant}", at if runs else over]))
         title = f"{scene.title or scene.name}, {plant}: {', '.join(_parameter_texts(scene))}"
-        note = "\n".join(self._remarks())
+        warnings, note = "\n".join(self._warnings()), "\n".join(self._remarks())
+        both = "\n".join(filter(None, [warnings, note]))
         if not runs:
-            return _figures_table(title, scene, spreads, Figure.spread)._replace(note=note)
+            return _figures_table(title, scene, spreads, Figure.spread)._replace(note=both)
         table = _figures_table(title, scene, runs, Figure.text)
         if not spreads:
-            return table._replace(note=note)
-        return table._replace(
-            below=[_figures_table(over, scene, spreads, Figure.spread, brief=True)._replace(note=note)]
-        )
+            return table._replace(note=both)
+        spread = _figures_table(over, scene, spreads, Figure.spread, brief=True)
+        return table._replace(note=warnings, below=[spread._replace(note=note)])
 
     def _remarks(self) -> Iterator[str]:
         yield from self._rank()
@@ -461,6 +457,19 @@ class Variants(Result):
             yield f"Warning: motion exceeds the range of {_distances(exceeded)}: {', '.join(texts)}"
 
 
+class _RunTable(Table):
+    """Table that prints the warnings of its note first."""
+
+    __slots__ = ()
+
+    def __str__(self) -> str:
+        lines = self.note.splitlines()
+        warnings = [line for line in lines if line.startswith("Warning: ")]
+        head = str(Table("", (), (), "\n".join(warnings)))
+        table = Table(self.title, self.head, self.rows, "\n".join(lines[len(warnings) :]), self.below)
+        return "\n\n".join(filter(None, [head, str(table)]))
+
+
 def _figures_table(
     title: str,
     scene: Any,
@@ -481,7 +490,7 @@ def _figures_table(
         )
         for name, figure in named.items()
     ]
-    return Table(title, ("figure", *figures, "unit", *(["meaning"] if meaning else [])), rows)
+    return _RunTable(title, ("figure", *figures, "unit", *(["meaning"] if meaning else [])), rows)
 
 
 def _parameter_texts(scene: Any) -> list[str]:

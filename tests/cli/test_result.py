@@ -128,7 +128,7 @@ def test_the_series_of_a_run_are_those_of_its_trace() -> None:
     assert len(one.plot(picture="drop_phase_plane").axes) == 1
     with pytest.raises(ParameterError, match=r"picture must be one of drop_time, drop_phase_plane, .* not 'x'"):
         one.plot(picture="x")
-    with pytest.raises(ParameterError, match="phases must be run for their picture: see run_phases"):
+    with pytest.raises(ParameterError, match="this picture needs sampling phases: see run_phases"):
         one.plot(picture="drop_phases")
     with pytest.raises(ParameterError, match="has no figures to draw"):
         run_phases("corner", 2, plant="exact").plot()
