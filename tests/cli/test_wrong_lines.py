@@ -50,7 +50,7 @@ fidelity all --tolerance 1e-3                       | unrecognized arguments: --
 design --mass a:b                                   | mass must be LOW HIGH, LOW:HIGH, or one value, not 'a:b'
 design --hand fist                                  | hand must be one of none, arm, stylus, fingertip
 design --held                                       | hands must be at least one, without duplicates (got none)
-design --spectral-radius 0.4                                | spectral_radius must be above 0.4 here
+design --spectral-radius 0.4                                | spectral_radius must be above 0.4: no pd wall
 design --law observer --pulse                       | pulse must be left out for the observer
 design --out x                                      | mass or delay must be a range for a picture
 stability --grid 3 --height 0 --plant mujoco        | plant must be one of exact, not 'mujoco'
