@@ -58,13 +58,13 @@ stability --grid 3 --pulse 220 --damping 50 --out . | damping must be a range fo
 # numbers, their bounds and their kinds
 drop --delay soon                                   | argument --delay: must be a number, not 'soon'
 drop --delay 0.5 --period 1e-6 --duration 0.1       | delay must be at most 10000 periods
-drop --period 1e-6 --duration 10                    | duration must be at most 1000000 periods, not 10 s
+drop --period 1e-6 --duration 10                    | duration must be at most 1000000 periods (got 10 s)
 drop --phase 1                                      | phase must be a finite number at least 0 and below 1, not 1.0
 drop --pulse-width 0                                | pulse_width must be
 fidelity drop --share 0                             | share must be
 drop --phases many                                  | argument --phases: must be a whole number, not 'many'
 drop --carry                                        | carry needs a force_limit
-press --hand none | hand must have an arm of some stiffness, by which it presses, not 'none'
+press --hand none | hand must have a stiffness above 0, in order to press (got 'none')
 press --hand fist | hand must be one of none, arm, stylus, fingertip, or mass,damping,stiffness
 render drop --out a.png --magnify 2                 | magnify must be one of 1, 3, 5, not '2'
 press --press 60 --force-limit 60                   | press must be below the force_limit of 60 N
@@ -109,7 +109,7 @@ stability --hand 0.2,0,0,1,0                        | grip_stiffness above 0 in 
 sweep drop                                          | a sweep needs --vary NAME=VALUES; for one run: maglev-mj run drop
 sweep joystick --vary stiffness=1000,2000 --out .   | out must be left out: joystick has no figures to draw
 card nothing.json | calibration 'nothing.json' cannot be read: No such file or directory
-card drop --delay 0.06                              | delay must be at most 10 periods, not 12 periods
+card drop --delay 0.06                              | delay must be at most 10 periods (got 12 periods)
 sweep moon.py                                       | scene file 'moon.py' does not exist
 sweep drop --vary height=0:inf:3                    | height must vary as LOW:HIGH:COUNT
 sweep drop --vary height                            | a parameter must be given as NAME=VALUE, not 'height'
