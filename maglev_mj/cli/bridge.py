@@ -1,4 +1,4 @@
-"""Command `bridge`: a scene on a remote device."""
+"""Command `bridge`: fly a scene on a device."""
 
 from __future__ import annotations
 
@@ -51,27 +51,26 @@ from maglev_mj.terminal import say, wrapped
 from maglev_mj.views.viewer_process import Front, RemoteViewer
 
 _IDENTIFYING = 10.0
-_IDENTIFICATION = "identification, instead of a scene"
+_IDENTIFICATION = "identification (instead of a scene)"
 _MEASURED = 10.0
-_LIMITS = "limits of the host; the smaller of these and the device's counts"
+_LIMITS = "limits of the host (the device's own limits apply too)"
 
 _TWINS = "udp://127.", "udp://localhost", "udp://[::1]"
-"""Addresses at which a twin of this machine answers."""
+"""Loopback addresses: only a twin can answer there."""
 
 _ENDS = f"""\
-how a flight ends, in takeoff, flight and landing alike:
-  Ctrl-C               lands; currents not off {LANDING_TIME:g} s later are cut
-  Ctrl-C twice         cuts the currents now: an emergency stop
-  SIGTERM, SIGHUP      land as the first Ctrl-C, however often they come
-  Esc in the window    cuts the currents now; closing the window lands
-  emergency stop       on the page cuts them too; closing a tab does nothing
+how to stop a flight, at any time from takeoff to landing:
+  Ctrl-C               land; cut the currents if they are not off after {LANDING_TIME:g} s
+  Ctrl-C twice         cut the currents immediately (emergency stop)
+  SIGTERM, SIGHUP      land; repeating them changes nothing
+  Esc in the window    cut the currents immediately; closing the window lands
+  Emergency stop       on the page: cut the currents; closing the tab does nothing
   maglev-mj estop ADDRESS [--key FILE]
-                       cuts them from any terminal, whatever this program does
-  this program dies    the device's watchdog cuts them
-A cut latches a fault: --reset shows and clears it. None of this replaces a switch
-that cuts the amplifiers. Exit status: 0 landed, 1 cut, refused or ended
-by a guard, 2 bad input,
-130 stopped before takeoff.
+                       cut them from any terminal, even if this program hangs
+  this program dies    the device's watchdog cuts the currents
+A cut latches a fault; --reset shows and clears it. None of this replaces a
+switch that cuts the amplifiers' power. Exit status: 0 landed; 1 cut, refused,
+or ended by a guard; 2 invalid input; 130 stopped before takeoff.
 """
 
 
@@ -84,7 +83,7 @@ def _add_limits(parser: Parser) -> None:
     group = parser.group(_LIMITS)
     add_parameters(group, HostLimits)
     group.add_argument(
-        "--profile", metavar="FILE", type=Path, help="these limits by name, as JSON; options go before it"
+        "--profile", metavar="FILE", type=Path, help="JSON file with these limits by name; options override it"
     )
 
 
@@ -97,7 +96,7 @@ _Limits: TypeAlias = Annotated[HostLimits, Shared(_add_limits, _chosen_limits)]
 
 
 def _ends_of(options: argparse.Namespace) -> list[str]:
-    """Return the options by which the device is reached again."""
+    """Return the options that a command needs to reach the same device."""
     return [f"--{name}={value}" for name in ("key", "calibration") if (value := getattr(options, name)) is not None]
 
 
@@ -108,17 +107,17 @@ def bridge(
     *,
     address: Address,
     scene: _FlownScene,
-    reset: Annotated[bool, option("show what is latched in the device, clear it, and end")] = False,
+    reset: Annotated[bool, option("show and clear the latched faults, then exit")] = False,
     check: Annotated[
-        bool, option(f"measure the line for {_MEASURED:g} s without current, say what it bears, and end")
+        bool, option(f"preflight check only: measure the link latency for {_MEASURED:g} s, currents off")
     ] = False,
     as_written: Annotated[
-        bool, option(f"the scene's own walls, though they bear less than {MARGIN:g} times the line's delay")
+        bool, option(f"keep the scene's walls even if they are stable for less than {MARGIN:g} times the link latency")
     ] = False,
     anyway: Annotated[
-        bool, option("fly what the check before takeoff refuses; on a device with --max-current of at most half")
+        bool, option("fly despite a failed preflight check; a device needs --max-current of at most half its limit")
     ] = False,
-    view: Annotated[bool, option("a window on the device; its hand is at the device")] = False,
+    view: Annotated[bool, option("3D window (read-only: the hand is at the device)")] = False,
     page: PageOptions,
     calibration: CalibrationFile,
     key: Key = None,
@@ -126,36 +125,36 @@ def bridge(
     realtime: Realtime = "ignore",
     limits: _Limits,
     record: Record = None,
-    out: Annotated[Path, option("folder for the last cycles before a fault", "output", "DIR")] = Path(),
+    out: Annotated[Path, option("folder for the fault recording", "output", "DIR")] = Path(),
     identify: Annotated[
         Path | None,
-        option(f"shake the flotor gently for {_IDENTIFYING:g} s and write its calibration", _IDENTIFICATION),
+        option(f"identify the device by small motions, {_IDENTIFYING:g} s; write a calibration", _IDENTIFICATION),
     ] = None,
     mass: Annotated[float | None, option("moving mass [kg]", _IDENTIFICATION, above=0.0)] = None,
     reconnect: _Reconnect,
 ) -> int:
-    """A scene on a device at the other end of a wire."""  # noqa: D401
+    """Fly a scene on a device, or on its twin, over UDP or a serial link."""
     flying = {"record": record is not None, "view": view, "web": page.web, "seconds": seconds is not None}
     modes = {"reset": reset, "check": check, "identify": identify is not None}
     _check(modes, mass is not None, [name for name, chosen in flying.items() if chosen])
     front = page.front(view, out, watch=True)
     with (
         _with_remedy(address, reconnect),
-        stopping(interrupt, lambda: None),  # closing is not stopped by a second Ctrl-C
+        stopping(interrupt, lambda: None),  # a second Ctrl-C must not interrupt closing
         _opened(address, key, calibration, limits, out) as plant,
     ):
         if reset:
             print(_latched(plant), flush=True)
             if plant.faults:
                 plant.reset()
-                print("  reset; the next flight is a command of its own")
+                print("  faults cleared")
             return 0
         if identify is not None:
             return _identify(plant, identify, mass, realtime)
         if check:
             return _checked_line(plant, scene, realtime)
-        print("  measuring the line, and computing what the scene bears", flush=True)
-        with scheduled(realtime):  # as the flight, which says what is refused
+        print("  measuring link latency and checking the scene's stability", flush=True)
+        with scheduled(realtime):  # as in flight, which reports refused settings
             report = measure_line(plant)
         found = preflight(plant, scene, as_written=as_written, report=report)
         anyway = _may_fly(plant, address, found, anyway)
@@ -165,21 +164,19 @@ def bridge(
 
 
 def _check(modes: Mapping[str, bool], mass: bool, flying: Sequence[str]) -> None:
-    """Check which options are given together, as far as possible without the device."""
+    """Raise ParameterError for options that exclude each other."""
     if mass and not modes["identify"]:
-        raise ParameterError("mass is for --identify")
+        raise ParameterError("--mass requires --identify")
     active = [mode for mode, on in modes.items() if on]
     if active and flying:
-        raise ParameterError(f"{flying[0]} is for scenes, not for --{active[0]}")
-    if modes["reset"] and modes["identify"]:
-        raise ParameterError("identify flies, and --reset does not: two commands")
+        raise ParameterError(f"--{flying[0]} cannot be combined with --{active[0]}")
     if len(active) > 1:
-        raise ParameterError(f"{active[0]} and {active[1]} are two commands")
+        raise ParameterError(f"--{active[0]} and --{active[1]} cannot be combined; run them one after the other")
 
 
 def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "ignore"]) -> int:
-    """Print what the line takes and bears; return the exit status."""
-    print(f"  measuring the line for {_MEASURED:g} s, without current", flush=True)
+    """Print link latency and stability of the scene; return the exit status."""
+    print(f"  measuring link latency for {_MEASURED:g} s, currents off", flush=True)
     with _punctual(policy):
         report = measure_line(plant, _MEASURED)
     found = preflight(plant, scene, report=report)
@@ -188,23 +185,25 @@ def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "
         f"{hand} {stiffness:.0f} N/m with {damping:.0f} N s/m"
         for hand, (stiffness, damping) in stiffest_walls(found.report, plant).items()
     )
-    bears = f"the stiffest wall at {found.report.planned * 1e3:.2f} ms ({MARGIN:g} times the line), by hand"
-    print("\n".join(wrapped(f"{bears}: {', '.join(walls)}")))
-    verdict = found.problem or found.softened or f"{scene.name} bears {found.bears * 1e3:.2f} ms: it may fly"
+    head = f"critical stiffness at {found.report.planned * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
+    print("\n".join(wrapped(f"{head}: {', '.join(walls)}")))
+    verdict = (
+        found.problem or found.softened or f"ready to fly: {scene.name} is stable up to {found.bears * 1e3:.2f} ms"
+    )
     print("\n".join(wrapped(verdict)))
     return 1 if found.problem else 0
 
 
 def _may_fly(plant: RemotePlant, address: str, found: Preflight, anyway: bool) -> bool:
-    """Refuse or say what the check before takeoff has found.
+    """Return True if a failed check may be overridden, in flight too.
 
-    Returns:
-        Whether settings in flight are taken though they would be refused.
+    Raises:
+        PlantError: If the preflight check failed and may not be overridden.
     """
     half = 0.5 * plant.stated.current_limit
     weak = address.startswith(_TWINS) or plant.limits.current_limit <= half
     if found.problem and not anyway:
-        raise PlantError(f"no takeoff: {found.problem}; --anyway flies it")
+        raise PlantError(f"no takeoff: {found.problem}; use --anyway to fly regardless")
     if found.problem and not weak:
         raise PlantError(f"no takeoff: --anyway needs --max-current of at most {half:g} A on a device: {found.problem}")
     if found.problem:
@@ -213,7 +212,7 @@ def _may_fly(plant: RemotePlant, address: str, found: Preflight, anyway: bool) -
 
 
 class _Flown(NamedTuple):
-    """Chosen flight of a scene."""
+    """Options of a flight."""
 
     found: Preflight
     anyway: bool
@@ -223,9 +222,9 @@ class _Flown(NamedTuple):
 
 
 def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) -> int:
-    """Fly a scene; then disarm the device and close recordings; return the exit status.
+    """Fly a scene and return the exit status.
 
-    In this order, at any end of the flight.
+    However the flight ends, the device is disarmed before recordings are closed.
     """
     found, switch = flown.found, StopSwitch()
     scene = found.scene
@@ -240,7 +239,7 @@ def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) ->
         if file is not None:
             last.push(partial(_keep, file))
         judge = None
-        if viewer is not None:  # before this thread is a real-time one, as a process inherits that
+        if viewer is not None:  # before real-time scheduling, which a child process would inherit
             judge = SideAnswers(partial(judge_change, report=found.report, anyway=flown.anyway), UNKNOWN)
             last.callback(judge.close, 0.0)
         flight = Flight(
@@ -257,7 +256,7 @@ def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) ->
             viewer.on_close, viewer.on_emergency = switch.land, switch.cut
         last.push(plant)  # the device is closed first
         with _punctual(flown.realtime):
-            print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
+            print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off during takeoff", flush=True)
             try:
                 report = flight.run(flown.seconds)
             except BaseException:
@@ -270,9 +269,9 @@ def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) ->
 
 
 def _latched(plant: RemotePlant) -> str:
-    """Return the faults latched at the handshake, with their meanings."""
+    """Return the latched faults and their meanings as text."""
     if not plant.faults:
-        return f"  no fault is latched; the device is {plant.state.name.lower()}"
+        return f"  no fault latched; device {plant.state.name.lower()}"
     meanings = [wrapped(meaning, "    ", "      ") for meaning in fault_meanings(fault_names(plant.faults))]
     return "\n".join(itertools.chain(wrapped(plant.latched), *meanings))
 
@@ -283,7 +282,7 @@ def _warn(text: str) -> None:
 
 
 def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trace: object) -> None:
-    """Close a recording; print its error after an earlier one."""
+    """Close a recording; print its error if another one is already propagating."""
     try:
         path = file.close()
     except (MaglevError, OSError) as problem:
@@ -292,7 +291,7 @@ def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trac
         say(f"  {problem}", sys.stderr)
         return
     if path is None:
-        print("  nothing was recorded: it did not come to fly")
+        print("  no recording: the flight did not start")
     else:
         print_written(path)
 
@@ -307,19 +306,19 @@ def _opened(address: str, key: bytes | None, calibration: Calibration, limits: H
 
 @contextmanager
 def _with_remedy(address: str, ends: Sequence[str]) -> Iterator[None]:
-    """Add the command that clears a fault to its message."""
+    """Append the command that clears a fault to its message."""
     try:
         yield
     except DeviceFault as error:
         again = shlex.join(["maglev-mj", "bridge", address, *ends, "--reset"])
-        late = address.startswith("serial:") and Fault.WATCHDOG in error.faults
-        hint = "; a busy machine hands over a serial line's bytes late: keep a processor free" if late else ""
-        raise PlantError(f"{error}{hint}; the currents are cut; {again} clears the fault") from error
+        serial = address.startswith("serial:") and Fault.WATCHDOG in error.faults
+        hint = "; a busy machine delays serial data: keep a CPU core free" if serial else ""
+        raise PlantError(f"{error}{hint}; the currents are cut; clear the fault with: {again}") from error
 
 
 @contextmanager
 def _punctual(policy: Literal["enforce", "ignore"]) -> Iterator[None]:
-    """Run in real time and print refused settings."""
+    """Run in real time and print the settings that the system refused."""
     with scheduled(policy) as refused:
         for complaint in refused:
             print(f"  not in real time: {complaint}", file=sys.stderr)
@@ -328,23 +327,23 @@ def _punctual(policy: Literal["enforce", "ignore"]) -> Iterator[None]:
 
 def _identify(plant: RemotePlant, path: Path, mass: float | None, policy: Literal["enforce", "ignore"]) -> int:
     mass = plant.calibration.mass if mass is None else mass
-    # before takeoff: the device would take the time that this needs for a host that is gone
+    # before takeoff: in flight the computing time would trip the watchdog
     shaker = excitation(plant.calibration, period=plant.period, delay=plant.delay)
     switch = StopSwitch()
     with switch.signals(), _punctual(policy), switch.flying(plant):
         plant.takeoff(watch=lambda: switch.landing)
         motion = collect(plant, shaker, _IDENTIFYING, then=plant.land, watch=lambda: switch.landing)
-    # the wire and this program take their time too, which the map would have to pay for
+    # use the measured delay, which includes the link and this program
     with Progress("identify"):
         device = identify_device(motion.poses, motion.currents, period=plant.period, delay=motion.delay)
     device.calibration(plant.calibration, mass).save(path)
     x, y, z = device.gravity
-    doubt = device.free_errors[:3].max()
+    error = device.free_errors[:3].max()
     missing = int(np.isnan(motion.currents[:, 0]).sum())
-    taken = f"gravity {x:.4f}, {y:.4f}, {z:.4f} m/s², give or take {doubt:.4f}; mass taken for {mass:g} kg"
-    late = (
+    gravity = f"gravity {x:.4f}, {y:.4f}, {z:.4f} m/s², standard error {error:.4f}; mass {mass:g} kg (assumed)"
+    timing = (
         f"delay {motion.delay * 1e3:.3f} ms; {missing} of {len(motion.poses)} samples lost, or answered late or early"
     )
-    print("\n".join(wrapped(taken) + wrapped(late)))
+    print("\n".join(wrapped(gravity) + wrapped(timing)))
     print(f"  wrote {path}")
     return 0

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 _WORDS = {True: "pass", False: "FAIL", None: "skip"}
 _FORMAT = "maglev_mj conformance 1"
-_SHOWN = 0.25  # [s] between two lines of spots
-_BLOCKED = "  the flotor must be blocked by something soft; nothing is checked for a hand"
+_SHOWN = 0.25  # interval between printed lines of spots [s]
+_BLOCKED = "  block the flotor with soft foam; hands off: this test does not detect a hand"
 
 
 def info(*, json: Json = None) -> int:
-    """Table 1 of the paper, and what the model yields."""
+    """Compare the model with Table 1 of the paper."""
     from maglev_mj.plants.shapes import device_report
 
     write_result(json, device_report())
@@ -39,13 +39,13 @@ def info(*, json: Json = None) -> int:
 
 
 def estop(*, address: Address, key: Key = None) -> int:
-    """Cut the currents of a device in any state and session, and latch its fault ESTOP.
+    """Emergency stop: cut a device's currents and latch the fault ESTOP.
 
-    `maglev-mj bridge ADDRESS --reset` shows and clears it.
+    Works in any state, whichever host is flying. `maglev-mj bridge ADDRESS --reset` shows and clears the fault.
 
     Returns:
-        Exit status: 0 where the device confirms that its currents are zero; otherwise cut the power. A serial line has
-        one user: stop that one by its window's Escape or by Ctrl-C twice.
+        Exit status: 0 if the device confirmed zero current; otherwise cut the power. A serial link has one user only:
+        stop that flight with Escape in its window, or Ctrl-C twice.
     """
     from maglev_mj.bridge.connection import estop
 
@@ -64,19 +64,19 @@ def conform(
     address: Address,
     calibration: CalibrationFile,
     key: Key = None,
-    no_flight: Annotated[bool, option("leave out the checks that fly")] = False,
-    json: Annotated[Path | None, option("write the report here as well", "output")] = None,
+    no_flight: Annotated[bool, option("skip the checks that fly")] = False,
+    json: Annotated[Path | None, option("report file", "output")] = None,
 ) -> int:
     """Test a device against docs/reference/protocol.md.
 
-    First with at most half the currents that carry its flotor, then in flight, where the flotor is dropped onto its
-    stops. Keep hands off. Ctrl-C lands and cuts. Exit status 0 if every check passes, 1 if one fails.
+    First with at most half the hover currents, then in flight, where the flotor is dropped onto its stops. Keep hands
+    off. Ctrl-C lands, then cuts the currents. Exit status: 0 if no check fails, else 1.
     """
     from maglev_mj.bridge.conformance import checks, conform
     from maglev_mj.bridge.links import open_link, parse_url
     from maglev_mj.bridge.realtime import realtime
 
-    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: a flight is landed
+    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: land
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.default_int_handler)
     with ExitStack() as last:
@@ -85,16 +85,16 @@ def conform(
         for complaint in last.enter_context(realtime("ignore")):
             say(f"  not in real time: {complaint}", sys.stderr)
         progress = last.enter_context(Progress("conform"))
-        every, results = len(checks()), list["CheckResult"]()
+        total, results = len(checks()), list["CheckResult"]()
 
         def tell(result: CheckResult) -> None:
             results.append(result)
             with progress.aside():
                 _print_check(result)
-            progress(len(results), every)
+            progress(len(results), total)
 
         conform(links, calibration, key, flight=not no_flight, tell=tell)
-    counts = {word: sum(one.passed is value for one in results) for value, word in _WORDS.items()}
+    counts = {word: sum(result.passed is value for result in results) for value, word in _WORDS.items()}
     say("  " + ", ".join(f"{count} {word}" for word, count in counts.items()))
     if json is not None:
         _write_report(json, address, counts, results)
@@ -112,7 +112,7 @@ def _write_report(path: Path, address: str, counts: dict[str, int], results: lis
     from maglev_mj.versions import versions
 
     report = {"format": _FORMAT, "address": address, "versions": versions(), "counts": counts}
-    checked = [one._asdict() for one in results]
+    checked = [result._asdict() for result in results]
     path.write_text(json.dumps({**report, "checks": checked}, indent=1) + "\n", "utf-8")
 
 
@@ -122,29 +122,29 @@ def commission(
     test: Annotated[
         Literal["spots", "coils", "step", "offsets"],
         option(
-            "spots: show the diodes while a hand moves the flotor, currents off; coils: polarity and place of each "
-            "coil, flotor blocked; step: a coil's current loop, flotor blocked; offsets: write the diodes' offsets, "
-            "flotor clamped upright at the centre, currents off",
+            "spots: print spots and pose, currents off, flotor moved by hand; coils: check polarity and position of "
+            "each coil, flotor blocked; step: a coil's step response, flotor blocked; offsets: measure the spot "
+            "offsets, currents off, flotor clamped upright at the centre",
             "",
         ),
     ],
     coil: Annotated[
-        int | None, option("one coil, 0 to 5 (default: all; for step 0)", "test", "K", at_least=0, at_most=5)
+        int | None, option("coil index, 0 to 5 (default: all; for step, 0)", "test", "K", at_least=0, at_most=5)
     ] = None,
-    current: Annotated[float, option("in one coil [A]", "test", above=0.0)] = 0.2,
-    write: Annotated[Path | None, option("calibration file that offsets writes", "output")] = None,
+    current: Annotated[float, option("test current [A]", "test", above=0.0)] = 0.2,
+    write: Annotated[Path | None, option("calibration file written by offsets", "output")] = None,
     calibration: CalibrationFile,
     key: Key = None,
     seconds: Seconds = None,
     realtime: Realtime = "ignore",
 ) -> int:
-    """Diodes and coils of a new device, before it hovers."""
+    """Check diodes and coils of a new device before its first hover."""
     from maglev_mj.bridge.commissioning.coil_check import mean_pose, record_step, with_offsets
     from maglev_mj.bridge.links import open_link
     from maglev_mj.bridge.remote import RemotePlant
 
     if (write is not None) != (test == "offsets"):
-        raise ParameterError("write must name the file for offsets, and is for offsets alone")
+        raise ParameterError("offsets needs --write FILE; the other tests do not take it")
     with RemotePlant(open_link(address, key), calibration=calibration, key=key) as plant:
         if test == "spots":
             _show_spots(plant, seconds)
@@ -152,7 +152,7 @@ def commission(
             with Progress("commission"):
                 spots, errors = mean_pose(plant, 1.0 if seconds is None else seconds)
             with_offsets(calibration, spots).save(write)
-            print(f"  spots within {errors.max() * 1e6:.2f} µm; wrote {write}")
+            print(f"  standard error of the spots up to {errors.max() * 1e6:.2f} µm; wrote {write}")
         elif test == "step":
             print(_BLOCKED)
             with Progress("commission"):
@@ -165,16 +165,13 @@ def commission(
 
 
 def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
-    """Print spots and pose without currents.
-
-    Until Ctrl-C, or for `seconds`.
-    """
+    """Print spots and pose, currents off, for `seconds` or until Ctrl-C."""
     import numpy as np
 
     from maglev_mj.errors import SensingError
 
     end = math.inf if seconds is None else time.monotonic() + seconds
-    print(f"  {'x and y of the spots on diodes 0, 1, 2 [mm]':<43}{'x y z [mm]':>16}{'rx ry rz [°]':>18}")
+    print(f"  {'spots x, y on diodes 0, 1, 2 [mm]':<43}{'x y z [mm]':>16}{'rx ry rz [°]':>18}")
     every = max(round(_SHOWN / plant.period), 1)
     with suppress(KeyboardInterrupt):
         while time.monotonic() < end:
@@ -182,7 +179,7 @@ def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
                 pose = np.array(plant.read().position)
                 text = "".join(f"{part:6.2f}" for part in [*pose[:3] * 1e3, *np.degrees(pose[3:])])
             except SensingError:
-                text = " no pose has these spots"
+                text = " no pose matches these spots"
             if plant.samples.tick % every == 0:
                 spots = "".join(f"{part * 1e3:7.3f}" for part in plant.report.spots)
                 print(f" {spots} {text}", flush=True)
@@ -191,15 +188,15 @@ def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
 def _check_coils(plant: RemotePlant, coils: Sequence[int], current: float) -> int:
     from maglev_mj.bridge.commissioning.coil_check import check_coil
 
-    print("      currents [A]         moved by [µm]       calibrated force [N]")
-    print("coil   set  flows others      x     y     z      x      y      z  verdict")
+    print("      currents [A]         displacement [µm]   calibrated force [N]")
+    print("coil   set actual others      x     y     z      x      y      z  verdict")
     worst = 0
     with Progress("commission") as progress:
-        for place, coil in enumerate(coils):
+        for index, coil in enumerate(coils):
             check = check_coil(plant, coil, current)
             with progress.aside():
                 print(_coil_row(check), flush=True)
-            progress(place + 1, len(coils))
+            progress(index + 1, len(coils))
             worst |= check.verdict != "as calibrated"
     return worst
 
@@ -214,6 +211,6 @@ def _coil_row(check: CoilCheck) -> str:
 
 
 def _step_table(rows: np.ndarray[Any, Any]) -> str:
-    lines = ["  after     current"]
-    lines += [f"  {after * 1e3:6.2f} ms  {current:7.3f} A" for after, current in rows]
+    lines = ["  time      current"]
+    lines += [f"  {time * 1e3:6.2f} ms  {current:7.3f} A" for time, current in rows]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Command `twin`: a simulated device behind a real device's protocol."""
+"""Command `twin`: a simulated device behind the device protocol."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from maglev_mj.session import Snapshot
     from maglev_mj.views.viewer_process import RemoteViewer
 
-_DEVICE, _HANDS = "device", "faults and hands"
+_DEVICE, _HANDS = "device", "faults and hand"
 
 
 _FAULTS = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
@@ -33,43 +33,43 @@ _FAULTS = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAU
 
 def twin(
     *,
-    listen: Annotated[str, option("udp://HOST:PORT, or pty", _DEVICE, "ADDRESS")] = "udp://127.0.0.1:5678",
+    listen: Annotated[str, option("udp://HOST:PORT or pty (serial)", _DEVICE, "ADDRESS")] = "udp://127.0.0.1:5678",
     rate: Annotated[
         float, option("sample rate [Hz]", _DEVICE, inverse="period", at_least=10.0, at_most=20_000.0)
     ] = Spec.control_rate.value,
     delay: Annotated[
-        float, option("from a command's arrival to its taking effect [s]", _DEVICE)
+        float, option("delay from a command's arrival to its effect [s]", _DEVICE)
     ] = Spec.transport_delay.value,
-    watchdog: Annotated[float, option("how long it waits for a command [s]", _DEVICE)] = 0.05,
-    noise: Annotated[float, option("standard deviation of a spot's noise [m]", _DEVICE)] = 4e-7,
-    seed: Annotated[int, option("of the noise", _DEVICE)] = 0,
-    lockstep: Annotated[bool, option("wait for each answer instead of keeping real time", _DEVICE)] = False,
+    watchdog: Annotated[float, option("watchdog timeout [s]", _DEVICE)] = 0.05,
+    noise: Annotated[float, option("standard deviation of the spot noise [m]", _DEVICE)] = 4e-7,
+    seed: Annotated[int, option("seed of the noise", _DEVICE)] = 0,
+    lockstep: Annotated[bool, option("wait for each command instead of running in real time", _DEVICE)] = False,
     plant: Annotated[
-        str, option("mujoco, or exact, which needs no engine where --calibration is given", _DEVICE, "NAME")
+        str, option("mujoco or exact; exact with --calibration runs without MuJoCo", _DEVICE, "NAME")
     ] = "mujoco",
-    fault: Annotated[list[str], option(f"what goes wrong, and when: {_FAULTS}", _HANDS, "NAME:K@SECONDS")],
+    fault: Annotated[list[str], option(f"injected fault and its start: {_FAULTS}", _HANDS, "NAME:K@SECONDS")],
     push: Annotated[
         list[str],
         option(
-            "a hand that pushes along x, y, z (N) or about rx, ry, rz (N m) from START to END [s], such as z:-5@2-3",
+            "hand force along x, y, z [N] or torque about rx, ry, rz [N m], from START to END [s], such as z:-5@2-3",
             _HANDS,
             "AXIS:NEWTONS@START-END",
         ),
     ],
     block: Annotated[
         float | None,
-        option("foam around the centre, so stiff [N/m], as for `commission`", _HANDS, above=0.0, at_most=20_000.0),
+        option("stiffness of foam around the flotor, for `commission` [N/m]", _HANDS, above=0.0, at_most=20_000.0),
     ] = None,
-    truth: Annotated[Path | None, option("what the device is, where a host knows it wrongly", _DEVICE)] = None,
+    truth: Annotated[Path | None, option("true calibration, if the host's is wrong", _DEVICE)] = None,
     calibration: CalibrationFile,
     key: Key = None,
     seconds: Seconds = None,
     realtime: Realtime = "ignore",
-    view: Annotated[bool, option("a window, with the mouse as the hand", "window")] = False,
-    scene: Annotated[str, option("what the window or page looks like", "window", "SCENE")] = "joystick",
+    view: Annotated[bool, option("3D window; the mouse is the hand", "window")] = False,
+    scene: Annotated[str, option("appearance of the window or page", "window", "SCENE")] = "joystick",
     page: PageOptions,
 ) -> int:
-    """A simulated device behind the wire of a real one."""  # noqa: D401
+    """Run the twin: a simulated device behind the protocol of a real one."""
     from maglev_mj.bridge.commissioning.calibration import Calibration
     from maglev_mj.bridge.realtime import realtime as realtime_policy
     from maglev_mj.bridge.realtime import stopping
@@ -94,7 +94,7 @@ def twin(
         plant=plant,
     )
     support = None if block is None else foam(block)
-    _hand(push, None)  # a push that is none is said before a window opens
+    _hand(push, None)  # report invalid pushes before a window opens
     with ExitStack() as last:
         viewer, blank = None, _blank(look, parameters)
         if (front := page.front(view)) is not None:
@@ -118,17 +118,14 @@ def _blank(look: type[Scene], parameters: TwinParameters) -> Snapshot:
     """Return a view of a twin before its first sample."""
     from maglev_mj.session import EMERGENCY_STOP, Snapshot
 
-    # the rendered scene is the host's choice
-    off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
+    # the host chooses what is rendered
+    off = {row.name: False for row in look.parameters() if row.kind is bool and row.live}
     scene = look(**off, period=parameters.period, delay=parameters.delay)
     return Snapshot(scene=scene, actions=(EMERGENCY_STOP,))
 
 
 def foam(stiffness: float) -> SpringHand:
-    """Return an elastic support of the flotor at the centre.
-
-    Its translations are critically damped.
-    """
+    """Return an elastic support of the flotor at the centre, critically damped in translation."""
     from maglev_mj.frames import ZERO
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.spec import INERTIA
@@ -147,7 +144,7 @@ def foam(stiffness: float) -> SpringHand:
 
 
 def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
-    """Return a hand with timed pushes beside the mouse's hand."""
+    """Return a hand with timed pushes, added to the mouse's hand."""
     from maglev_mj.frames import AXES
 
     parts: list[tuple[int, float, float, float]] = []
@@ -156,17 +153,17 @@ def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
         if not match or float(match[3]) >= float(match[4]):
             axes = ", ".join(AXES)
             raise ParameterError(
-                f"push must be AXIS:NEWTONS@START-END with an axis of {axes} and START before END, not {text!r}"
+                f"push must be AXIS:NEWTONS@START-END with AXIS one of {axes} and START before END (got {text!r})"
             )
         parts.append((AXES.index(match[1]), float(match[2]), float(match[3]), float(match[4])))
 
-    def pushing(tick: int, time: Any, state: Any) -> Sequence[Any]:
+    def push(tick: int, time: Any, state: Any) -> Sequence[Any]:
         wrench = [0.0] * 6 if mouse is None else list(mouse(tick, time, state))
         for axis, force, start, end in parts:
             wrench[axis] += force * (start <= time < end)
         return wrench
 
-    return pushing if parts else mouse
+    return push if parts else mouse
 
 
 def _server(listen: str, key: bytes | None) -> Server:
@@ -176,23 +173,20 @@ def _server(listen: str, key: bytes | None) -> Server:
     if listen == "pty":
         return PtyServer()
     if not listen.startswith("udp:"):
-        raise ParameterError(f"listen must be udp://HOST:PORT or pty, not {listen!r}")
+        raise ParameterError(f"listen must be udp://HOST:PORT or pty (got {listen!r})")
     url = parse_url(listen, server=True)
     return UdpServer(check_host(url.place, key), url.number)
 
 
 def _greeting(listen: str, server: TwinServer) -> str:
-    (place, number), parameters = server.address, server.twin.parameters
-    address = f"serial://{place}" if listen == "pty" else f"udp://{place}:{number}"
+    (host, port), parameters = server.address, server.twin.parameters
+    address = f"serial://{host}" if listen == "pty" else f"udp://{host}:{port}"
     pace = "in lockstep" if parameters.lockstep else "in real time"
-    return f"  a twin at {address}, {1.0 / parameters.period:g} Hz, {pace}; Ctrl-C ends it"
+    return f"  twin listening at {address}, {1.0 / parameters.period:g} Hz, {pace}; Ctrl-C ends it"
 
 
 def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callable[[], None]:
-    """Return a function that shows a twin's sample.
-
-    It is shown in the window; closing that stops the twin.
-    """
+    """Return a function that publishes a twin's sample to the window; closing it stops the twin."""
     import numpy as np
 
     from maglev_mj.bridge.wire import State, fault_names
@@ -204,7 +198,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     motion, publishers = SampledMotion(), Publishers([viewer])
     viewer.on_close, viewer.on_emergency = server.stop, twin.estop
 
-    def each() -> None:
+    def publish() -> None:
         currents, pose, time = plant.currents, twin.pose, twin.tick * blank.scene.period
         faults = fault_names(twin.firmware.faults) if twin.firmware.faults else ""
         force = coils.wrench(currents) - carried if currents.any() else np.zeros(6)
@@ -223,10 +217,10 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
                 work=motion.work,
                 state="stopped" if twin.firmware.state == State.FAULT else "running",
                 reason=faults,
-                remedy="maglev-mj bridge ADDRESS --reset goes on",
+                remedy="clear it with: maglev-mj bridge ADDRESS --reset",
                 notes=[", ".join(filter(None, ("a device", twin.firmware.state.name.lower(), faults)))],
             )
         )
-        publishers.wanted()  # the mouse; the settings are the host's
+        publishers.wanted()  # read the mouse; settings belong to the host
 
-    return each
+    return publish

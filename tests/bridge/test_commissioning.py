@@ -102,8 +102,8 @@ def test_measured_offsets_make_the_clamped_pose_the_centre() -> None:
 
 def test_exchanged_coils_and_a_clamped_flotor_are_named() -> None:
     _, plant = device(rewired([3, 1, 2, 0, 4, 5], [1.0] * 6))
-    assert [check_coil(plant, coil).verdict for coil in (0, 1)] == ["elsewhere", "as calibrated"]
-    assert check_coil(plant, 2, current=1e-5).verdict == "not seen"
+    assert [check_coil(plant, coil).verdict for coil in (0, 1)] == ["wrong direction", "as calibrated"]
+    assert check_coil(plant, 2, current=1e-5).verdict == "no motion"
 
 
 def test_a_coil_or_current_that_is_none_is_refused_unarmed() -> None:

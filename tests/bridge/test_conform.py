@@ -121,7 +121,7 @@ def test_devices_pass(language: str, key: bytes | None, monkeypatch: pytest.Monk
     assert not names(results, False) and names(results, None) == {"lockstep"} | (set() if key else TAGS)
 
 
-LEFT_OUT = "needs real time, and this device is in lockstep"
+LEFT_OUT = "needs real time (the device is in lockstep)"
 TIMED = [name for name, one in CHECKS.items() if one.real_time] + ["hover", "flight-silence"]
 
 
@@ -178,13 +178,13 @@ def test_the_command_reports_each_check_and_fails_where_one_does(
 def test_a_line_with_one_peer_skips_what_needs_two() -> None:
     results = conform([VirtualLink(Twin(TwinParameters()))], only=["operations", "address", "estop-elsewhere"])
     assert [one.passed for one in results] == [True, None, None]
-    assert results[1].seen == "needs a second address; a serial line has one peer"
+    assert results[1].seen == "needs a second host address (a serial link has one)"
 
 
 def test_what_is_latched_is_not_tested_away() -> None:
     device = Twin(TwinParameters())
     device.firmware.trip(Fault.COIL_OVERTEMP, 0)
-    with pytest.raises(PlantError, match="has latched COIL_OVERTEMP: see to it, then reset"):
+    with pytest.raises(PlantError, match="has latched COIL_OVERTEMP: fix the cause, then reset"):
         conform([VirtualLink(device)])
     assert device.firmware.faults == Fault.COIL_OVERTEMP and device.firmware.session == 0
 
@@ -192,7 +192,7 @@ def test_what_is_latched_is_not_tested_away() -> None:
 def test_no_device_or_a_busy_one_is_said() -> None:
     with pytest.raises(HandshakeError, match="CALIBRATION"):
         conform([VirtualLink(Twin(TwinParameters()))], replace(Calibration.nominal(), mass=0.9))
-    with pytest.raises(HandshakeError, match="no device answered"):
+    with pytest.raises(HandshakeError, match="no answer from the device"):
         conform([VirtualLink(Twin(TwinParameters(), key=KEY))])
 
 

@@ -254,10 +254,10 @@ def test_addresses() -> None:
     ],
 )
 def test_what_is_no_address_is_named(text: str) -> None:
-    with pytest.raises(ParameterError, match="must be udp://HOST:PORT with a port of 1 to 65535, or serial") as error:
+    with pytest.raises(ParameterError, match="must be udp://HOST:PORT with a port from 1 to 65535, or serial") as error:
         open_link(text)
     assert repr(text) in str(error.value) and "\n" not in str(error.value)
-    with pytest.raises(ParameterError, match="port must be 1 to 65535, not -1"):
+    with pytest.raises(ParameterError, match=r"port must be 1 to 65535 \(got -1"):
         UdpLink(HOME, -1)
 
 
@@ -359,13 +359,13 @@ def test_a_line_that_is_gone_is_an_error() -> None:
         with pytest.raises(LinkError, match="cannot open"):
             SerialLink(server.path, 921600)  # one program at a time
         server.close()
-        with pytest.raises(LinkError, match="is gone"):
+        with pytest.raises(LinkError, match="lost"):
             link.receive(PATIENCE)
-        with pytest.raises(LinkError, match="is gone"):
+        with pytest.raises(LinkError, match="lost"):
             link.send(b"hello?")
     with pytest.raises(LinkError, match="cannot open"):
         SerialLink("/dev/no such line", 921600)
-    with closing(PtyServer()) as another, pytest.raises(ParameterError, match=r"baud must be .* not -1"):
+    with closing(PtyServer()) as another, pytest.raises(ParameterError, match=r"baud must be .* \(got -1"):
         SerialLink(another.path, -1)
 
 

@@ -201,7 +201,7 @@ def flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
         flights.clear()
         status = cli.main(["bridge", address, *options])
         said = capsys.readouterr()
-        flies = f"takes off{', settings too' * flights[0].anyway}" if flights else ""
+        flies = f"takeoff{', settings too' * flights[0].anyway}" if flights else ""
         return status, f"{said.out}{flies}", said.err
 
     return run
@@ -232,7 +232,7 @@ def test_anyway_flies_a_twin_and_a_device_at_half_power(
     plant = device(tmp_path, **SLOW, limits=HostLimits(max_current=current))
     status, output, errors = flown(plant, "--scene", "table", "--as-written", *options, address=address)
     assert says in errors and errors.count("\n") == 1
-    assert ("takes off" in output) == says.startswith("warning") and status == (0 if "takes off" in output else 1)
+    assert ("takeoff" in output) == says.startswith("warning") and status == (0 if "takeoff" in output else 1)
 
 
 @pytest.mark.parametrize(("address", "current"), [("udp://10.0.0.1:1", 5.0), *further(("udp://[::1]:1", None))])
@@ -247,7 +247,7 @@ def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
         (address, [], False),
     ):
         _, output, _ = flown(device(tmp_path, limits=limits), *options, address=where)
-        assert output.endswith("takes off, settings too" if holds else "takes off")
+        assert output.endswith("takeoff, settings too" if holds else "takeoff")
 
 
 def test_reduced_stiffness_is_reported_and_as_written_keeps_it(
@@ -260,7 +260,7 @@ def test_reduced_stiffness_is_reported_and_as_written_keeps_it(
     monkeypatch.setattr(bridge, "preflight", checked)
     for options, softer in (([], True), (["--as-written"], False)):
         status, output, _ = flown(device(tmp_path), *options)
-        assert status == 0 and ("stiffness reduced" in output) == softer and "takes off" in output
+        assert status == 0 and ("stiffness reduced" in output) == softer and "takeoff" in output
 
 
 @pytest.mark.parametrize(("scene", "way", "status"), [("joystick", 0.0003, 0), ("table", 0.02, 1)])
@@ -271,9 +271,9 @@ def test_check_reports_the_stiffest_walls_and_ends(
     plant = device(tmp_path, way)
     got, output, _ = flown(plant, "--check", "--scene", scene)
     said = " ".join(output.split())
-    assert got == status and "takes off" not in said and not plant.disarmed
+    assert got == status and "takeoff" not in said and not plant.disarmed
     assert re.search(
-        r"stiffest wall at \d\.\d\d ms \(1\.5 times the line\), by hand: none \d+ N/m with \d+ N s/m, arm", said
+        r"critical stiffness at \d\.\d\d ms \(1\.5 times the latency\), by hand: none \d+ N/m with \d+ N s/m, arm", said
     )
     assert all(f"{hand} " in said for hand in HANDS)
 
@@ -287,6 +287,6 @@ def test_check_does_that_alone(other: str, capsys: pytest.CaptureFixture[str]) -
 @pytest.mark.machine
 def test_check_of_a_twin_over_udp_is_ended_by_ctrl_c() -> None:
     with twin() as (_, address), started("bridge", address, "--check") as host:
-        host.wait_for("measuring the line")
+        host.wait_for("measuring link latency")
         outcome = host.end()
     assert outcome.status == 130 and "Traceback" not in outcome.errors

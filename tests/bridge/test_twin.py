@@ -353,7 +353,7 @@ def test_lateness_is_measured_and_whole_periods_of_it_stall_the_twin(monkeypatch
     latency = report.latency
     assert (report.ticks, report.missed, latency.count, latency.worst) == (100, 3, 100, max(late))
     assert [latency.p50, latency.p99] == pytest.approx(np.percentile(late, [50, 99]) * 1e-9)
-    assert "100 µs in the median" in str(report)
+    assert "median 100 µs" in str(report)
 
 
 def test_a_push_lives_from_start_to_end() -> None:

@@ -273,7 +273,7 @@ def test_every_flipped_bit_and_every_other_length_is_noticed(name: str) -> None:
 
 
 def test_frames_without_the_right_key_are_dropped() -> None:
-    with pytest.raises(ParameterError, match="not 15"):
+    with pytest.raises(ParameterError, match="got 15"):
         Codec(bytes(15))
     frames = golden_bytes()
     plain, keyed = frames["STATE"], frames["STATE keyed"]

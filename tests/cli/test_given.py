@@ -113,7 +113,7 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "scene to be driven": (lambda: m.drive(m.ExactPlant(), DROP, 5), r"controller must have step\(\), .*Drop"),
     "number of samples": (lambda: m.drive(m.ExactPlant(), 5, controller()), "ticks must be .*Controller"),
     "address of a device": (lambda: m.RemotePlant("upd://127.0.0.1:5"), "address must be udp://.*'upd://127.0.0.1:5'"),
-    "link to be stopped": (lambda: m.estop(None), "link must be an address, .* not None"),
+    "link to be stopped": (lambda: m.estop(None), "link must be an address .*got None"),
     "twin": (lambda: m.Twin(3), r"parameters must be TwinParameters.* not 3"),
     "target, three numbers": (lambda: m.SpringHand(target=[0, 0, 0]), r"target must be a pose .* not \[0, 0, 0\]"),
     "target of a device": (

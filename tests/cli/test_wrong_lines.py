@@ -161,7 +161,7 @@ compare drop --law pd --law colgate                 | colgate
 card glue                                           | glue
 lessons notes.jsonl                                 | notes.jsonl
 twin --fault glue:1@2                               | fault must be one of
-twin --fault dead-coil:9@1                          | dead-coil must be of 0 to 5, not 9
+twin --fault dead-coil:9@1                          | K of dead-coil must be 0 to 5 (got 9)
 twin --push w:1@0-1                                 | w:1@0-1
 twin --listen nosuch                                | listen must be
 twin --listen udp://8.8.8.8:5678                    | 8.8.8.8
@@ -171,11 +171,11 @@ twin --key nosuch.key                               | key must be a file of 32 t
 twin --scene nosuch                                 | nosuch
 bridge nosuch                                       | nosuch
 bridge udp://8.8.8.8:5678                           | loopback
-bridge DEVICE --mass 1                              | mass is for --identify
+bridge DEVICE --mass 1                              | --mass requires --identify
 bridge DEVICE --identify a.json --view              | view
 bridge DEVICE --profile nosuch.json                 | profile 'nosuch.json' cannot be read
 bridge DEVICE --calibration run.maglev              | run.maglev
-bridge DEVICE --reset --identify a                  | identify flies, and --reset does not
+bridge DEVICE --reset --identify a                  | --reset and --identify cannot be combined
 bridge DEVICE --max-current much                    | --max-current: must be a number, not 'much'
 bridge DEVICE --force-limit 7                       | force_limit must be above
 commission DEVICE coils --coil 9                    | 9

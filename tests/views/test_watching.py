@@ -43,7 +43,7 @@ def test_escape_in_the_window_of_a_twin_cuts_the_currents_in_flight() -> None:
     with VirtualScreen(*SIZE) as screen, started(*listen, env=screen.environment) as twin:
         with started("bridge", twin.wait_for(ADDRESS), *WEAK, "--seconds", "600") as host:
             window = screen.window("MuJoCo")
-            host.wait_for("takes off")
+            host.wait_for("during takeoff")
 
             def cut() -> bool:
                 with suppress(AssertionError):  # refused until it is on the screen; one that is not drawn yet misses it

@@ -1,4 +1,4 @@
-"""Commissioning ahead of the first hover: coils, current loops, offsets."""
+"""Tests before the first hover: coils, current loops, spot offsets."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.parameters import number
 
-_PAUSE = 0.25  # [s] a current is on before its displacement is measured, and then again
-_SEEN = 5.0  # standard errors from which a displacement counts
-_CLOSE = 0.5  # cosine between the displacement and the calibration's force from which both agree
+_PAUSE = 0.25  # settling time, and then measuring time [s]
+_SEEN = 5.0  # significant displacement [standard errors]
+_CLOSE = 0.5  # smallest cosine between displacement and calibrated force at which both agree
 
 
 class CoilCheck(NamedTuple):
     """Response of one coil to a test current, flotor blocked.
 
     Attributes:
-        coil: Its index, 0 to 5.
-        current: Commanded [A].
-        measured: Mean of its measured current [A].
-        others: Largest mean of any other coil's measured current [A].
-        displacement: Half the displacement between the two currents [m, rad], (6,).
-        error: Standard error of that [m, rad], (6,).
-        expected: Wrench of the coil by the calibration [N, N m], (6,).
-        verdict: "as calibrated", "reversed", "elsewhere" or "not seen".
+        coil: Index, 0 to 5.
+        current: Commanded current [A].
+        measured: Mean measured current of the coil [A].
+        others: Largest mean measured current of another coil [A].
+        displacement: Half the displacement between the opposite currents [m, rad], (6,).
+        error: Standard error of the displacement [m, rad], (6,).
+        expected: Wrench of the coil according to the calibration [N, N m], (6,).
+        verdict: "as calibrated", "reversed", "wrong direction" or "no motion".
     """
 
     coil: int
@@ -44,37 +44,37 @@ class CoilCheck(NamedTuple):
 
 
 def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck:
-    """Send a current and its opposite through one coil.
+    """Check polarity and position of one coil with a current of either sign.
 
-    The flotor must be blocked by a soft material, such as foam, that yields by some micrometers. The device is
-    armed without hover currents and disarmed at the end.
+    The flotor must be blocked by soft foam that yields by some micrometres. The device is armed without hover
+    currents and disarmed at the end.
 
     Args:
         plant: The device, not armed.
         coil: Index, 0 to 5.
-        current: Above 0, at most the smaller of the host's and the device's limit [A].
+        current: Test current above 0, at most the smaller of the host's and the device's limit [A].
 
     Raises:
         ParameterError: If an argument is outside its bounds.
         DeviceFault: If the device raises a fault.
     """
-    one = _arm(plant, coil, current)
+    currents_on = _arm(plant, coil, current)
     means, errors, flowed = [], [], []
     for sign in (1.0, -1.0):
-        poses, currents = _hold(plant, [sign * part for part in one])
+        poses, currents = _hold(plant, [sign * x for x in currents_on])
         means.append(poses.mean(axis=0))
         errors.append(poses.var(axis=0) / len(poses))
         flowed.append(sign * currents.mean(axis=0))
     plant.disarm()
     displacement, error = 0.5 * (means[0] - means[1]), 0.5 * np.sqrt(errors[0] + errors[1])
-    measured, expected = np.mean(flowed, axis=0), plant.calibration.coils.wrench(np.array(one))
+    measured, expected = np.mean(flowed, axis=0), plant.calibration.coils.wrench(np.array(currents_on))
     own, others = float(measured[coil]), float(np.abs(np.delete(measured, coil)).max())
     verdict = _verdict(displacement[:3], error[:3], expected[:3])
     return CoilCheck(coil, current, own, others, displacement, error, expected, verdict)
 
 
 def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: int = 20) -> Array:
-    """Return a coil's measured currents after a step from zero.
+    """Return the step response of a coil's measured current.
 
     Args:
         plant: The device, not armed, its flotor blocked.
@@ -83,18 +83,18 @@ def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: in
         samples: Number of samples recorded after the step.
 
     Returns:
-        (samples, 2): time since the command left [s], measured current [A].
+        (samples, 2): time since the command was sent [s], measured current [A].
 
     Raises:
         ParameterError: If an argument is outside its bounds.
         DeviceFault: If the device raises a fault.
     """
-    one = _arm(plant, coil, current)
+    currents = _arm(plant, coil, current)
     plant.read()
     first = plant.samples.tick
     rows = []
     for _ in range(int(number("samples", samples, at_least=1))):
-        plant.drive(one)
+        plant.drive(currents)
         plant.read()
         rows.append(((plant.samples.tick - first) * plant.period, plant.report.currents[coil]))
     plant.disarm()
@@ -102,9 +102,7 @@ def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: in
 
 
 def mean_pose(plant: RemotePlant, duration: float = 1.0) -> tuple[Array, Array]:
-    """Return mean and standard error of the measured spots [m].
-
-    Both are (6,). The device must be at rest.
+    """Return mean and standard error of the measured spots [m], each (6,), of a device at rest.
 
     Args:
         plant: The device, not armed.
@@ -119,7 +117,7 @@ def mean_pose(plant: RemotePlant, duration: float = 1.0) -> tuple[Array, Array]:
 
 
 def with_offsets(calibration: Calibration, spots: ArrayLike) -> Calibration:
-    """Return a calibration with spot offsets that define the centre.
+    """Return a calibration whose spot offsets make the measured spots the centre.
 
     Args:
         calibration: Calibration with all other values.
@@ -138,10 +136,7 @@ def _arm(plant: RemotePlant, coil: int, current: float) -> list[float]:
 
 
 def _hold(plant: RemotePlant, currents: Sequence[float]) -> tuple[Array, Array]:
-    """Return poses and measured currents under constant currents, after settling.
-
-    Both are (N, 6).
-    """
+    """Return poses and measured currents under constant currents, after settling; both (N, 6)."""
     poses, measured = [], []
     settle = max(round(_PAUSE / plant.period), 2)
     for _ in range(2 * settle):
@@ -153,8 +148,8 @@ def _hold(plant: RemotePlant, currents: Sequence[float]) -> tuple[Array, Array]:
 
 def _verdict(displacement: Array, error: Array, expected: Array) -> str:
     if np.linalg.norm(displacement) < _SEEN * np.linalg.norm(error):
-        return "not seen"
+        return "no motion"
     cosine = displacement @ expected / (np.linalg.norm(displacement) * np.linalg.norm(expected))
     if abs(cosine) < _CLOSE:
-        return "elsewhere"
+        return "wrong direction"
     return "as calibrated" if cosine > 0.0 else "reversed"

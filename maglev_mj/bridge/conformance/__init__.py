@@ -1,7 +1,6 @@
-"""Conformance of a device to docs/reference/protocol.md.
+"""Conformance tests of a device against docs/reference/protocol.md.
 
-It is tested at the wire, first without flying, then flying. Without flying, no check sends more than half the currents
-that carry the flotor.
+Checks without flight run first and send at most half the hover currents; then come checks in flight.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
-from maglev_mj.bridge.conformance import protocol  # noqa: F401, which fills CHECKS
+from maglev_mj.bridge.conformance import protocol  # noqa: F401, registers CHECKS
 from maglev_mj.bridge.conformance.check import CHECKS, CheckResult
 from maglev_mj.bridge.conformance.tester import Tester
 from maglev_mj.bridge.links import Link
@@ -21,8 +20,8 @@ __all__ = ["CheckResult", "checks", "conform"]
 
 
 def checks() -> dict[str, str]:
-    """Return the behaviour that each check expects, by name."""
-    return {name: one.expected for name, one in CHECKS.items()}
+    """Return the expected behaviour of each check, by name."""
+    return {name: check.expected for name, check in CHECKS.items()}
 
 
 def conform(
@@ -34,19 +33,19 @@ def conform(
     only: Iterable[str] | None = None,
     tell: Callable[[CheckResult], object] = lambda result: None,
 ) -> list[CheckResult]:
-    """Test a device, and leave it INACTIVE without a session.
+    """Test a device and leave it INACTIVE, without a session.
 
     Args:
-        links: Links to the device, from one or two addresses; left open.
-        calibration: Calibration of the device; nominal by default.
+        links: Links to the device, from one or two host addresses; left open.
+        calibration: Calibration of the device (default nominal).
         key: Authentication key of the frames.
-        flight: True for flights as well; the flotor is then dropped onto its stops several times.
-        only: Names of checks to run; all by default.
-        tell: Called with each result.
+        flight: Include checks in flight, which drop the flotor onto its stops several times.
+        only: Names of the checks to run (default all).
+        tell: Function called with each result.
 
     Raises:
         HandshakeError: If no device answers, or it refuses this host.
-        PlantError: If it has a fault latched.
+        PlantError: If a fault is latched.
         LinkError: If a link has failed.
 
     Example:
@@ -63,7 +62,7 @@ def conform(
     tester.join()
     if tester.welcome.state == State.FAULT:
         tester.ask(Operation.BYE)
-        raise PlantError(f"the device has latched {fault_names(tester.welcome.faults)}: see to it, then reset")
+        raise PlantError(f"the device has latched {fault_names(tester.welcome.faults)}: fix the cause, then reset it")
     results: list[CheckResult] = []
     try:
         for name in CHECKS if only is None else only:

@@ -1,4 +1,4 @@
-"""Registry, results and common steps of the checks."""
+"""Registry, results and common steps of the conformance checks."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from maglev_mj.errors import PlantError
 from maglev_mj.frames import ZERO
 
 QUIET = 0.06
-"""Time without frames that counts as no answer [s]."""
+"""Silence that counts as no answer [s]."""
 
 HALF = 0x7FFFFFFF
 NAN = (math.nan,) * 6
-_TRIES = 10  # of a check in which this host was late
+_TRIES = 10  # repetitions of a check if this host was late
 
 
 class CheckResult(NamedTuple):
-    """Outcome of one check.
+    """Result of one check.
 
     Attributes:
         name: Name of the check.
         expected: Behaviour required by the protocol.
-        seen: Behaviour of the device, or the reason for skipping the check.
+        seen: Observed behaviour, or the reason for skipping the check.
         passed: True if it passed; None if it was skipped.
     """
 
@@ -41,7 +41,7 @@ class CheckResult(NamedTuple):
 
 
 class Check(NamedTuple):
-    """Check of a device and its requirements.
+    """Check and its requirements.
 
     Attributes:
         expected: Behaviour required by the protocol.
@@ -62,11 +62,11 @@ class Check(NamedTuple):
     lockstep: bool = False
 
     def result(self, name: str, tester: Tester, flight: bool) -> CheckResult:
-        """Run the check, and again if this host was late."""
+        """Run the check; repeat it if this host was late."""
         reasons = {
-            "flights were not asked for": self.flight and not flight,
-            "needs real time, and this device is in lockstep": self.real_time and tester.welcome.lockstep,
-            "needs a second address; a serial line has one peer": self.peers > len(tester.links),
+            "flights disabled": self.flight and not flight,
+            "needs real time (the device is in lockstep)": self.real_time and tester.welcome.lockstep,
+            "needs a second host address (a serial link has one)": self.peers > len(tester.links),
             "needs a key": self.keyed and not tester.keyed,
             "needs a device in lockstep": self.lockstep and not tester.welcome.lockstep,
         }
@@ -79,8 +79,8 @@ class Check(NamedTuple):
                 with tester.flying() if self.flight else nullcontext():
                     return CheckResult(name, self.expected, self.run(tester), True)
             except (Unexpected, PlantError) as error:
-                late = "; STATEs were read late" if tester.late else ""
-                result = CheckResult(name, self.expected, f"{error}{late}", False)
+                note = "; this host read STATEs late" if tester.late else ""
+                result = CheckResult(name, self.expected, f"{error}{note}", False)
             tester.leave()
             if not tester.late:
                 break
@@ -92,10 +92,7 @@ CHECKS: dict[str, Check] = {}
 
 
 def check(expected: str, name: str = "", **needs: Any) -> Callable[[Callable[[Tester], str]], object]:
-    """Register a check, by default under its function's name.
-
-    `needs` are further values of `Check`.
-    """
+    """Register a check, by default under its function's name; `needs` are other fields of `Check`."""
 
     def add(run: Any) -> object:
         CHECKS[name or run.__name__.strip("_").replace("_", "-")] = Check(expected, run, **needs)
@@ -106,7 +103,7 @@ def check(expected: str, name: str = "", **needs: Any) -> Callable[[Callable[[Te
 
 @contextmanager
 def case(name: str) -> Iterator[None]:
-    """Name the case of a check in the message of its failure."""
+    """Prefix the message of a failure with the case."""
     try:
         yield
     except (Unexpected, PlantError) as error:
@@ -114,27 +111,24 @@ def case(name: str) -> Iterator[None]:
 
 
 def stopped(t: Tester, peer: int = 0, faults: int = Fault.ESTOP) -> str:
-    """Request emergency stops until no current is measured.
-
-    The time taken is returned as text.
-    """
-    body, begun, first = wire.Estop(draw()), t.now(), None
+    """Request emergency stops until no current is measured; return the time taken as text."""
+    body, start, first = wire.Estop(draw()), t.now(), None
     while True:
         frame = t.exchange(body, peer=peer) or fail("no answer to ESTOP")
-        one, first = frame.body, first or frame
-        same("state, faults in ESTOP_ACK", (one.state, one.faults), (State.FAULT, faults))
-        if not 0 <= frame.time - one.sampled <= 2 * t.welcome.period:
-            fail(f"sampled at {one.sampled} ns, said at {frame.time} ns")
-        if t.welcome.lockstep or (one.sampled > first.time and is_off(one.currents)):
-            return f"{(t.now() - begun) / 1e6:.1f} ms until no current was measured"
-        if t.now() - begun > 1_000_000_000:
-            fail(f"{shown(one.currents)} A measured 1 s after ESTOP")
+        ack, first = frame.body, first or frame
+        same("state, faults in ESTOP_ACK", (ack.state, ack.faults), (State.FAULT, faults))
+        if not 0 <= frame.time - ack.sampled <= 2 * t.welcome.period:
+            fail(f"sampled at {ack.sampled} ns, reported at {frame.time} ns")
+        if t.welcome.lockstep or (ack.sampled > first.time and is_off(ack.currents)):
+            return f"{(t.now() - start) / 1e6:.1f} ms until no current was measured"
+        if t.now() - start > 1_000_000_000:
+            fail(f"{shown(ack.currents)} A measured 1 s after ESTOP")
         t.wait(0.005)
 
 
 def ignored(
     t: Tester,
-    said: str,
+    flaw: str,
     change: Callable[[bytes], bytes] = bytes,
     *,
     back: int | None = None,
@@ -145,16 +139,16 @@ def ignored(
 ) -> str:
     """Check that an active device ignores flawed frames.
 
-    First a CMD with NaN; TRIP and ESTOP as well, if the flaw applies to them.
+    Sends a CMD with NaN, and TRIP and ESTOP if the flaw applies to them.
 
     Args:
-        t: The testing host.
-        said: Description of the flaw.
-        change: Function that makes the flaw in a frame.
-        back: Samples by which the sequence number is older than the last; None for the next one.
-        answers: Samples by which the answer is older than the last sample.
+        t: Testing host.
+        flaw: Description of the flaw.
+        change: Function that adds the flaw to a frame.
+        back: Offset of the sequence number below the last; None for the next number.
+        answers: Age of the answered sample, in samples.
         wait: Time between that sample and the answer [ns].
-        session: Number of the session; None for the own.
+        session: Session number; None for the current one.
         peer: Index of the sending address.
     """
     t.bring(State.ACTIVE)
@@ -164,7 +158,7 @@ def ignored(
     if change is not bytes:
         bodies.append(wire.Estop(draw()))
     for body in bodies:
-        # before the sample's own answer: in lockstep anything after that is old
+        # before the valid answer: in lockstep any later frame is old
         t.answering = False
         t.states(1)
         t.others.clear()
@@ -177,7 +171,7 @@ def ignored(
         t.links[peer].send(change(frame))
         t.answering = True
         t.command(t.last.sequence, ZERO)
-        with case(f"{type(body).__name__} {said} is taken"):
+        with case(f"{type(body).__name__} {flaw} is accepted"):
             t.expect(State.ACTIVE)
             same("answers", t.others, [])
     return "ignored"
@@ -188,19 +182,19 @@ def with_crc(data: bytes) -> bytes:
     return data[:-4] + struct.pack("<I", zlib.crc32(data[:-4]))
 
 
-def flipped(data: bytes, place: int) -> bytes:
+def flipped(data: bytes, index: int) -> bytes:
     """Return data with a bit of one byte flipped."""
-    return data[:place] + bytes([data[place] ^ 1]) + data[place:][1:]
+    return data[:index] + bytes([data[index] ^ 1]) + data[index:][1:]
 
 
-def close(frame: Any, wanted: Sequence[float]) -> None:
-    """Check that measured currents are the expected ones."""
-    if any(abs(one - other) > 0.1 + 0.1 * abs(other) for one, other in zip(frame.body.currents, wanted)):
-        fail(f"{shown(frame.body.currents)} A measured instead of {shown(wanted)} A")
+def close(frame: Any, expected: Sequence[float]) -> None:
+    """Check that the measured currents are close to the expected ones [A]."""
+    if any(abs(actual - current) > 0.1 + 0.1 * abs(current) for actual, current in zip(frame.body.currents, expected)):
+        fail(f"{shown(frame.body.currents)} A measured instead of {shown(expected)} A")
 
 
 def zero(t: Tester) -> str:
-    """Check for zero current from the sample after next on."""
+    """Check that the currents are zero from the second sample on."""
     for frame in t.states(4)[1:]:
         if not is_off(frame.body.currents):
             fail(f"{shown(frame.body.currents)} A after the cut instead of 0 A")

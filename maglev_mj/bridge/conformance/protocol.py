@@ -29,17 +29,17 @@ from maglev_mj.frames import ZERO
 _JUNK = 500
 
 
-@check("HELLO_ACK has this version and calibration, and plausible numbers")
+@check("HELLO_ACK has this version and calibration, and plausible limits")
 def _welcome(t: Tester) -> str:
-    one, period, least = t.welcome, t.welcome.period, max(abs(t.calibration.hover))
-    same("version, calibration", (one.version, one.calibration), (VERSION, t.calibration.digest))
-    profile_of(one, t.greeted)
-    if one.enable < 2 * period or one.hover_limit < least:
-        fail(f"enable {one.enable} ns, hover_limit {one.hover_limit} A; needed are {2 * period} ns and {least:.4g} A")
-    return f"device {one.device}, {1e9 / period:g} Hz, delay {one.delay / 1e6:g} ms, up to {one.current_limit:g} A"
+    ack, period, least = t.welcome, t.welcome.period, max(abs(t.calibration.hover))
+    same("version, calibration", (ack.version, ack.calibration), (VERSION, t.calibration.digest))
+    profile_of(ack, t.greeted)
+    if ack.enable < 2 * period or ack.hover_limit < least:
+        fail(f"enable {ack.enable} ns, hover_limit {ack.hover_limit} A; needed: {2 * period} ns, {least:.4g} A")
+    return f"device {ack.device}, {1e9 / period:g} Hz, delay {ack.delay / 1e6:g} ms, up to {ack.current_limit:g} A"
 
 
-@check("the same nonce gets the same session and changes nothing")
+@check("HELLO with the same nonce returns the same session and changes nothing")
 def _hello_again(t: Tester) -> str:
     t.bring(State.ACTIVE, answering=False)
     t.states(1)
@@ -51,27 +51,27 @@ def _hello_again(t: Tester) -> str:
     return t.expect(State.ACTIVE) and f"session {t.session}, sequence numbers kept"
 
 
-@check("any other HELLO gets BUSY, whatever its calibration, and the session goes on")
+@check("any other HELLO gets BUSY, whatever its calibration, and the session continues")
 def _busy(t: Tester) -> str:
     t.bring(State.ACTIVE)
     own = t.calibration.digest
     hellos = {"of another calibration": (draw(), flipped(own, 0), 0), "of another nonce": (draw(), own, 0)}
     if len(t.links) > 1:
         hellos |= {"from another address": (draw(), own, 1), "repeated from another address": (t.nonce, own, 1)}
-    for said, hello in hellos.items():
-        same(f"HELLO {said}: status", t.greet(*hello).body.status, HelloStatus.BUSY)
+    for name, hello in hellos.items():
+        same(f"HELLO {name}: status", t.greet(*hello).body.status, HelloStatus.BUSY)
     t.expect(State.ACTIVE)
     return "BUSY"
 
 
-@check("HELLO with another calibration gets CALIBRATION, and no session")
+@check("HELLO with another calibration gets CALIBRATION and no session")
 def _calibration(t: Tester) -> str:
     t.ask(Operation.BYE)
-    for place in (0, 7, 15):
-        one = t.greet(draw(), flipped(t.calibration.digest, place)).body
-        said = f"byte {place} of the calibration changed"
-        same(f"{said}: status", one.status, HelloStatus.CALIBRATION)
-        same(f"{said}: calibration", one.calibration.hex(), t.calibration.digest.hex())
+    for index in (0, 7, 15):
+        ack = t.greet(draw(), flipped(t.calibration.digest, index)).body
+        name = f"byte {index} of the calibration changed"
+        same(f"{name}: status", ack.status, HelloStatus.CALIBRATION)
+        same(f"{name}: calibration", ack.calibration.hex(), t.calibration.digest.hex())
     t.join()
     return "CALIBRATION"
 
@@ -83,40 +83,40 @@ def _version(t: Tester) -> str:
         for data in (hello, hello[:20] + bytes(8), hello + bytes(40)):
             t.links[0].send(with_crc(data[:2] + bytes([version]) + data[3:]))
             with case(f"HELLO of version {version} in {len(data)} bytes"):
-                one = (t.wait(QUIET, wire.HelloAck) or fail("no answer")).body
-                same("nonce, status, version", (*one[:2], one.version), (0, HelloStatus.VERSION, VERSION))
+                ack = (t.wait(QUIET, wire.HelloAck) or fail("no answer")).body
+                same("nonce, status, version", (*ack[:2], ack.version), (0, HelloStatus.VERSION, VERSION))
     t.links[0].send(hello[:2] + bytes([255]) + hello[3:])
     if t.wait(QUIET, wire.HelloAck) is not None:
-        fail("an answer in spite of the CRC")
-    return f"VERSION, and {VERSION} as its own"
+        fail("an answer despite the wrong CRC")
+    return f"VERSION, reporting version {VERSION}"
 
 
-@check("session numbers are drawn: none twice, not counted up")
+@check("session numbers are random: no repetition, no counting")
 def _drawn(t: Tester) -> str:
     drawn = []
     for _ in range(6):
         t.ask(Operation.BYE)
         t.join()
         drawn.append(t.session)
-    steps = {one - other for one, other in pairwise(drawn)}
+    steps = {first - second for first, second in pairwise(drawn)}
     return shown(drawn) if len(steps) == 5 and max(map(abs, steps)) >= 1 << 16 else fail(shown(drawn))
 
 
-@check("another host gets the session after 1 s without a frame, not before", real_time=True)
+@check("another host gets the session after 1 s of silence, not earlier", real_time=True)
 def _takeover(t: Tester) -> str:
     t.answering, old = False, t.session
-    t.states(700_000_000 // t.welcome.period)  # by the device's clock: loaded machines stall
+    t.states(700_000_000 // t.welcome.period)  # by the device's clock, as a loaded machine stalls
     same("status after 0.7 s", t.greet(draw()).body.status, HelloStatus.BUSY)
     t.states(400_000_000 // t.welcome.period + 1)
     same("status after 1.1 s", t.greet(draw()).body.status, HelloStatus.WELCOME)
     trip = wire.Control(t.request + 1, Operation.TRIP, 0, ZERO)
     if t.exchange(trip, QUIET, session=old) is not None:
-        fail("the old session is still obeyed")
+        fail("the old session is still accepted")
     t.join()
     return "BUSY after 0.7 s, WELCOME after 1.1 s"
 
 
-@check("BYE ends the session: no STATE, no answer; a latched fault stays")
+@check("BYE ends the session: no STATE, no answer; a latched fault remains")
 def _bye(t: Tester) -> str:
     t.bring(State.FAULT)
     old = t.last.sequence
@@ -131,7 +131,7 @@ def _bye(t: Tester) -> str:
 # requests
 
 
-@check("a request is done once: repeated it is acknowledged again, an older one is dropped")
+@check("a request is executed once: a repetition is acknowledged again, an older one is dropped")
 def _requests(t: Tester) -> str:
     t.bring(State.FAULT)
     t.ask(Operation.RESET)
@@ -146,7 +146,7 @@ def _requests(t: Tester) -> str:
     return "acknowledged again, older ones dropped"
 
 
-@check("request numbers begin anywhere and go round 2^32, whatever the header's sequence number")
+@check("request numbers start anywhere and wrap at 2^32, whatever the header's sequence number")
 def _request_numbers(t: Tester) -> str:
     t.ask(Operation.BYE)
     t.join()
@@ -156,10 +156,10 @@ def _request_numbers(t: Tester) -> str:
     for _ in range(3):
         t.request = (t.request + HALF - 1) & WRAP
         t.ask(Operation.DISARM)
-    return "from 0xfffffffd to 3, and on by 2^31 - 1 three times"
+    return "from 0xfffffffd to 3, then three steps of 2^31 - 1"
 
 
-@check("operations lead where the table says, unknown ones are REFUSED")
+@check("each operation leads to the specified state; unknown ones are REFUSED")
 def _operations(t: Tester) -> str:
     done, refused = Result.DONE, Result.REFUSED
     for state in State:
@@ -172,15 +172,15 @@ def _operations(t: Tester) -> str:
             **dict.fromkeys((0, 3, 7, 255), (refused, state)),
             Operation.BYE: (done, off),
         }
-        for operation, wanted in table.items():
+        for operation, expected in table.items():
             t.bring(state)
             answer = t.ask(operation)
-            same(f"operation {operation} in {state.name}: result, state", (answer.result, answer.state), wanted)
+            same(f"operation {operation} in {state.name}: result, state", (answer.result, answer.state), expected)
         t.join()
     return f"{3 * len(table)} of {3 * len(table)}"
 
 
-@check("ARM is refused with a hover current that is not finite or above hover_limit")
+@check("ARM is refused if a hover current is not finite or exceeds hover_limit")
 def _arm(t: Tester) -> str:
     above = 1.01 * t.welcome.hover_limit
     for coil in range(6):
@@ -205,51 +205,51 @@ def _reset_flowing(t: Tester) -> str:
     return f"result {answer.result}"
 
 
-@check("TRIP latches the bits of the table, HOST where there is none of them, and adds later ones")
+@check("TRIP latches the known fault bits, or HOST if there are none, and adds later ones")
 def _trip(t: Tester) -> str:
     unknown = 1 << 31
     for faults in (*Fault, 0, unknown, unknown | Fault.BOUNDARY):
         t.bring(State.INACTIVE if faults else State.ACTIVE)
-        wanted, said = Fault(faults & ~unknown or Fault.HOST), f"TRIP of {fault_names(faults)}"
-        same(f"{said}: faults", t.ask(Operation.TRIP, faults=faults).faults, wanted)
-        same(f"{said}, then of CLOCK: faults", t.ask(Operation.TRIP, faults=Fault.CLOCK).faults, wanted | Fault.CLOCK)
+        expected, name = Fault(faults & ~unknown or Fault.HOST), f"TRIP of {fault_names(faults)}"
+        same(f"{name}: faults", t.ask(Operation.TRIP, faults=faults).faults, expected)
+        same(f"{name}, then CLOCK: faults", t.ask(Operation.TRIP, faults=Fault.CLOCK).faults, expected | Fault.CLOCK)
     t.expect(State.FAULT, Fault.BOUNDARY | Fault.CLOCK)
     return f"{len(Fault)} bits, 0, an unknown one"
 
 
-@check("HELLO_ACK says what is latched, what came first and when; RESET clears it")
+@check("HELLO_ACK reports latched faults, the first ones and their time; RESET clears them")
 def _first_fault(t: Tester) -> str:
     t.ask(Operation.TRIP, faults=Fault.BOUNDARY)
     at = t.asked_at
     t.states(2)
     t.ask(Operation.TRIP, faults=Fault.CLOCK)
-    one = t.greet(t.nonce).body
-    same("faults, first", (one.faults, one.first), (Fault.BOUNDARY | Fault.CLOCK, Fault.BOUNDARY))
-    if abs(one.fault_time - at) > t.welcome.period:
-        fail(f"fault_time {one.fault_time} ns, where TRIP was done at {at} ns")
+    ack = t.greet(t.nonce).body
+    same("faults, first", (ack.faults, ack.first), (Fault.BOUNDARY | Fault.CLOCK, Fault.BOUNDARY))
+    if abs(ack.fault_time - at) > t.welcome.period:
+        fail(f"fault_time {ack.fault_time} ns, but TRIP was executed at {at} ns")
     t.ask(Operation.RESET)
-    one = t.greet(t.nonce).body
-    return same("state, faults, first, time", (one.state, one.faults, one.first, one.fault_time), (0, 0, 0, 0))
+    ack = t.greet(t.nonce).body
+    return same("state, faults, first, time", (ack.state, ack.faults, ack.first, ack.fault_time), (0, 0, 0, 0))
 
 
 # samples
 
 
-@check("STATEs come by `period`, by time stamps and by arrival; diodes are valid, nothing flows, no flag is set")
+@check("STATEs are `period` apart, by time stamp and by arrival; diodes valid, currents off, no flag set")
 def _period(t: Tester) -> str:
     period, count = t.welcome.period, max(100, 500_000_000 // t.welcome.period)
-    begun, found = t.states(1)[0] and t.arrived, t.states(count)
-    took = (t.arrived - begun) / count
-    if not t.welcome.lockstep and abs(took / period - 1.0) > 0.05:
-        fail(f"{took / 1e6:.3f} ms by arrival instead of {period / 1e6:g} ms")
-    for one in (frame.body for frame in found):
-        on = max(map(abs, one.spots)) <= t.welcome.spot_limit
-        seen = one.valid, one.flags, on, is_off(one.currents)
+    start, frames = t.states(1)[0] and t.arrived, t.states(count)
+    mean = (t.arrived - start) / count
+    if not t.welcome.lockstep and abs(mean / period - 1.0) > 0.05:
+        fail(f"{mean / 1e6:.3f} ms by arrival instead of {period / 1e6:g} ms")
+    for body in (frame.body for frame in frames):
+        on = max(map(abs, body.spots)) <= t.welcome.spot_limit
+        seen = body.valid, body.flags, on, is_off(body.currents)
         same("valid, flags, spots on their diodes, currents off", seen, (7, 0, 1, 1))
-    return f"{period / 1e6:g} ms stamped, {took / 1e6:.3f} ms by arrival"
+    return f"{period / 1e6:g} ms by time stamp, {mean / 1e6:.3f} ms by arrival"
 
 
-@check("`answered` and `age` are of the command in force; there is none after ARM")
+@check("`answered` and `age` describe the active command; none directly after ARM")
 def _answered(t: Tester) -> str:
     t.answering = False
     t.states(0 if t.welcome.lockstep else 1)
@@ -260,7 +260,7 @@ def _answered(t: Tester) -> str:
     return _recorded(t)
 
 
-@check("while INACTIVE `answered` and `age` are of the newest CMD, whatever is in it")
+@check("while INACTIVE `answered` and `age` describe the newest CMD, whatever its contents")
 def _answered_inactive(t: Tester) -> str:
     t.law = lambda frame: NAN
     t.states(1)
@@ -268,29 +268,29 @@ def _answered_inactive(t: Tester) -> str:
 
 
 def _recorded(t: Tester) -> str:
-    """Check that each STATE names the answer to the one before."""
+    """Check that each STATE reports the answer to the previous one."""
     for frame in t.states(5):
         same("answered", frame.body.answered, (frame.sequence - 1) & WRAP)
         if frame.body.age * 1000 > t.welcome.period:
             fail(f"age {frame.body.age} us")
-    return "the sample before, less than a period old"
+    return "the previous sample, age below a period"
 
 
-@check("ENABLED is said while ACTIVE, and for at most `enable` + 1 period after it")
+@check("ENABLED is set while ACTIVE, and for at most `enable` + 1 period afterwards")
 def _enabled(t: Tester) -> str:
-    one = t.welcome
+    welcome = t.welcome
     for leave in (Operation.DISARM, Operation.TRIP):
         t.bring(State.ACTIVE)
         same("ENABLED", {frame.body.flags & Flag.ENABLED for frame in t.states(20)}, {Flag.ENABLED})
         t.ask(leave)
-        later = t.states(one.enable // one.period + 5)
-        took = max((frame.time - t.asked_at for frame in later if frame.body.flags & Flag.ENABLED), default=0)
-        if took > one.enable + one.period:
-            fail(f"ENABLED {took / 1e6:.3g} ms after {leave.name}")
-    return f"for {took / 1e6:.3g} ms after it; `enable` is {one.enable / 1e6:g} ms"
+        later = t.states(welcome.enable // welcome.period + 5)
+        duration = max((frame.time - t.asked_at for frame in later if frame.body.flags & Flag.ENABLED), default=0)
+        if duration > welcome.enable + welcome.period:
+            fail(f"ENABLED {duration / 1e6:.3g} ms after {leave.name}")
+    return f"for {duration / 1e6:.3g} ms afterwards; `enable` is {welcome.enable / 1e6:g} ms"
 
 
-@check("measured currents are those commanded, and zero after DISARM and TRIP")
+@check("measured currents follow commands and are zero after DISARM and TRIP")
 def _currents(t: Tester) -> str:
     for leave in (Operation.DISARM, Operation.TRIP):
         t.bring(State.ACTIVE, t.half)
@@ -302,7 +302,7 @@ def _currents(t: Tester) -> str:
     return f"{shown(t.half)} A, then zero"
 
 
-@check("a command under way when the currents are cut never flows", real_time=True)
+@check("a pending command is discarded when the currents are cut", real_time=True)
 def _forgotten(t: Tester) -> str:
     for leave in (Operation.DISARM, Operation.TRIP):
         t.bring(State.ACTIVE, answering=False)
@@ -310,23 +310,23 @@ def _forgotten(t: Tester) -> str:
         t.ask(leave)
         with case(f"after a CMD of {shown(t.half)} A and {leave.name}"):
             zero(t)
-    return "nothing flows"
+    return "no current"
 
 
-@check("a pulse replaces the command for its width", real_time=True)
+@check("a pulse replaces the held currents for its width", real_time=True)
 def _pulse(t: Tester) -> str:
-    one = t.welcome
-    if 2 * one.delay > one.period:
-        return "not looked at: the delay is more than half a period"
+    welcome = t.welcome
+    if 2 * welcome.delay > welcome.period:
+        return "not checked: the delay is above half a period"
     t.bring(State.ACTIVE, answering=False)
-    t.command(t.states(1)[0].sequence, ZERO, t.half, one.period * 1e-9)
+    t.command(t.states(1)[0].sequence, ZERO, t.half, welcome.period * 1e-9)
     during, after = t.states(2)
     close(during, t.half)
     close(after, ZERO)
     return f"{shown(t.half)} A for a period"
 
 
-@check("no sample is taken before the last one is answered", lockstep=True)
+@check("no sample before the last one is answered", lockstep=True)
 def _lockstep(t: Tester) -> str:
     t.answering = False
     number = t.states(1)[0].sequence
@@ -334,24 +334,24 @@ def _lockstep(t: Tester) -> str:
     return same("sample after 0.2 s", t.last.sequence, number)
 
 
-@check("temperatures rise as the measured currents say")
+@check("temperatures follow from the measured currents")
 def _temperatures(t: Tester) -> str:
     t.bring(State.ACTIVE, t.half)
-    one, (first, *rest) = t.welcome, t.states(60)
-    share, rises = -math.expm1(-one.period * 1e-9 / one.thermal_time), list(first.body.temperatures)
-    for frame in rest:
-        squares = [(current / one.continuous_current) ** 2 for current in frame.body.currents]
+    welcome, (first, *later) = t.welcome, t.states(60)
+    share, rises = -math.expm1(-welcome.period * 1e-9 / welcome.thermal_time), list(first.body.temperatures)
+    for frame in later:
+        squares = [(current / welcome.continuous_current) ** 2 for current in frame.body.currents]
         rises = [rise + share * (square - rise) for rise, square in zip(rises, squares)]
-    for coil, (cold, rise, said) in enumerate(zip(first.body.temperatures, rises, rest[-1].body.temperatures)):
-        if abs(said - rise) > 0.2 * abs(rise - cold) + 1e-6:
-            fail(f"coil {coil}: {said:.3g} instead of {rise:.3g}, from {cold:.3g}")
-    return f"from {max(first.body.temperatures):.3g} to {max(rest[-1].body.temperatures):.3g}"
+    for coil, (cold, rise, reported) in enumerate(zip(first.body.temperatures, rises, later[-1].body.temperatures)):
+        if abs(reported - rise) > 0.2 * abs(rise - cold) + 1e-6:
+            fail(f"coil {coil}: {reported:.3g} instead of {rise:.3g}, from {cold:.3g}")
+    return f"from {max(first.body.temperatures):.3g} to {max(later[-1].body.temperatures):.3g}"
 
 
 # commands
 
 
-@check("CMDs do nothing while INACTIVE or FAULT, whatever is in them")
+@check("CMDs have no effect in INACTIVE and FAULT, whatever their contents")
 def _not_active(t: Tester) -> str:
     for state, faults in ((State.INACTIVE, 0), (State.FAULT, Fault.HOST)):
         t.bring(state)
@@ -360,55 +360,52 @@ def _not_active(t: Tester) -> str:
             with case(f"CMD of {shown(held)} A in {state.name}"):
                 t.expect(state, faults)
                 zero(t)
-    return "not obeyed, not examined"
+    return "ignored, contents not examined"
 
 
 def _bad_commands(name: str, fault: Fault, expected: str, values: Callable[[Tester], Iterable[float]]) -> None:
-    """Add a check of commands with invalid values.
-
-    The value is put in each of the currents in turn, or is the pulse width.
-    """
+    """Add a check of commands with an invalid value in each current in turn, or in the pulse width."""
 
     def run(t: Tester) -> str:
-        places = [12] if name == "width" else range(12)
-        for place, value in ((place, value) for place in places for value in values(t)):
+        entries = [12] if name == "width" else range(12)
+        for index, value in ((index, value) for index in entries for value in values(t)):
             t.bring(State.ACTIVE, t.half)
             numbers = [*t.half, *t.half, 0.0]
-            numbers[place] = value
+            numbers[index] = value
             t.once = [[numbers[:6], numbers[6:12], numbers[12]]]
-            with case(f"{value:g} in place {place} of held, pulsed, width"):
+            with case(f"{value:g} in entry {index} of held, pulsed, width"):
                 t.expect(State.FAULT, fault, 1)
                 zero(t)
                 same("result of ARM", t.ask(Operation.ARM).result, Result.REFUSED)
                 t.expect(State.FAULT, fault, 2)
-        return f"{fault.name}, {len(places)} places"
+        return f"{fault.name}, {len(entries)} entries"
 
     check(f"a CMD {expected} ends in {fault.name}: currents zero, until RESET", name)(run)
 
 
 _UNREAL = (math.nan, math.inf, -math.inf)
-_bad_commands("not-finite", Fault.INVALID_COMMAND, "that is not finite", lambda t: _UNREAL)
-_bad_commands("width", Fault.INVALID_COMMAND, "of a width outside 0 to 1 s", lambda t: (*_UNREAL, -1e-6, 1.001))
+_bad_commands("not-finite", Fault.INVALID_COMMAND, "with a non-finite value", lambda t: _UNREAL)
+_bad_commands("width", Fault.INVALID_COMMAND, "with a width outside 0 to 1 s", lambda t: (*_UNREAL, -1e-6, 1.001))
 _bad_commands(
     "over-current",
     Fault.COIL_OVERCURRENT,
-    "beyond current_limit, held or pulsed,",
+    "with a held or pulsed current above current_limit",
     lambda t: (1.001 * t.welcome.current_limit, -1.001 * t.welcome.current_limit),
 )
 
 
-@check("sequence numbers go round 2^32")
+@check("sequence numbers wrap at 2^32")
 def _sequence_numbers(t: Tester) -> str:
     t.bring(State.ACTIVE)
     for t.sequence in (HALF - 1, 2 * HALF - 2, WRAP - 3):
         with case(f"CMDs from number {t.sequence} on"):
             t.expect(State.ACTIVE)
     if (behind := (t.states(8)[-1].sequence - t.last.body.answered) & WRAP) > 2:
-        fail(f"the last command obeyed is {behind} samples old, at number {t.sequence}")
+        fail(f"the last accepted command is {behind} samples old, at number {t.sequence}")
     return ignored(t, "from before the wrap", back=t.sequence + 3)
 
 
-@check("a CMD far ahead deafens to CMDs alone: CTRL and ESTOP are heard, and it ends in WATCHDOG")
+@check("a CMD far ahead blocks later CMDs only: CTRL and ESTOP still work, and WATCHDOG follows")
 def _far_ahead(t: Tester) -> str:
     for end in ("ESTOP", "DISARM") if t.welcome.lockstep else ("ESTOP", "DISARM", "WATCHDOG"):
         with case(f"{end} after a CMD far ahead"):
@@ -423,27 +420,27 @@ def _far_ahead(t: Tester) -> str:
                 t.states(t.welcome.watchdog // t.welcome.period + 2)
                 t.expect(State.FAULT, Fault.WATCHDOG)
             t.sequence = far
-    return f"heard; it ended in {end}"
+    return f"CTRL and ESTOP work; ended in {end}"
 
 
-@check("a CMD that is late by less than `stale` is obeyed", real_time=True)
+@check("a CMD that is late by less than `stale` is accepted", real_time=True)
 def _late_command(t: Tester) -> str:
     t.bring(State.ACTIVE)
     behind = t.welcome.stale // t.welcome.period - 1
     t.states(behind)
     t.answering = False
-    t.command(late := t.last.sequence - behind, ZERO)
-    same("answered", t.states(1)[0].body.answered, late & WRAP)
+    t.command(number := t.last.sequence - behind, ZERO)
+    same("answered", t.states(1)[0].body.answered, number & WRAP)
     return f"{behind} samples late"
 
 
-@check("CMDs that answer samples older than `stale` feed nothing, use up their numbers, show a host", real_time=True)
+@check("CMDs older than `stale` do not feed the watchdog, use their numbers, keep the session", real_time=True)
 def _stale_answers(t: Tester) -> str:
-    one = t.welcome
+    welcome = t.welcome
     t.bring(State.ACTIVE, answering=False)
-    for _ in range((one.watchdog + 1_100_000_000) // one.period + 2):
+    for _ in range((welcome.watchdog + 1_100_000_000) // welcome.period + 2):
         t.states(1)
-        t.command(t.last.sequence - one.stale // one.period - 1, ZERO)
+        t.command(t.last.sequence - welcome.stale // welcome.period - 1, ZERO)
         t.links[0].send(t.encode(wire.Command(t.last.sequence, 0, NAN, NAN, 0.0), sequence=t.sequence))
     t.expect(State.FAULT, Fault.WATCHDOG)
     return same("WATCHDOG; status of another host's HELLO", t.greet(draw()).body.status, HelloStatus.BUSY)
@@ -456,15 +453,15 @@ _Change: TypeAlias = Callable[[bytes], bytes]
 _Headers: TypeAlias = Callable[[Tester], list[dict[str, int]]]
 
 
-def _ignores(name: str, said: str, change: _Change = bytes, headers: _Headers = lambda t: [{}], **needs: Any) -> None:
-    """Add a check that frames with a flaw are ignored. Arguments as of `ignored`, `headers` are its keywords."""
+def _ignores(name: str, flaw: str, change: _Change = bytes, headers: _Headers = lambda t: [{}], **needs: Any) -> None:
+    """Add a check that frames with a flaw are ignored; `headers` returns keywords of `ignored`."""
 
     def run(t: Tester) -> str:
         for header in headers(t):
-            ignored(t, said, change, **header)
+            ignored(t, flaw, change, **header)
         return "ignored"
 
-    check(f"a {'CMD' if change is bytes else 'frame'} {said} is ignored", name, **needs)(run)
+    check(f"a {'CMD' if change is bytes else 'frame'} {flaw} is ignored", name, **needs)(run)
 
 
 def _wrong_crc(data: bytes) -> bytes:
@@ -472,14 +469,14 @@ def _wrong_crc(data: bytes) -> bytes:
 
 
 def _old_answers(t: Tester) -> list[dict[str, int]]:
-    """Return answers that are too old: by samples, and by the time within one."""
-    samples, rest = divmod(0 if t.welcome.lockstep else t.welcome.stale, t.welcome.period)
-    within = {"answers": samples, "wait": rest + t.welcome.period // 4}
+    """Return answers that are too old, by whole samples and by a fraction of a period."""
+    samples, remainder = divmod(0 if t.welcome.lockstep else t.welcome.stale, t.welcome.period)
+    within = {"answers": samples, "wait": remainder + t.welcome.period // 4}
     return [{"answers": 1 + samples}, *([] if t.welcome.lockstep else [within])]
 
 
-_ignores("magic", "of another magic", lambda data: with_crc(b"NJ" + data[2:]))
-_ignores("crc", "whose CRC is wrong", _wrong_crc)
+_ignores("magic", "with another magic number", lambda data: with_crc(b"NJ" + data[2:]))
+_ignores("crc", "with a wrong CRC", _wrong_crc)
 _ignores("frame-version", "of another version", lambda data: with_crc(data[:2] + b"\x01" + data[3:]))
 _ignores("type", "of an unknown type", lambda data: with_crc(data[:3] + b"\x09" + data[4:]))
 _ignores("too-short", "shorter than its type", lambda data: with_crc(data[:-5] + data[-4:]))
@@ -488,8 +485,8 @@ _ignores("no-tag", "without a tag", lambda data: with_crc(data[:-20] + data[-4:]
 _ignores("tag", "with a wrong tag", lambda data: with_crc(flipped(data, len(data) - 5)), keyed=True)
 _ignores("session", "of another session", headers=lambda t: [{"session": (t.session + 1) & WRAP}, {"session": 0}])
 _ignores("address", "from another address", headers=lambda t: [{"peer": 1}], peers=2)
-_ignores("sequence", "of a doubled or old sequence number", headers=lambda t: [{"back": n} for n in (0, 1, 1000, HALF)])
-_ignores("future", "that answers a sample yet to come", headers=lambda t: [{"answers": -1000}, {"answers": -HALF}])
+_ignores("sequence", "with a repeated or old number", headers=lambda t: [{"back": n} for n in (0, 1, 1000, HALF)])
+_ignores("future", "that answers a future sample", headers=lambda t: [{"answers": -1000}, {"answers": -HALF}])
 _ignores("stale", "that answers a sample older than `stale`", headers=_old_answers)
 
 
@@ -507,15 +504,15 @@ def _direction(t: Tester) -> str:
 # the emergency stop
 
 
-@check("ESTOP is obeyed in every state, again and again, and answered with currents measured after it: zero")
+@check("ESTOP works in every state, repeatedly; the answer reports zero current measured after it")
 def _estop(t: Tester) -> str:
     for state, faults in zip(State, (Fault.ESTOP, Fault.ESTOP, Fault.ESTOP | Fault.HOST)):
         t.bring(state, t.half)
         with case(f"in {state.name}"):
-            said = stopped(t, faults=faults)
+            duration = stopped(t, faults=faults)
             t.expect(State.FAULT, faults)
             stopped(t, faults=faults)
-    return said
+    return duration
 
 
 @check("ESTOP needs no session")
@@ -527,7 +524,7 @@ def _estop_without_session(t: Tester) -> str:
     return same("state, faults", (t.welcome.state, t.welcome.faults), (State.FAULT, Fault.ESTOP))
 
 
-@check(f"ESTOP is obeyed from another address, within 0.25 s behind {_JUNK} frames that are none", peers=2)
+@check(f"ESTOP works from another address, within 0.25 s behind {_JUNK} invalid frames", peers=2)
 def _estop_elsewhere(t: Tester) -> str:
     t.bring(State.ACTIVE, t.half)
     stopped(t, peer=1)
@@ -535,11 +532,11 @@ def _estop_elsewhere(t: Tester) -> str:
     t.bring(State.ACTIVE, t.half)
     for count in range(_JUNK):
         t.links[1].send(_wrong_crc(t.encode(wire.Estop(count))))
-    begun = t.now()
+    start = t.now()
     if t.exchange(wire.Estop(draw()), 0.25, peer=1) is None:
         fail(f"no answer behind {_JUNK} frames")
     t.expect(State.FAULT, Fault.ESTOP)
-    return f"{(t.now() - begun) / 1e6:.1f} ms behind {_JUNK} frames"
+    return f"{(t.now() - start) / 1e6:.1f} ms behind {_JUNK} frames"
 
 
 # silence
@@ -548,37 +545,37 @@ def _estop_elsewhere(t: Tester) -> str:
 def _silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> str:
     """Send nothing; check HOLDING and WATCHDOG.
 
-    Times are those of the device's own clock and measured currents.
+    Times are by the device's clock.
     """
-    one, t.answering = t.welcome, False
-    seen = t.states(one.watchdog // one.period + 8)
-    ages = [frame.time - 1000 * frame.body.age for frame in seen if frame.body.age != NEVER]
-    arrived = ages[-1] if ages else arrived
-    held = [frame for frame in seen if frame.body.flags & Flag.HOLDING] or fail("HOLDING is never said")
-    cut = [frame for frame in seen if frame.body.state == State.FAULT] or fail("no WATCHDOG")
-    holds, falls = held[0].time - arrived, cut[0].time - arrived
-    said = f"HOLDING after {holds / 1e6:.3g} ms, WATCHDOG after {falls / 1e6:.4g} ms"
+    welcome, t.answering = t.welcome, False
+    frames = t.states(welcome.watchdog // welcome.period + 8)
+    arrivals = [frame.time - 1000 * frame.body.age for frame in frames if frame.body.age != NEVER]
+    arrived = arrivals[-1] if arrivals else arrived
+    held = [frame for frame in frames if frame.body.flags & Flag.HOLDING] or fail("HOLDING is never set")
+    cut = [frame for frame in frames if frame.body.state == State.FAULT] or fail("no WATCHDOG")
+    holding, watchdog = held[0].time - arrived, cut[0].time - arrived
+    times = f"HOLDING after {holding / 1e6:.3g} ms, WATCHDOG after {watchdog / 1e6:.4g} ms"
     rounding = 1000  # of an age [ns]
-    on_time = 2 * one.period - rounding <= holds <= 3 * one.period + rounding
-    if not (on_time and one.watchdog - rounding <= falls <= one.watchdog + one.period + rounding):
-        fail(f"{said}; the period is {one.period / 1e6:g} ms, `watchdog` {one.watchdog / 1e6:g} ms")
-    same(f"{said}; faults", cut[0].body.faults, Fault.WATCHDOG)
-    for frame in seen:
-        if held[0].time + one.delay < frame.time <= cut[0].time:
+    on_time = 2 * welcome.period - rounding <= holding <= 3 * welcome.period + rounding
+    if not (on_time and welcome.watchdog - rounding <= watchdog <= welcome.watchdog + welcome.period + rounding):
+        fail(f"{times}; the period is {welcome.period / 1e6:g} ms, `watchdog` {welcome.watchdog / 1e6:g} ms")
+    same(f"{times}; faults", cut[0].body.faults, Fault.WATCHDOG)
+    for frame in frames:
+        if held[0].time + welcome.delay < frame.time <= cut[0].time:
             close(frame, hover)
         elif frame.time > cut[0].time and not is_off(frame.body.currents):
-            fail(f"{said}, and {shown(frame.body.currents)} A after it")
-    return said
+            fail(f"{times}, then {shown(frame.body.currents)} A")
+    return times
 
 
-@check("silence after ARM: its hover currents after two periods, WATCHDOG and zero after `watchdog`", real_time=True)
+@check("silence after ARM: hover currents after two periods, WATCHDOG and zero after `watchdog`", real_time=True)
 def _silence_after_arm(t: Tester) -> str:
     t.answering = False
     t.ask(Operation.ARM)
     return _silence(t, t.half, t.asked_at)
 
 
-@check("silence after commands: the same, counted from the last one", real_time=True)
+@check("silence after commands: the same, timed from the last command", real_time=True)
 def _silence_after_commands(t: Tester) -> str:
     t.bring(State.ACTIVE)
     return _silence(t, t.half)
@@ -587,38 +584,38 @@ def _silence_after_commands(t: Tester) -> str:
 # flights
 
 
-check("in flight: it hovers at the centre, and lands", "hover", flight=True)(Tester.hovers)
+check("in flight: hovers at the centre and lands", "hover", flight=True)(Tester.hovers)
 
 
-@check("in flight: it hovers with 5 % of the CMDs lost, as many damaged, as many doubled", flight=True, real_time=True)
+@check("in flight: hovers with 5 % of the CMDs lost, 5 % damaged and 5 % duplicated", flight=True, real_time=True)
 def _bad_line(t: Tester) -> str:
     t.loss = 0.05
     t.states(2_000_000_000 // t.welcome.period)
     return t.hovers()
 
 
-@check("in flight: its hover currents, then WATCHDOG", flight=True, real_time=True)
+@check("in flight: silence gives hover currents, then WATCHDOG", flight=True, real_time=True)
 def _flight_silence(t: Tester) -> str:
     return _silence(t, t.calibration.hover.tolist())
 
 
-@check("in flight: a CMD beyond current_limit cuts", flight=True)
+@check("in flight: a CMD above current_limit cuts the currents", flight=True)
 def _flight_over_current(t: Tester) -> str:
     t.once = [[[1.001 * t.welcome.current_limit] * 6]]
     t.expect(State.FAULT, Fault.COIL_OVERCURRENT, 1)
     return zero(t)
 
 
-check("in flight: ESTOP cuts", "flight-estop", flight=True)(stopped)
+check("in flight: ESTOP cuts the currents", "flight-estop", flight=True)(stopped)
 
 
-@check("in flight: DISARM cuts", flight=True)
+@check("in flight: DISARM cuts the currents", flight=True)
 def _flight_disarm(t: Tester) -> str:
     same("state", t.ask(Operation.DISARM).state, State.INACTIVE)
     return zero(t)
 
 
-@check("in flight: BYE cuts", flight=True)
+@check("in flight: BYE cuts the currents", flight=True)
 def _flight_bye(t: Tester) -> str:
     t.ask(Operation.BYE)
     t.join()
@@ -626,14 +623,14 @@ def _flight_bye(t: Tester) -> str:
     return zero(t)
 
 
-# rules of all frames, at last
+# rules for all frames, evaluated last
 
 
 def _keeps(name: str, expected: str) -> None:
-    """Add a check of a rule that holds for all frames received so far."""
+    """Add a check of a rule for all frames received so far."""
     check(expected, name)(lambda t: fail(t.wrong[name]) if name in t.wrong else "as expected")
 
 
-_keeps("frames", "every frame has its length, CRC, tag, zeros, session and sequence number; its time does not go back")
-_keeps("samples", "every STATE is finite, whole periods after the one before, with conversions; FAULT has faults")
-_keeps("cut", "no current is measured outside ACTIVE")
+_keeps("frames", "every frame has the right length, CRC, tag, zeros, session and number; time never decreases")
+_keeps("samples", "every STATE is finite, whole periods after the last, with conversions; FAULT has faults")
+_keeps("cut", "no current outside ACTIVE")

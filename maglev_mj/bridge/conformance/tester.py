@@ -1,7 +1,4 @@
-"""Host that tests devices and records protocol violations.
-
-It keeps the protocol itself unless told otherwise.
-"""
+"""Host that tests a device and records protocol violations."""
 
 from __future__ import annotations
 
@@ -35,26 +32,26 @@ _Law: TypeAlias = Callable[[Any], Sequence[float]]
 
 
 class Unexpected(MaglevError):
-    """Behaviour of a device differs from a check's expectation."""
+    """The device's behaviour differs from the expected one."""
 
 
 class Tester:
-    """A host that tests a device.
+    """Host that tests a device; it follows the protocol unless a check makes it deviate.
 
     Args:
-        links: Links to the device, from one address each; the first has the session.
+        links: Links to the device, one per host address; the first one holds the session.
         calibration: Calibration of the device.
         key: Authentication key of the frames.
 
     Attributes:
         welcome: HELLO_ACK of the session, sent at `greeted` by the device's clock [ns].
         last: Newest STATE.
-        law: Function that returns the currents [A] answering a STATE.
-        once: Arguments of `command` for the next answer, in place of the law's.
+        law: Function from a STATE to the currents of its answer [A].
+        once: Arguments of `command` for the next answer, instead of the law's currents.
         answering: True if STATEs are answered.
-        loss: Share of lost answers; as many are damaged first, and as many doubled.
-        late: True if a STATE was read late by half a period, perhaps because of this host.
-        wrong: First violation of each rule for all frames.
+        loss: Fraction of answers that are lost; the same fractions are damaged and duplicated.
+        late: True if a STATE was read more than half a period late, which may be this host's fault.
+        wrong: First violation of each rule.
         others: Received frames except STATEs.
     """
 
@@ -79,7 +76,7 @@ class Tester:
         return self.links[0].now()
 
     def encode(self, body: Any, *, session: int | None = None, sequence: int = 0) -> bytes:
-        """Return a frame, of this session by default."""
+        """Return an encoded frame, by default of this session."""
         if isinstance(body, (wire.Hello, wire.Estop)):
             session = 0
         return self.codec.encode(self.session if session is None else session, sequence, self.now(), body)
@@ -88,23 +85,20 @@ class Tester:
         """Send currents under the next sequence number."""
         self.sequence = (self.sequence + 1) & WRAP
         body = wire.Command(answers & WRAP, 0, tuple(held), tuple(pulsed or held), width)
-        data, luck = self.encode(body, sequence=self.sequence), self._random.random()
-        if self.loss <= luck < 2.0 * self.loss:
+        data, chance = self.encode(body, sequence=self.sequence), self._random.random()
+        if self.loss <= chance < 2.0 * self.loss:
             self.links[0].send(data[:43] + bytes([data[43] ^ 255]) + data[44:])
-        for _ in range((luck >= self.loss) + (2.0 * self.loss <= luck < 3.0 * self.loss)):
+        for _ in range((chance >= self.loss) + (2.0 * self.loss <= chance < 3.0 * self.loss)):
             self.links[0].send(data)
 
     def receive(self, timeout: float, peer: int = 0) -> Any:
-        """Return the next frame at an address, or None.
-
-        It waits up to `timeout` [s]; STATEs are answered meanwhile.
-        """
+        """Return the next frame at an address, or None after `timeout` [s]; answer STATEs meanwhile."""
         end = self.now() + round(timeout * 1e9)
         while True:
-            left, source = max((end - self.now()) * 1e-9, 0.0), peer
-            data = self.links[peer].receive(0.0 if peer else left)
+            remaining, source = max((end - self.now()) * 1e-9, 0.0), peer
+            data = self.links[peer].receive(0.0 if peer else remaining)
             if data is None and peer:
-                source, data = 0, self.links[0].receive(min(left, 1e-3))
+                source, data = 0, self.links[0].receive(min(remaining, 1e-3))
             if data is None and self.now() >= end:
                 return None
             frame = None if data is None else self._checked(data, source)
@@ -112,21 +106,15 @@ class Tester:
                 return frame
 
     def wait(self, seconds: float, kind: type | None = None, peer: int = 0) -> Any:
-        """Receive for `seconds`, or until a frame of a kind.
-
-        That frame is returned.
-        """
+        """Receive until a frame of a kind, which is returned, or None after `seconds`."""
         end = self.now() + round(seconds * 1e9)
-        while (left := end - self.now()) > 0:
-            if (frame := self.receive(left * 1e-9, peer)) is not None and kind and isinstance(frame.body, kind):
+        while (remaining := end - self.now()) > 0:
+            if (frame := self.receive(remaining * 1e-9, peer)) is not None and kind and isinstance(frame.body, kind):
                 return frame
         return None
 
     def exchange(self, body: Any, patience: float = _PATIENCE, *, peer: int = 0, **header: int) -> Any:
-        """Repeat a request until its answer; return that or None.
-
-        It gives up after `patience` seconds.
-        """
+        """Repeat a request until it is answered; return the answer, or None after `patience` [s]."""
         encode, receive = partial(self.encode, body, **header), partial(self.receive, peer=peer)
         for frame in exchange(self.links[peer], encode, receive, AGAIN, patience):
             if frame.body[0] == body[0] and isinstance(frame.body, _ANSWERS[type(body)]):  # nonce or request
@@ -135,20 +123,20 @@ class Tester:
 
     def states(self, count: int) -> list[Any]:
         """Return the frames of the next samples."""
-        found: list[Any] = []
+        frames: list[Any] = []
         end = self.now() + 3 * count * self.welcome.period + round(_PATIENCE * 1e9)
-        while len(found) < count:
+        while len(frames) < count:
             frame = self.wait((end - self.now()) * 1e-9, wire.StateReport)
-            found.append(frame or fail(f"{len(found)} STATEs instead of {count}"))
-        return found
+            frames.append(frame or fail(f"{len(frames)} STATEs instead of {count}"))
+        return frames
 
-    # rules of all frames
+    # rules for all frames
 
     def _checked(self, data: bytes, source: int) -> Any:
-        """Return a frame of this session, checked by general rules."""
+        """Check a frame against the general rules; return it if it belongs to this session."""
         frame: Any = self.codec.decode(data)
         if frame is None:
-            self.wrong.setdefault("frames", f"no frame: {data[:200].hex()}")
+            self.wrong.setdefault("frames", f"invalid frame: {data[:200].hex()}")
             return None
         body, kind = frame.body, type(frame.body)
         ours, reports = kind in (wire.StateReport, wire.ControlAck), kind is wire.StateReport
@@ -156,14 +144,14 @@ class Tester:
         self._sessions |= {frame.session} if welcomes else set()
         wrong = {
             "type": kind in (wire.Hello, wire.Control, wire.Command, wire.Estop) or (reports and source > 0),
-            "bytes that should be 0": self.codec.encode(*frame) != data,
+            "padding": self.codec.encode(*frame) != data,
             "sequence number": frame.sequence > 0 and not reports,
             "session": (frame.session not in self._sessions) if ours else (frame.session != 0) != welcomes,
             "time": self.last is not None and frame.time + self.welcome.period < self.last.time,
         }
         if any(wrong.values()):
-            said = ", ".join(name for name, is_wrong in wrong.items() if is_wrong)
-            self.wrong.setdefault("frames", f"{said} of a {kind.__name__}: {data.hex()}")
+            names = ", ".join(name for name, is_wrong in wrong.items() if is_wrong)
+            self.wrong.setdefault("frames", f"wrong {names} of a {kind.__name__}: {data.hex()}")
         if ours and frame.session != self.session:
             return None
         if reports:
@@ -172,7 +160,7 @@ class Tester:
         return frame
 
     def _sampled(self, frame: Any, data: bytes) -> Any:
-        """Return a newer sample, and answer it."""
+        """Answer a sample; return it if it is new."""
         before, arrived, self.arrived = self.last, self.arrived, self.now()
         is_newer = before is None or newer(frame.sequence, before.sequence)
         if is_newer:
@@ -182,7 +170,7 @@ class Tester:
                 usual = ((frame.sequence - before.sequence) & WRAP) * self.welcome.period
                 self.late |= self.arrived - arrived > usual + self.welcome.period // 2
         elif frame.sequence == before.sequence and data != self._raw:
-            self.wrong.setdefault("samples", f"number {frame.sequence} twice, with different bytes")
+            self.wrong.setdefault("samples", f"number {frame.sequence} repeated with different bytes")
         if self.answering and frame.sequence == self.last.sequence:
             if is_newer or not self._answer:
                 self._answer = self.once.pop() if self.once else [self.law(frame)]
@@ -192,7 +180,7 @@ class Tester:
     def _judge(self, frame: Any, before: Any) -> None:
         """Record violations in a sample."""
         body, period = frame.body, self.welcome.period
-        # currents that have just been cut are measured once more, and take their time to fall
+        # after a cut, currents take a few samples to decay
         self._idle = 0 if body.state == State.ACTIVE else self._idle + 1
         wrong = {
             "frames": body.flags & ~int(sum(Flag)) or body.valid > 7 or body.state > max(State),
@@ -216,7 +204,7 @@ class Tester:
         return answer or fail("no answer to HELLO")
 
     def join(self) -> None:
-        """Start a session, if necessary after a lost host's.
+        """Start a session, waiting for a lost host's session to expire.
 
         Raises:
             HandshakeError: If no device answers, or it refuses this host.
@@ -226,18 +214,18 @@ class Tester:
             self.nonce = draw()
             frame = self.exchange(wire.Hello(self.nonce, self.calibration.digest))
             if frame is None:
-                raise HandshakeError(f"no device answered within {_PATIENCE:g} s")
+                raise HandshakeError(f"no answer from the device within {_PATIENCE:g} s")
             status = frame.body.status
             if status == HelloStatus.WELCOME:
                 self.welcome, self.session, self.greeted, self.last = frame.body, frame.session, frame.time, None
                 self.sequence = self.request = 0
                 return
             if status != HelloStatus.BUSY or self.now() > end:
-                raise HandshakeError(f"the device answers HELLO with status {_named(HelloStatus, status)}")
+                raise HandshakeError(f"the device answered HELLO with status {_named(HelloStatus, status)}")
             self.wait(0.1)
 
     def ask(self, operation: int, *, faults: int = 0, hover: Sequence[float] = (), **header: int) -> wire.ControlAck:
-        """Return the answer to a new request."""
+        """Send a new request and return its answer."""
         self.request = (self.request + 1) & WRAP
         body = wire.Control(self.request, operation, faults, tuple(hover or self.half))
         frame = self.exchange(body, **header) or fail(f"no answer to {_named(Operation, operation)}")
@@ -247,9 +235,12 @@ class Tester:
         return answer
 
     def bring(self, state: State, currents: Sequence[float] = ZERO, *, answering: bool = True) -> None:
-        """Bring the device to a state, seen in a sample.
+        """Bring the device to a state and check it in a sample.
 
-        In ACTIVE it obeys commands of these currents [A]; False for `answering` sends none from then on.
+        Args:
+            state: Target state.
+            currents: Commanded currents in ACTIVE [A].
+            answering: False to stop sending commands afterwards.
         """
         self.law, self.answering, self.loss, self.once = _zeros, True, 0.0, []
         try:
@@ -258,10 +249,10 @@ class Tester:
             self.join()
         end = self.now() + round(TAKEOVER * 1e9)
         while (answer := self.ask(Operation.DISARM)).state != State.INACTIVE:
-            # refused while a current that was just cut is the last one measured
+            # refused until a sample shows that the currents are zero
             if self.ask(Operation.RESET).state != State.INACTIVE:
                 if self.now() > end:
-                    fail(f"RESET is refused: {fault_names(answer.faults)}")
+                    fail(f"RESET refused: {fault_names(answer.faults)}")
                 self.states(1)
         if state == State.FAULT:
             answer = self.ask(Operation.TRIP, faults=Fault.HOST)
@@ -274,26 +265,20 @@ class Tester:
         self.answering = answering
 
     def expect(self, state: State, faults: int = 0, samples: int = 2) -> Any:
-        """Return a sample after checking states and faults.
-
-        All received samples but the first must have the given ones.
-        """
+        """Check state and faults of all received samples but the first; return the last one."""
         for frame in (seen := self.states(samples + 1)[1:]):
             same("state, faults", (frame.body.state, frame.body.faults), (state, Fault(faults)))
         return seen[-1]
 
     def leave(self) -> None:
-        """End the session; a new one starts without history."""
+        """End the session."""
         if self.session:
             with suppress(Unexpected):
                 self.ask(Operation.BYE)
         self.session = 0
 
     def release(self) -> None:
-        """Leave the device INACTIVE without a session.
-
-        If it does not answer, an emergency stop is requested.
-        """
+        """Leave the device INACTIVE, without a session; request an emergency stop if that fails."""
         try:
             self.bring(State.INACTIVE)
             self.ask(Operation.BYE)
@@ -306,11 +291,11 @@ class Tester:
 
     @contextmanager
     def flying(self) -> Iterator[None]:
-        """Take off from rest, and land in any case."""
-        one, period, known = self.welcome, self.welcome.period * 1e-9, self.calibration
-        # before ARM: the device would take the time for a host that is gone
-        output = OutputLimiter(known.coils, profile_of(one, self.greeted).limits, None, period)
-        leader = Leader(known, period, one.delay * 1e-9)
+        """Take off from rest, and land at exit in any case."""
+        welcome, period, calibration = self.welcome, self.welcome.period * 1e-9, self.calibration
+        # before ARM: computing time in flight would trip the watchdog
+        output = OutputLimiter(calibration.coils, profile_of(welcome, self.greeted).limits, None, period)
+        leader = Leader(calibration, period, welcome.delay * 1e-9)
 
         def law(frame: Any) -> Sequence[float]:
             pose = self._locate(frame)
@@ -320,11 +305,11 @@ class Tester:
             if self.last.body.state == State.ACTIVE:
                 fail(f"the flotor does not follow: {pose_shown(pose)}")
 
-        rest, led = self._rest(), round(1.5 * _LED * 1e9) // one.period
+        rest, led = self._rest(), round(1.5 * _LED * 1e9) // welcome.period
         leader.aim(straight(rest, ZERO, _LED), astray)
         self.law = law
         try:
-            same("state after ARM", self.ask(Operation.ARM, hover=known.hover.tolist()).state, State.ACTIVE)
+            same("state after ARM", self.ask(Operation.ARM, hover=calibration.hover.tolist()).state, State.ACTIVE)
             self.states(led)
             self.hovers()
             yield
@@ -336,27 +321,24 @@ class Tester:
                     self.states(led)
 
     def hovers(self) -> str:
-        """Return the pose of a hovering flotor as text.
-
-        The check fails if it is not at the centre.
-        """
+        """Check that the flotor hovers at the centre; return its pose as text."""
         pose = self._locate(self.expect(State.ACTIVE))
         if math.hypot(*pose[:3]) > _ASIDE or math.hypot(*pose[3:]) > _ASKEW:
-            fail(f"the flotor hovers at {pose_shown(pose)}")
+            fail(f"the flotor hovers off centre: {pose_shown(pose)}")
         return pose_shown(pose)
 
     def _rest(self) -> list[float]:
-        """Wait for the flotor's rest and return its pose."""
+        """Wait until the flotor is at rest and return its pose."""
         motion, end = Motion(self.welcome.period * 1e-9), self.now() + 10_000_000_000
         while not (motion.full and motion.at_rest):
             frame = self.states(1)[0]
             motion.add(Sample(frame.sequence, frame.time * 1e-9, self._locate(frame)))
             if self.now() > end:
-                fail(f"the flotor does not come to rest within 10 s: {motion}")
+                fail(f"the flotor is not at rest after 10 s: {motion}")
         return motion.pose
 
     def _locate(self, frame: Any) -> list[float]:
-        return self._track([one - other for one, other in zip(frame.body.spots, self._offsets)])
+        return self._track([spot - offset for spot, offset in zip(frame.body.spots, self._offsets)])
 
 
 def fail(seen: str) -> NoReturn:
@@ -364,11 +346,11 @@ def fail(seen: str) -> NoReturn:
     raise Unexpected(seen)
 
 
-def same(what: str, seen: Any, wanted: Any) -> str:
-    """Fail a check if values differ; return the observed one."""
-    if seen != wanted:
-        fail(f"{what} {shown(seen, wanted)} instead of {shown(wanted, wanted)}")
-    return f"{what} {shown(seen, wanted)}"
+def same(what: str, actual: Any, expected: Any) -> str:
+    """Fail a check if values differ; return the actual one as text."""
+    if actual != expected:
+        fail(f"{what} {shown(actual, expected)} instead of {shown(expected, expected)}")
+    return f"{what} {shown(actual, expected)}"
 
 
 def is_off(currents: Sequence[float]) -> bool:
@@ -377,7 +359,7 @@ def is_off(currents: Sequence[float]) -> bool:
 
 
 def shown(value: Any, like: Any = None) -> str:
-    """Return figures as text, by name where `like` is a named number; tuples and lists have one for each value."""
+    """Return values as text, as names of the enumeration if `like` is a member; sequences elementwise."""
     if isinstance(value, (tuple, list)):
         return f"({', '.join(itertools.starmap(shown, itertools.zip_longest(value, (like or ())[: len(value)])))})"
     if isinstance(like, Fault):
@@ -391,5 +373,5 @@ def _zeros(frame: Any) -> Sequence[float]:
     return ZERO
 
 
-def _named(words: Any, number: int) -> str:
-    return words(number).name if number in tuple(words) else str(number)
+def _named(kind: Any, number: int) -> str:
+    return kind(number).name if number in tuple(kind) else str(number)
