@@ -1,8 +1,8 @@
-"""Frames on the wire: little-endian, packed, in SI units.
+"""Encoding of frames: little-endian, packed, SI units, with a CRC-32 and an optional authentication tag.
 
-Each ends in a CRC-32 and, with a key, an authentication tag: docs/reference/protocol.md.
+Received data never raises: an invalid frame is dropped and counted by reason.
 
-Received data never raises: an invalid frame is counted by reason and dropped.
+Source: docs/reference/protocol.md.
 """
 
 from __future__ import annotations
@@ -20,10 +20,7 @@ from maglev_mj.errors import ParameterError
 
 
 class State(IntEnum):
-    """State of a device.
-
-    A fault is latched: only an explicit reset leads out of it.
-    """
+    """State of a device; FAULT is latched until a reset."""
 
     INACTIVE = 0
     ACTIVE = 1
@@ -31,33 +28,30 @@ class State(IntEnum):
 
 
 class Fault(IntFlag):
-    """Reasons for the fault state.
-
-    The first four have the bits of the Maglev 200.
-    """
+    """Reasons for the fault state; the first four bits as in the Maglev 200."""
 
     SENSOR_OUT_OF_RANGE = 1
     COIL_OVERTEMP = 2
     COIL_OVERCURRENT = 4
     FLOTOR_OVERSPEED = 8
-    BOUNDARY = 16  # the flotor is beyond the envelope that the host allows
-    WATCHDOG = 32  # no command for longer than the device waits
-    INVALID_COMMAND = 64  # a command that is not finite
+    BOUNDARY = 16  # the flotor left the envelope allowed by the host
+    WATCHDOG = 32  # no command for longer than the watchdog timeout
+    INVALID_COMMAND = 64  # non-finite command
     ESTOP = 128
-    COIL_NOT_FOLLOWING = 256  # a coil's measured current is not the one commanded
-    SENSOR_FROZEN = 512  # a diode repeats its reading more often than its noise allows
+    COIL_NOT_FOLLOWING = 256  # a coil's measured current differs from the commanded one
+    SENSOR_FROZEN = 512  # a diode repeats its reading more often than its noise permits
     CLOCK = 1024  # the device's timestamps jumped
-    NOT_FOLLOWING = 2048  # the flotor does not go where it is led: wrong signs, diodes exchanged, or something holds it
-    HOST = 4096  # the host's program failed, or lost the device's samples
-    SENSOR_STOPPED = 8192  # the sensor's conversion counter stands still
-    COIL_NOT_OFF = 16384  # a current flows although the currents are cut
+    NOT_FOLLOWING = 2048  # the flotor does not follow: wrong signs, swapped diodes, or something holds it
+    HOST = 4096  # the host program failed, or lost the device's samples
+    SENSOR_STOPPED = 8192  # the sensor's conversion counter stopped
+    COIL_NOT_OFF = 16384  # current flows although the currents are cut
 
 
 class Flag(IntFlag):
     """Flags of a STATE frame."""
 
-    HOLDING = 1  # commands are missing: the currents agreed at arming are on
-    ENABLED = 2  # the amplifier board sees its enable line live
+    HOLDING = 1  # commands are missing: hover currents from ARM are on
+    ENABLED = 2  # the amplifier board sees its enable line toggle
 
 
 class Operation(IntEnum):
@@ -66,7 +60,7 @@ class Operation(IntEnum):
     ARM = 1
     DISARM = 2
     RESET = 4
-    TRIP = 5  # go to the fault state for the faults that the host has seen
+    TRIP = 5  # enter the fault state for faults detected by the host
     BYE = 6
 
 
@@ -87,10 +81,10 @@ class HelloStatus(IntEnum):
 
 
 def fault_names(faults: int) -> str:
-    """Return the names of fault bits, or "none"."""
-    known = [fault.name or "" for fault in Fault if faults & fault]
-    rest = faults & ~sum(Fault)
-    return " ".join(known + ([f"0x{rest:x}"] if rest else [])) or "none"
+    """Return the names of fault bits, separated by spaces, or "none"."""
+    names = [fault.name or "" for fault in Fault if faults & fault]
+    unknown = faults & ~sum(Fault)
+    return " ".join(names + ([f"0x{unknown:x}"] if unknown else [])) or "none"
 
 
 MAGIC = 0x4A4D
@@ -100,7 +94,7 @@ _MAGIC = MAGIC.to_bytes(2, "little")
 VERSION = 3
 
 WRAP = NEVER = 0xFFFFFFFF
-"""Largest sequence number; the number and age of a command that there is not."""
+"""Largest sequence number; sentinel for 'no command' in its number and age."""
 
 _HEADER = "<HBBIIQ"
 _CRC = struct.Struct("<I")
@@ -109,7 +103,7 @@ _CRC_RESIDUE = 0x2144DF1C
 
 
 class Hello(NamedTuple):
-    """Request for a session; equal nonces get the same session."""
+    """Request for a session; the same nonce gets the same session."""
 
     nonce: int
     calibration: bytes
@@ -146,10 +140,7 @@ class HelloAck(NamedTuple):
 
 
 class Control(NamedTuple):
-    """Request for an `Operation`.
-
-    `faults` belong to TRIP; `hover` [A], six, belongs to ARM.
-    """
+    """Request for an `Operation`; `faults` for TRIP, `hover` currents [A] for ARM."""
 
     request: int
     operation: int
@@ -158,10 +149,7 @@ class Control(NamedTuple):
 
 
 class ControlAck(NamedTuple):
-    """Answer to CTRL.
-
-    Request and operation as requested, `Result`, state and faults after it.
-    """
+    """Answer to CTRL: request, operation and `Result`, with the resulting state and faults."""
 
     request: int
     operation: int
@@ -171,30 +159,24 @@ class ControlAck(NamedTuple):
 
 
 class StateReport(NamedTuple):
-    """Measurements of a device at one sample.
+    """Measurements of a device at one sample, whose number is the frame's sequence number."""
 
-    The frame's sequence number is the sample's number.
-    """
-
-    spots: tuple[float, ...]  # x and y of each of the three [m]
+    spots: tuple[float, ...]  # x and y on each of three diodes [m]
     currents: tuple[float, ...]  # measured, six [A]
-    temperatures: tuple[float, ...]  # share of what each coil bears, six; 1 where it trips
+    temperatures: tuple[float, ...]  # rise of each coil as a fraction of its limit, six; trips at 1
     state: int
-    valid: int  # bit k: diode k's spot can be trusted
+    valid: int  # bit k: spot of diode k is valid
     flags: int
     faults: int
-    answered: int  # number of the sample that the newest command answers
-    age: int  # of that command [us]; NEVER for none
-    conversions: int  # counter of the sensor interface
+    answered: int  # number of the sample answered by the newest command
+    age: int  # of that command [µs]; NEVER if none
+    conversions: int  # conversion counter of the sensor interface
 
 
 class Command(NamedTuple):
-    """Commanded currents [A], six each.
+    """Commanded currents [A], six each: `pulsed` for the first `width` seconds, then `held`."""
 
-    `pulsed` for the first `width` seconds, then `held`.
-    """
-
-    answers: int  # number of the sample answered
+    answers: int  # number of the answered sample
     flags: int  # 0
     held: tuple[float, ...]
     pulsed: tuple[float, ...]
@@ -202,19 +184,13 @@ class Command(NamedTuple):
 
 
 class Estop(NamedTuple):
-    """Request for an emergency stop, from any host.
-
-    Every repetition has the same request number.
-    """
+    """Request for an emergency stop, from any host; repetitions keep the request number."""
 
     request: int
 
 
 class EstopAck(NamedTuple):
-    """Answer to an emergency stop.
-
-    `sampled` [ns] and `currents` [A], six, are those of the last sample.
-    """
+    """Answer to an emergency stop, with time `sampled` [ns] and `currents` [A] of the last sample."""
 
     request: int
     state: int
@@ -237,7 +213,7 @@ _TYPES: dict[int, tuple[type[Body], str]] = {
 }
 _NUMBERS = {body: number for number, (body, _) in _TYPES.items()}
 _STRUCTS = {number: struct.Struct(_HEADER + fields) for number, (_, fields) in _TYPES.items()}
-# bodies with six numbers in a field: as numbers, and from a frame's
+# bodies with fields of six numbers: to and from flat values
 _FLAT: dict[int, Callable[[Any], Sequence[Any]]] = {
     3: lambda body: (*body[:3], *body[3]),
     5: lambda body: (*body[0], *body[1], *body[2], *body[3:]),
@@ -256,20 +232,20 @@ class Frame(NamedTuple):
     """Decoded frame."""
 
     session: int  # 0 in a HELLO and an ESTOP
-    sequence: int  # in a CMD counted up by the host, in a STATE the number of the sample; else 0
-    time: int  # of the sender's clock [ns]
+    sequence: int  # CMD: counted by the host; STATE: number of the sample; else 0
+    time: int  # by the sender's clock [ns]
     body: Body
 
 
 class Codec:
-    """Encoder and decoder of frames, authenticated with a key.
+    """Encoder and decoder of frames.
 
     Args:
-        key: 16 to 32 bytes shared by both ends; None for no authentication.
+        key: Authentication key shared by both ends, 16 to 32 bytes; None for none.
 
     Attributes:
-        dropped: Numbers of dropped frames by reason: short, magic, version, type, length, crc, tag.
-        version_met: Protocol version of the last frame that was dropped for its version; None for no authentication.
+        dropped: Dropped frames by reason: short, magic, version, type, length, crc, tag.
+        version_met: Protocol version of the last frame dropped for its version; None if there was none.
 
     Raises:
         ParameterError: If the key is too short or too long.
@@ -277,17 +253,14 @@ class Codec:
 
     def __init__(self, key: bytes | None = None) -> None:
         if key is not None and not LEAST_KEY <= len(key) <= MOST_KEY:
-            raise ParameterError(f"key must have {LEAST_KEY} to {MOST_KEY} bytes, not {len(key)}")
+            raise ParameterError(f"key must have {LEAST_KEY} to {MOST_KEY} bytes (got {len(key)})")
         self._key = key
         self._overhead = _CRC.size + (TAG if key is not None else 0)
         self.dropped: Counter[str] = Counter()
         self.version_met: int | None = None
 
     def encode(self, session: int, sequence: int, time: int, body: Body) -> bytes:
-        """Return an encoded frame.
-
-        The sequence number is taken modulo 2³²; `time` is the sender's clock [ns].
-        """
+        """Return an encoded frame; `sequence` modulo 2³², `time` by the sender's clock [ns]."""
         number = _NUMBERS[body.__class__]
         values = _FLAT[number](body) if number in _FLAT else body
         data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & WRAP, time, *values)
@@ -296,10 +269,7 @@ class Codec:
         return data + _CRC.pack(zlib.crc32(data))
 
     def decode(self, data: bytes) -> Frame | None:
-        """Return the decoded frame, or None if it is invalid.
-
-        The reason is counted in `dropped`.
-        """
+        """Return the decoded frame, or None if it is invalid, counted in `dropped`."""
         if reason := self._reason(data):
             self.dropped[reason] += 1
             return None
@@ -309,12 +279,12 @@ class Codec:
         return Frame(values[3], values[4], values[5], body)
 
     def _reason(self, data: bytes) -> str:
-        """Return why data is not a valid frame, or ""."""
+        """Return why data is not a valid frame; "" if it is."""
         if len(data) < 4:
             return "short"
         if data[:2] != _MAGIC:
             return "magic"
-        # the CRC first: no other field is read unless it is right
+        # check the CRC before reading any other field
         if len(data) < self._overhead + 4 or zlib.crc32(data) != _CRC_RESIDUE:
             return "crc"
         if data[2] != VERSION:
@@ -332,23 +302,21 @@ class Codec:
         return ""
 
 
-def newer(one: int, other: int) -> bool:
-    """Return True if one sequence number comes after the other.
-
-    Serial arithmetic on 32 bits.
+def newer(number: int, reference: int) -> bool:
+    """Return True if a sequence number is later than a reference, in 32-bit serial arithmetic.
 
     Source: RFC 1982.
     """
-    return 0 < ((one - other) & WRAP) < 0x80000000
+    return 0 < ((number - reference) & WRAP) < 0x80000000
 
 
 LEAST_KEY, MOST_KEY = 16, 32
-"""Smallest and largest length of a key [bytes]."""
+"""Smallest and largest key length [bytes]."""
 
 TAG = 16
-"""Length of a tag [bytes]."""
+"""Tag length [bytes]."""
 
 
 def _tag(data: bytes, key: bytes) -> bytes:
-    """Return the tag of a message: keyed BLAKE2s."""
+    """Return the keyed BLAKE2s of a message."""
     return hashlib.blake2s(data, digest_size=TAG, key=key).digest()

@@ -1,1 +1,1 @@
-"""A device at the bench: calibration, identification, commissioning."""
+"""Calibration, identification and commissioning of a device."""

@@ -27,7 +27,7 @@ _UNIT_LENGTH = 1e-9
 
 _COILS = {"points": (6, 3), "directions": (6, 3), "force_constants": (6,)}
 _BEAMS = {"leds": (3, 3), "directions": (3, 3), "diodes": (3, 3), "across": (3, 2, 3)}
-_REST = {"spot_offsets": (6,), "mass": (), "inertia": (3,), "gravity": (3,)}
+_BODY = {"spot_offsets": (6,), "mass": (), "inertia": (3,), "gravity": (3,)}
 _UNITS: dict[str, Any] = {
     "coils": {"points": "m", "directions": "1", "force_constants": "N/A"},
     "beams": {"leds": "m", "directions": "1", "diodes": "m", "across": "1"},
@@ -36,16 +36,16 @@ _UNITS: dict[str, Any] = {
 
 
 class CalibrationError(MaglevError):
-    """Error of a calibration file: unreadable, unwritable or invalid."""
+    """Calibration file cannot be read or written, or is invalid."""
 
 
 class InvalidCalibrationError(CalibrationError, ParameterError):
-    """A file is not there, no calibration, or has invalid content."""
+    """Calibration file is missing, or its contents are invalid."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """Calibrated coils, beams and body of a device.
+    """Coils, beams, mass and gravity of a device.
 
     Args:
         coils: Points, directions and force constants of the coils.
@@ -54,11 +54,11 @@ class Calibration:
         mass: Moving mass [kg].
         inertia: Moments of inertia about stator axes through the centre of mass, (3,) [kg m²].
         gravity: Acceleration of free fall in stator axes, (3,) [m/s²].
-        name: Its name; no part of the digest.
+        name: Name; not part of the digest.
 
     Raises:
-        ParameterError: If a value is not finite or of another shape, a direction is not of unit length, or the mass or
-            a moment of inertia is not above 0.
+        ParameterError: If a value is not finite or has the wrong shape, a direction is not a unit vector, or mass or a
+            moment of inertia is not above 0.
 
     Example:
         >>> from maglev_mj import Calibration
@@ -81,7 +81,7 @@ class Calibration:
         for name, shape in _BEAMS.items():
             _checked(f"beams {name}", getattr(self.beams, name), shape)
         for name in ("spot_offsets", "inertia", "gravity"):
-            object.__setattr__(self, name, _checked(name, getattr(self, name), _REST[name]))
+            object.__setattr__(self, name, _checked(name, getattr(self, name), _BODY[name]))
         object.__setattr__(self, "mass", number("mass", self.mass, above=0.0))
         for moment in self.inertia:
             number("inertia", float(moment), above=0.0)
@@ -89,9 +89,9 @@ class Calibration:
 
     @classmethod
     def nominal(cls) -> Self:
-        """Return the nominal calibration: model and paper, level, without offsets."""
+        """Return the nominal calibration: values of the model, base level, no spot offsets."""
         coils = load_model("drop").coils
-        assert coils is not None  # the model is loaded with them
+        assert coils is not None  # the model has coils
         return cls(
             coils=coils,
             beams=beams(),
@@ -108,63 +108,55 @@ class Calibration:
 
     @property
     def digest(self) -> bytes:
-        """BLAKE2s digest of all values but the name, 16 bytes.
-
-        It is the same after `save` and `load`.
-        """
+        """BLAKE2s digest of all values but the name, 16 bytes; unchanged by `save` and `load`."""
         values = {name: value for name, value in self.as_json().items() if name != "name"}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.blake2s(text.encode(), digest_size=16).digest()
 
     def as_json(self) -> dict[str, Any]:
-        """Return all values as JSON-ready lists, numbers and texts.
-
-        Floats keep every bit.
-        """
+        """Return all values as JSON-ready lists, numbers and strings, without loss of precision."""
         return {
             "format": _FORMAT,
             "name": self.name,
             "units": deepcopy(_UNITS),
             "coils": {name: getattr(self.coils, name).tolist() for name in _COILS},
             "beams": {name: getattr(self.beams, name).tolist() for name in _BEAMS},
-            **{name: np.asarray(getattr(self, name)).tolist() for name in _REST},
+            **{name: np.asarray(getattr(self, name)).tolist() for name in _BODY},
         }
 
     @classmethod
     def from_json(cls, values: Any) -> Self:
-        """Return the calibration of `as_json` output.
+        """Return a calibration from the output of `as_json`.
 
         Raises:
-            InvalidCalibrationError: If the format or a unit is wrong, or a value is missing or not known.
-            ParameterError: As for the class.
+            InvalidCalibrationError: If the format or a unit is wrong, or an entry is missing or unknown.
+            ParameterError: See the class.
             ModelError: If the coils cannot give every wrench, or the beams do not determine the pose.
         """
         if not isinstance(values, dict) or values.get("format") != _FORMAT:
-            found = values.get("format") if isinstance(values, dict) else type(values).__name__
-            raise InvalidCalibrationError(f"format must be {_FORMAT!r}, not {found!r}")
-        parts = _entries("", values, {"format", "name", "units", "coils", "beams", *_REST})
+            actual = values.get("format") if isinstance(values, dict) else type(values).__name__
+            raise InvalidCalibrationError(f"format must be {_FORMAT!r} (got {actual!r})")
+        parts = _entries("", values, {"format", "name", "units", "coils", "beams", *_BODY})
         if values["units"] != _UNITS:
-            raise InvalidCalibrationError(f"units must be {json.dumps(_UNITS)}, not {json.dumps(values['units'])}")
+            raise InvalidCalibrationError(f"units must be {json.dumps(_UNITS)} (got {json.dumps(values['units'])})")
         coils, diodes = _arrays("coils", parts, _COILS), _arrays("beams", parts, _BEAMS)
-        rest: dict[str, Any] = {name: _checked(name, parts[name], shape) for name, shape in _REST.items()}
-        rest["mass"] = float(rest["mass"])
-        return cls(coils=CoilMap(**coils), beams=Beams(**diodes), **rest, name=parts["name"])
+        body: dict[str, Any] = {name: _checked(name, parts[name], shape) for name, shape in _BODY.items()}
+        body["mass"] = float(body["mass"])
+        return cls(coils=CoilMap(**coils), beams=Beams(**diodes), **body, name=parts["name"])
 
     def save(self, path: str | Path) -> None:
-        """Write the calibration to a file, atomically.
-
-        An existing file is replaced only after all is written.
+        """Write the calibration to a file, atomically: an existing file is replaced only by a complete one.
 
         Raises:
             CalibrationError: If it cannot be written.
         """
-        from maglev_mj.recording.recording import aside  # which a calibration that is read does not need
+        from maglev_mj.recording.recording import aside  # not needed to load a calibration
 
         try:
             with aside(Path(path)) as partial, partial.open("w", encoding="utf-8") as file:
                 file.write(_pretty(self.as_json()) + "\n")
                 file.flush()
-                os.fsync(file.fileno())  # a cut in power must not leave a name without its content
+                os.fsync(file.fileno())  # a power failure must not leave an empty file
         except OSError as error:
             raise CalibrationError(f"calibration {str(path)!r} cannot be written: {error.strerror}") from error
 
@@ -173,58 +165,55 @@ class Calibration:
         """Read a calibration file.
 
         Raises:
-            InvalidCalibrationError: If it cannot be read, or has an invalid value; one line with file and value.
+            InvalidCalibrationError: If it cannot be read or is invalid; one line with file and value.
         """
-        # as floats, or a whole number of many digits is not one that numpy knows
+        # integers as floats: NumPy cannot convert very large ones
         options = {"parse_int": float, "object_pairs_hook": _once}
         return read_json("calibration", path, cls.from_json, InvalidCalibrationError, **options)
 
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """Return a finite, read-only array of the given shape.
-
-    Directions must be of unit length.
-    """
+    """Return a finite, read-only array of a shape; check directions for unit length."""
     array = np.array(numbers(name, value))
     if array.shape != shape:
-        raise ParameterError(f"{name} must be {shape}, not {array.shape}")
+        raise ParameterError(f"{name} must have shape {shape} (got {array.shape})")
     if name.endswith(("directions", "across")):
         lengths = np.linalg.norm(array, axis=-1)
         worst = float(lengths.flat[np.abs(lengths - 1.0).argmax()])
         if abs(worst - 1.0) > _UNIT_LENGTH:
-            raise ParameterError(f"{name} must be of unit length within {_UNIT_LENGTH:g}, not {worst!r}")
+            raise ParameterError(f"{name} must be unit vectors within {_UNIT_LENGTH:g} (got length {worst!r})")
     array.setflags(write=False)
     return array
 
 
 def _arrays(where: str, values: dict[str, Any], shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
     """Return the checked arrays of one part."""
-    given = _entries(f"{where} ", values[where], set(shapes))
-    return {name: _checked(f"{where} {name}", given[name], shape) for name, shape in shapes.items()}
+    entries = _entries(f"{where} ", values[where], set(shapes))
+    return {name: _checked(f"{where} {name}", entries[name], shape) for name, shape in shapes.items()}
 
 
 def _entries(where: str, values: Any, names: set[str]) -> dict[str, Any]:
-    """Return a dictionary after checking that its names are these."""
+    """Return a dictionary after checking its names."""
     if not isinstance(values, dict):
         raise InvalidCalibrationError(
-            f"{where.strip()} must be an object with {', '.join(sorted(names))}, not {values!r}"
+            f"{where.strip()} must be an object with {', '.join(sorted(names))} (got {values!r})"
         )
     for name in sorted(names ^ set(values)):
-        what = "is missing" if name in names else "is not known"
-        raise InvalidCalibrationError(f"{where}{name} {what}; there must be {', '.join(sorted(names))}")
+        what = "is missing" if name in names else "is unknown"
+        raise InvalidCalibrationError(f"{where}{name} {what}; expected entries: {', '.join(sorted(names))}")
     return values
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a dictionary of pairs; raise if a name repeats."""
-    for name, times in Counter(name for name, _ in pairs).items():
-        if times > 1:
-            raise InvalidCalibrationError(f"{name} must be there once, not {times} times")
+    for name, count in Counter(name for name, _ in pairs).items():
+        if count > 1:
+            raise InvalidCalibrationError(f"{name} appears {count} times; each entry is allowed once")
     return dict(pairs)
 
 
 def _pretty(values: dict[str, Any]) -> str:
     """Return indented JSON with one row of numbers per line."""
     text = json.dumps(values, indent=2, allow_nan=False)
-    # a text has no newline of its own: JSON escapes it
+    # strings contain no newline: JSON escapes it
     return re.sub(r"\[\n[^][{}]+\]", lambda row: re.sub(r"\n *", "", row[0]).replace(",", ", "), text)

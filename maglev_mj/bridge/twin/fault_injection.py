@@ -1,4 +1,4 @@
-"""Table of faults to be injected into a simulated device."""
+"""Faults that can be injected into a simulated device."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class Effect(NamedTuple):
     words: str
     largest: int  # K
     begin: Callable[[Any, int], None] | None = None
-    read: Callable[[Reading, Reading, int], Reading] | None = None  # the reading, that of the beginning, K
+    read: Callable[[Reading, Reading, int], Reading] | None = None  # current reading, reading at the start, K
     report: Callable[[StateReport, int], StateReport] | None = None
 
 
 def _with(values: Sequence[float], first: int, *others: float) -> tuple[float, ...]:
-    """Return values with others inserted from an index on."""
+    """Return values with those from index `first` on replaced by others."""
     return (*values[:first], *others, *values[first + len(others) :])
 
 
@@ -41,7 +41,7 @@ def _put(name: str, value: float) -> Callable[..., Any]:
 
 
 def _keep(name: str) -> Callable[..., Any]:
-    """Return a function that freezes a field's value."""
+    """Return a function that freezes a field."""
     return lambda now, first, _: now._replace(**{name: getattr(first, name)})
 
 
@@ -50,9 +50,9 @@ def _stuck_diode(now: Reading, first: Reading, diode: int) -> Reading:
 
 
 def _swapped_diodes(now: Reading, _: Reading, diode: int) -> Reading:
-    one, other = 2 * diode, 2 * ((diode + 1) % 3)
-    spots = _with(now.spots, one, *now.spots[other : other + 2])
-    return now._replace(spots=_with(spots, other, *now.spots[one : one + 2]))
+    first, second = 2 * diode, 2 * ((diode + 1) % 3)
+    spots = _with(now.spots, first, *now.spots[second : second + 2])
+    return now._replace(spots=_with(spots, second, *now.spots[first : first + 2]))
 
 
 def _invalid_diode(now: Reading, _: Reading, diode: int) -> Reading:
@@ -78,19 +78,19 @@ def _hung_firmware(twin: Any, _: int) -> None:
 _NAN, _HOT = _put("temperatures", math.nan), _put("temperatures", 5.0)
 INJECTED_FAULTS = {
     "dead-coil": Effect("coil K gives no current", 5, lambda twin, k: twin.plant.open_coil(k), _put("measured", 0.0)),
-    "stuck-amplifier": Effect("coil K keeps its current, whatever is asked for", 5, _stuck_amplifier),
+    "stuck-amplifier": Effect("coil K keeps its current, whatever is commanded", 5, _stuck_amplifier),
     "stuck-diode": Effect("diode K repeats its last spot", 2, read=_stuck_diode),
     "stuck-diodes": Effect("all diodes repeat their last spots (K is 0)", 0, read=_keep("spots")),
-    "stuck-counter": Effect("the conversion counter stands (K is 0)", 0, read=_keep("conversions")),
-    "invalid-diode": Effect("diode K says that its spot cannot be trusted", 2, read=_invalid_diode),
-    "swapped-diodes": Effect("the cables of diode K and the next are exchanged", 2, read=_swapped_diodes),
-    "nan-spot": Effect("coordinate K is not a number", 5, read=_put("spots", math.nan)),
-    "nan-current": Effect("the measured current of coil K is not a number", 5, read=_put("measured", math.nan)),
-    "nan-temperature": Effect("the temperature of coil K is reported as not a number", 5, report=_NAN),
-    "hot-report": Effect("the temperature of coil K is reported as 5", 5, report=_HOT),
+    "stuck-counter": Effect("the conversion counter stops (K is 0)", 0, read=_keep("conversions")),
+    "invalid-diode": Effect("diode K reports its spot as invalid", 2, read=_invalid_diode),
+    "swapped-diodes": Effect("the cables of diodes K and (K + 1) mod 3 are swapped", 2, read=_swapped_diodes),
+    "nan-spot": Effect("spot coordinate K is NaN", 5, read=_put("spots", math.nan)),
+    "nan-current": Effect("the measured current of coil K is NaN", 5, read=_put("measured", math.nan)),
+    "nan-temperature": Effect("the reported temperature of coil K is NaN", 5, report=_NAN),
+    "hot-report": Effect("the reported temperature of coil K is 5", 5, report=_HOT),
     "clock-jump": Effect("the device's clock jumps ahead by K milliseconds", 10_000, _clock_jump),
-    "silence": Effect("nothing comes or goes for K milliseconds", 60_000, _silence),
-    "hung-firmware": Effect("the firmware hangs, the amplifier board does not (K is 0)", 0, _hung_firmware),
+    "silence": Effect("no frame is sent or received for K milliseconds", 60_000, _silence),
+    "hung-firmware": Effect("the firmware hangs, the amplifier board works (K is 0)", 0, _hung_firmware),
 }
 """Faults of a device by name."""
 
@@ -111,20 +111,20 @@ class InjectedFault:
         check_one_of("fault", INJECTED_FAULTS, self.kind)
         most = INJECTED_FAULTS[self.kind].largest
         if not 0 <= self.which <= most:
-            raise ParameterError(f"{self.kind} must be of 0 to {most}, not {self.which}")
-        from maglev_mj.parameters import number  # with arrays, which the help of the table does not need
+            raise ParameterError(f"K of {self.kind} must be 0 to {most} (got {self.which})")
+        from maglev_mj.parameters import number  # imports NumPy, which --help does not need
 
         number("fault time", self.at, at_least=0.0)
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Parse a fault given as NAME:K@SECONDS.
+        """Parse NAME:K@SECONDS.
 
         Raises:
-            ParameterError: If the text has another form.
+            ParameterError: If the text does not match.
         """
-        found = re.fullmatch(r"([a-z-]+):(\d+)@(\d+\.?\d*)", text)
-        if not found:
+        match = re.fullmatch(r"([a-z-]+):(\d+)@(\d+\.?\d*)", text)
+        if not match:
             names = ", ".join(INJECTED_FAULTS)
-            raise ParameterError(f"fault must be NAME:K@SECONDS with a name of {names}, not {text!r}")
-        return cls(kind=found[1], which=int(found[2]), at=float(found[3]))
+            raise ParameterError(f"fault must be NAME:K@SECONDS with NAME one of {names} (got {text!r})")
+        return cls(kind=match[1], which=int(match[2]), at=float(match[3]))

@@ -1,7 +1,4 @@
-"""Device side of the protocol: sessions, states, faults.
-
-It knows neither sockets nor clocks nor mechanics.
-"""
+"""Device side of the protocol: sessions, states, faults; without sockets, clocks or mechanics."""
 
 from __future__ import annotations
 
@@ -23,28 +20,25 @@ class Amplifiers(Protocol):
     """Interface of the amplifiers that the firmware drives."""
 
     def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
-        """Switch the currents [A] as soon as possible.
-
-        `now` is the device's time [ns].
-        """
+        """Switch to the currents [A] as soon as possible; `now` is the device's time [ns]."""
 
     def cut(self) -> None:
         """Switch all currents off and discard pending ones."""
 
     def toggle(self, now: int) -> None:
-        """Change the level of the amplifiers' enable line."""
+        """Toggle the amplifiers' enable line."""
 
 
 class Reading(NamedTuple):
     """Measurements of a device at one sample."""
 
     spots: Sequence[float]  # on the diodes [m], six
-    valid: int  # bit k: diode k's spot can be trusted
+    valid: int  # bit k: spot of diode k is valid
     measured: Sequence[float]  # currents [A], six
     commanded: Sequence[float]  # of the amplifiers [A], six
-    intervals: Iterable[tuple[float, Sequence[float]]] = ()  # currents since the sample before: how long [s], six [A]
+    intervals: Iterable[tuple[float, Sequence[float]]] = ()  # since the last sample: duration [s], currents [A]
     conversions: int = 0  # counter of the sensor interface
-    enabled: bool = True  # by the amplifier board
+    enabled: bool = True  # as reported by the amplifier board
 
 
 class Firmware:
@@ -54,11 +48,11 @@ class Firmware:
         profile: Device properties.
         amplifiers: Driven amplifiers.
         codec: Encoder and decoder of frames.
-        draw: Returns a new session's number, 1 to 2³² - 1; seeded in tests, else unpredictable.
+        draw: Function that returns a new session number, 1 to 2³² - 1; unpredictable except in tests.
 
     Attributes:
         counts: Ignored frames by reason, besides those of the codec.
-        answered: Number of the sample that the newest answer taken is for; None before any.
+        answered: Number of the newest sample that was answered; None before the first.
         peer: Address of the host in session; None for none.
     """
 
@@ -78,19 +72,15 @@ class Firmware:
         self._first, self._fault_time, self._sampled_at = Fault(0), 0, 0
         self._measured: Sequence[float] = ZERO
         self._reset_guards()
-        # how old the answered sample may be [ns]
+        # largest age of the answered sample [ns]
         self._stale = 0 if profile.lockstep else profile.stated["stale"]
 
     def _reset_guards(self) -> None:
-        """Reset the guards."""
         self._coils, self._off, self._disabled = CoilGuard(), CoilGuard(), 0
         self._spots = SpotGuard(self.profile.limits, self.profile.period * 1e-9)
 
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
-        """Handle a frame received at `now` [ns]; return the reply.
-
-        None if there is no reply.
-        """
+        """Handle a frame received at `now` [ns]; return the reply, or None."""
         codec = self._codec
         codec.version_met = None
         frame = codec.decode(data)
@@ -121,11 +111,14 @@ class Firmware:
         return None
 
     def sample(self, tick: int, now: int, reading: Reading) -> bytes | None:
-        """Check one sample, trip on faults, return the STATE frame.
+        """Check one sample, trip on faults and return the STATE frame; None without a session.
 
-        `now` is the instant of sample `tick` [ns]. None is returned without a session.
+        Sensors raise faults only in ACTIVE: an idle device may be opened and turned over.
 
-        Sensors raise no fault outside the active state: an idle device may be opened and turned over.
+        Args:
+            tick: Number of the sample.
+            now: Time of the sample [ns].
+            reading: Measurements.
         """
         spots, valid, measured, commanded, intervals, conversions, enabled = reading
         steps, self._sampled = (tick - self._sampled) & WRAP, tick & WRAP
@@ -143,7 +136,7 @@ class Firmware:
         if faults:
             self.trip(faults, now)
         if self.state == State.ACTIVE:
-            self._amplifiers.toggle(now)  # last: a step that hangs before it opens the amplifiers
+            self._amplifiers.toggle(now)  # last, so that the amplifiers open if this step hangs
         if self.session == 0:
             return None
         age = min(max(now - self._commanded_at, 0) // 1000, NEVER - 1) if self._answers != NEVER else NEVER
@@ -153,7 +146,7 @@ class Firmware:
         return self._codec.encode(self.session, tick, now, body)
 
     def trip(self, faults: Fault, now: int) -> None:
-        """Cut the currents and latch faults at an instant [ns]."""
+        """Cut the currents and latch faults at `now` [ns]."""
         self._amplifiers.cut()
         if not self.faults:
             self._first, self._fault_time = faults, now
@@ -167,7 +160,7 @@ class Firmware:
         self.session, self.peer = 0, None
 
     def _hold_or_trip(self, now: int, faults: Fault) -> Fault:
-        """Apply hover currents on missing commands; return the watchdog's fault."""
+        """Hold hover currents while commands are missing; return WATCHDOG after the timeout."""
         gap = 0 if self.profile.lockstep else now - self._commanded_at
         if gap > self._watchdog:
             return Fault.WATCHDOG
@@ -179,7 +172,7 @@ class Firmware:
     def _hello(self, hello: wire.Hello, now: int, peer: Any) -> bytes:
         if self.session and hello.nonce == self._nonce and peer == self.peer:
             self._heard = now
-            return self._answer_hello(now, hello.nonce, HelloStatus.WELCOME)  # the answer before was lost
+            return self._answer_hello(now, hello.nonce, HelloStatus.WELCOME)  # the earlier answer was lost
         if self.session and (self.state == State.ACTIVE or now - self._heard < _SILENCE):
             self.counts["busy"] += 1
             return self._answer_hello(now, hello.nonce, HelloStatus.BUSY)
@@ -197,17 +190,17 @@ class Firmware:
         return self._codec.encode(session, 0, now, body)
 
     def _apply(self, command: wire.Command, now: int) -> None:
-        # of one that is yet to come, by 2³² periods
+        # wraps to a huge age for a future sample
         age = ((self._sampled - command.answers) & WRAP) * self.profile.period
         if not self.profile.lockstep:
             age += max(now - self._sampled_at, 0)
         if age > self._stale:
-            self.counts["old"] += 1  # delayed in a queue, ahead of its sample, or sent twice
+            self.counts["old"] += 1  # delayed in a queue, for a future sample, or duplicated
             return
         self.answered = command.answers
         if self.state != State.ACTIVE:
             self.counts["inactive"] += 1
-            if self.state == State.INACTIVE:  # the line's delay is measured before takeoff
+            if self.state == State.INACTIVE:  # so that a host can measure the link before takeoff
                 self._commanded_at, self._answers = now, command.answers
             return
         if wrong := command_fault(self.profile.limits, command.held, command.pulsed, command.width):
@@ -248,7 +241,7 @@ class Firmware:
         return True
 
     def _arm(self, hover: Sequence[float], now: int) -> bool:
-        if self.state != State.INACTIVE or not all(abs(one) <= self.profile.limits.hover_limit for one in hover):
+        if self.state != State.INACTIVE or not all(abs(x) <= self.profile.limits.hover_limit for x in hover):
             return False
         self._hover, self._commanded_at, self._answers, self._holding = hover, now, NEVER, False
         self._reset_guards()
@@ -257,7 +250,7 @@ class Firmware:
         return True
 
     def _reset(self) -> bool:
-        off = all(abs(one) <= OFF for one in self._measured)
+        off = all(abs(x) <= OFF for x in self._measured)
         if self.state == State.ACTIVE or max(self._thermal.rises) >= WARNING_RISE or not off:
             return False
         self.state, self.faults, self._first, self._fault_time = State.INACTIVE, Fault(0), Fault(0), 0

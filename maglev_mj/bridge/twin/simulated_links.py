@@ -1,4 +1,4 @@
-"""Link to a twin in virtual time."""
+"""Link to a twin in simulated time."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from maglev_mj.parameters import number
 _PEER = "host"
 _NEVER = 2**63
 _AGAIN = 20_000_000
-"""Time after which a sample without answer is repeated in lockstep [ns], as by `TwinServer`."""
+"""Time after which an unanswered sample is repeated in lockstep [ns], as in `TwinServer`."""
 TO_HOST, TO_DEVICE = 0, 1
-"""Directions of a line."""
+"""Directions of a link."""
 
 
 class Line:
-    """Frames in transit in both directions. A subclass may lose or change them.
+    """Frames in transit in both directions; a subclass may lose, delay or change them.
 
-    Of two due at once, the first sent arrives first.
+    Frames due at the same time arrive in the order of sending.
 
     Args:
-        delay: Time under way, each way [s].
+        delay: Latency in each direction [s].
 
     Raises:
         ParameterError: If it is below 0.
@@ -34,7 +34,7 @@ class Line:
         self._order, self._frames = count(), list[tuple[int, int, int, bytes]]()
 
     def fates(self, direction: int, data: bytes, now: int) -> Sequence[tuple[int, bytes]]:
-        """Return arrival time [ns] and content of each copy of a frame that is sent at `now` [ns]."""
+        """Return arrival time [ns] and bytes of each copy of a frame sent at `now` [ns]."""
         return [(now + self._delay, data)]
 
     def send(self, direction: int, data: bytes, now: int) -> None:
@@ -44,24 +44,24 @@ class Line:
 
     @property
     def due(self) -> int:
-        """Instant of the next arrival [ns]."""
+        """Time of the next arrival [ns]."""
         return self._frames[0][0] if self._frames else _NEVER
 
     def arrived(self, now: int) -> Iterator[tuple[int, bytes]]:
-        """Yield direction and content of each frame that has arrived."""
+        """Yield direction and bytes of each frame that has arrived."""
         while self.due <= now:
             yield heapq.heappop(self._frames)[2:]
 
 
 class VirtualLink:
-    """Link to a twin of this program in simulated time.
+    """Link to a twin in the same process, in simulated time.
 
-    Time advances only while the host waits. In lockstep a sample is repeated every 20 ms until its answer, and the next
-    one is at least a period later.
+    Time advances only while the host waits. In lockstep a sample is repeated every 20 ms until it is answered, and the
+    next sample is at least a period later.
 
     Args:
-        twin: The device, stepped by this link alone.
-        line: Line to it; by default one on which each frame arrives at once.
+        twin: The device, advanced only by this link.
+        line: Line to it; without delay by default.
 
     Attributes:
         time: Simulated time [ns].
@@ -72,7 +72,7 @@ class VirtualLink:
         self._arrived: list[bytes] = []
         self._period, self._lockstep = twin.parameters.profile.period, twin.parameters.lockstep
         self._frame: bytes | None = None
-        self._is_new, self._sent = False, -self._period  # session without a sample, time of the last frame [ns]
+        self._is_new, self._sent = False, -self._period  # no sample yet in this session; time of the last frame [ns]
         self.time = 0
 
     def send(self, data: bytes) -> None:
@@ -81,10 +81,7 @@ class VirtualLink:
         self._deliver()
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the oldest received frame, or None after the timeout.
-
-        The timeout is in simulated time [s].
-        """
+        """Return the oldest received frame, or None after the timeout [s], in simulated time."""
         end = self.time + round(timeout * 1e9)
         while not self._arrived:
             due = min(self._next_sample(), self._line.due)
@@ -102,11 +99,11 @@ class VirtualLink:
         return self.time
 
     def close(self) -> None:
-        """Do nothing: there is nothing open."""
+        """Do nothing."""
 
     @property
     def _is_waiting(self) -> bool:
-        """True if the device waits for its last sample's answer."""
+        """True if the device waits for the answer to its last sample."""
         return self._lockstep and not self._is_new and not self._twin.answered
 
     def _next_sample(self) -> int:
@@ -125,8 +122,8 @@ class VirtualLink:
             self._line.send(TO_HOST, self._frame, self.time)
 
     def _deliver(self) -> None:
-        """Deliver all frames that have arrived."""
-        # in lockstep the device's clock stands at its last sample
+        """Deliver all frames that are due."""
+        # in lockstep the device's clock stands still between samples
         now = max(self._twin.tick, 0) * self._period if self._lockstep else self.time
         for direction, data in self._line.arrived(self.time):
             if direction == TO_HOST:

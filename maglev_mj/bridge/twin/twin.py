@@ -1,7 +1,4 @@
-"""Simulated device: flotor, coils, amplifiers, LEDs and diodes.
-
-It is reached by the device's own protocol.
-"""
+"""Simulated device behind the device protocol: flotor, coils, amplifiers, LEDs and diodes."""
 
 from __future__ import annotations
 
@@ -45,8 +42,8 @@ _MARGIN = 1.25
 class TwinParameters:
     """Parameters of a twin.
 
-    A twin in closed form, `plant="exact"`, flies where there is no engine; it then needs a calibration, as from a file.
-    See `ExactCoilPlant` for how it differs.
+    `plant="exact"` simulates in closed form, without MuJoCo if a calibration is loaded from a file; see
+    `ExactCoilPlant` for the differences.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -57,30 +54,30 @@ class TwinParameters:
         0.0015
     """
 
-    period: float = 1.0 / Spec.control_rate.value  # of samples [s]
-    delay: float = Spec.transport_delay.value  # command's arrival to its effect, in lockstep from the sample on [s]
-    lockstep: bool = False  # simulated time waits for each answer
-    calibration: Calibration = field(default_factory=Calibration.nominal)  # a host must have its hash
+    period: float = 1.0 / Spec.control_rate.value  # sample period [s]
+    delay: float = Spec.transport_delay.value  # from a command's arrival (lockstep: from the sample) to its effect [s]
+    lockstep: bool = False  # simulated time waits for each command
+    calibration: Calibration = field(default_factory=Calibration.nominal)  # a host needs the same digest
     truth: Calibration | None = None  # the true one; `calibration` by default
     pose: ArrayLike = REST  # at the start [m, rad], (6,)
-    quantum: float = Spec.spot_resolution.value  # of a spot's coordinates [m]
-    noise: float = 0.5 * Spec.spot_resolution.value  # standard deviation of a spot's; assumed [m]
+    quantum: float = Spec.spot_resolution.value  # resolution of spots [m]
+    noise: float = 0.5 * Spec.spot_resolution.value  # standard deviation of spots [m], assumed
     seed: int = 0  # of the noise
     limits: Limits = field(default_factory=Limits)
     faults: Sequence[InjectedFault] = ()
     plant: str = "mujoco"  # name from PLANTS
 
-    profile: Profile = field(init=False)  # handshake properties, limits narrowed by calibration, period and sensor
+    profile: Profile = field(init=False)  # for the handshake; limits adapted to calibration, period and sensor
 
     def __post_init__(self) -> None:
         check_one_of("plant", PLANTS, self.plant)
-        # whole nanoseconds, the wire's unit of time
+        # whole nanoseconds, the protocol's unit of time
         period, delay = (round(number(name, getattr(self, name)) * 1e9) for name in ("period", "delay"))
         limits, most = self.limits, _MARGIN * np.abs(self.calibration.hover).max()
         limits = limits.replace(
             enable=min(max(limits.enable, 3.0 * self.period), limits.watchdog),
             hover_limit=min(limits.hover_limit, limits.continuous_current, most),
-            # noise of half a step keeps no reading
+            # with noise of half a quantum no reading repeats for long
             frozen=limits.frozen if self.noise > 0.0 and self.noise >= 0.5 * self.quantum else 0,
         )
         digest = self.calibration.digest
@@ -91,7 +88,7 @@ class TwinParameters:
 class AmplifierBoard:
     """Simulated board of six amplifiers with an enable line.
 
-    No program acts between line and currents: they are cut when the line has stopped for too long. See `Amplifiers`.
+    In hardware: the currents are cut when the line has not toggled for `enable`. See `Amplifiers`.
 
     Attributes:
         now: The hardware's time [ns].
@@ -102,35 +99,35 @@ class AmplifierBoard:
         self._plant, self._lockstep, self._delay = plant, parameters.lockstep, parameters.delay
         self._enable = parameters.profile.stated["enable"]
         self._sampled_at, self.now, self._opens = -1, 0, 0
-        self._told: Sequence[float] = ZERO
+        self._commands: Sequence[float] = ZERO
         self.stuck: dict[int, float] = {}
 
     @property
     def enabled(self) -> bool:
-        """True if the enable line toggles and currents can flow."""
+        """True if currents can flow: the enable line toggled recently."""
         return self.now < self._opens
 
     def commanded(self, currents: list[float]) -> list[float]:
-        """Return the commanded currents at these actual currents [A], six."""
-        return [self._told[coil] if coil in self.stuck else one for coil, one in enumerate(currents)]
+        """Return the commanded currents for these actual ones [A], six."""
+        return [self._commands[coil] if coil in self.stuck else x for coil, x in enumerate(currents)]
 
     def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
-        """Switch the currents [A] after the conversion's delay."""
+        """Switch to the currents [A] after the device's delay."""
         if self.enabled:
-            # in lockstep the answer takes no time; saying so in seconds would round
+            # in lockstep the command takes no time; None avoids rounding
             after = None if self._lockstep else (self.now - self._sampled_at) * 1e-9 + self._delay
             self._switch(held, pulsed, width, after)
 
     def cut(self) -> None:
-        """Switch all currents off at once."""
+        """Switch all currents off immediately."""
         self._switch(ZERO, None, 0.0, (self.now - self._sampled_at) * 1e-9)
 
     def toggle(self, now: int) -> None:
-        """Change the level of the enable line."""
+        """Toggle the enable line."""
         self._opens = self.now + self._enable
 
-    def go_on(self, now: int) -> None:
-        """Advance to the next sample [ns]; cut currents if due."""
+    def advance(self, now: int) -> None:
+        """Advance to the next sample [ns]; cut the currents if `enable` has elapsed."""
         if self._sampled_at < self._opens <= now:
             self.now = self._opens
             self.cut()
@@ -140,19 +137,19 @@ class AmplifierBoard:
         self._sampled_at = self.now = now
 
     def _switch(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, after: float | None) -> None:
-        self._told = held
-        if self._sampled_at >= 0:  # before that nothing flows
+        self._commands = held
+        if self._sampled_at >= 0:  # no current before the first sample
             pulsed = None if pulsed is None else self._flowing(pulsed)
             self._plant.drive(self._flowing(held), pulsed, width, after=after)
 
-    def _flowing(self, told: Sequence[float]) -> Sequence[float]:
-        return [self.stuck.get(coil, one) for coil, one in enumerate(told)] if self.stuck else told
+    def _flowing(self, commands: Sequence[float]) -> Sequence[float]:
+        return [self.stuck.get(coil, x) for coil, x in enumerate(commands)] if self.stuck else commands
 
 
 class Twin:
     """Simulated device in simulated time [ns].
 
-    Time advances by sample periods and by the instants given to `receive`.
+    Time advances by sample periods and by the times passed to `receive`.
 
     Args:
         parameters: Parameters of the device.
@@ -161,12 +158,12 @@ class Twin:
         draw: See `Firmware`.
 
     Attributes:
-        plant: The device in the engine or in closed form; only `board`, its amplifiers, commands it.
-        truth: The true calibration.
+        plant: Simulated mechanics and coils, driven only by `board`.
+        truth: True calibration.
         tick: Number of the last sample; -1 before the first.
-        ahead: Jump of the firmware's clock [ns].
+        ahead: Offset of the firmware's clock [ns].
         hung: True if the firmware hangs.
-        silent_until: End of a silence without any frames [ns].
+        silent_until: Time until which no frames pass [ns].
 
     Example:
         >>> from maglev_mj import Twin, TwinParameters
@@ -194,13 +191,13 @@ class Twin:
         self.firmware = Firmware(parameters.profile, self.board, self.codec, draw)
         self.tick = -1
         self._period = parameters.profile.period
-        self._waiting = sorted(parameters.faults, key=lambda one: one.at)
+        self._waiting = sorted(parameters.faults, key=lambda fault: fault.at)
         self._live: list[tuple[Effect, int, Reading]] = []
         self.ahead, self.hung, self.silent_until = 0, False, 0
 
     @property
     def answered(self) -> bool:
-        """True if the last sample is answered, in lockstep."""
+        """True if the last sample has been answered (lockstep)."""
         return self.firmware.answered == self.tick & WRAP
 
     @property
@@ -209,25 +206,20 @@ class Twin:
         return self.plant.state()[0]
 
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
-        """Handle a frame received at `now` [ns]; return the reply.
-
-        None if there is no reply. `now` is in simulated time.
-        """
+        """Handle a frame received at `now` [ns], in simulated time; return the reply, or None."""
         if self.hung or self._silent:
             return None
         self.board.now = max(now, self.tick * self._period)
         return self.firmware.receive(data, self.board.now + self.ahead, peer)
 
     def sample(self) -> bytes | None:
-        """Advance to the next sample; return its STATE frame.
-
-        None without a session.
+        """Advance to the next sample; return its STATE frame, or None without a session.
 
         Raises:
-            DivergenceError: If the flotor leaves its range by a wide margin, impossible with metal stops.
+            DivergenceError: If the flotor is far outside its range of motion, which the metal stops prevent.
         """
         now = (self.tick + 1) * self._period
-        self.board.go_on(now)
+        self.board.advance(now)
         position = self.plant.read().position
         self.tick += 1
         self.board.sampled(now)
@@ -235,8 +227,8 @@ class Twin:
         if self._offsets is not None:
             spots = [spot + offset for spot, offset in zip(spots, self._offsets)]
         currents, board = self.plant.currents.tolist(), self.board
-        told = board.commanded(currents) if board.stuck else currents
-        reading = Reading(spots, _ALL, currents, told, self.plant.intervals, self.tick + 1, board.enabled)
+        commands = board.commanded(currents) if board.stuck else currents
+        reading = Reading(spots, _ALL, currents, commands, self.plant.intervals, self.tick + 1, board.enabled)
         if self._waiting:
             self._begin(reading)
         for effect, which, first in self._live:
@@ -251,20 +243,20 @@ class Twin:
         return max(self.tick, 0) * self._period < self.silent_until
 
     def estop(self) -> None:
-        """Stop as on an ESTOP frame."""
+        """Trip as on an ESTOP frame."""
         self.firmware.trip(Fault.ESTOP, self.board.now + self.ahead)
 
     def _begin(self, reading: Reading) -> None:
-        """Begin the injected faults that are due."""
+        """Start the injected faults that are due."""
         while self._waiting and self._waiting[0].at * 1e9 <= self.tick * self._period:
-            one = self._waiting.pop(0)
-            effect = INJECTED_FAULTS[one.kind]
+            fault = self._waiting.pop(0)
+            effect = INJECTED_FAULTS[fault.kind]
             if effect.begin is not None:
-                effect.begin(self, one.which)
-            self._live.append((effect, one.which, reading))
+                effect.begin(self, fault.which)
+            self._live.append((effect, fault.which, reading))
 
     def _reported(self, data: bytes) -> bytes:
-        """Return a STATE frame changed by the injected faults."""
+        """Return a STATE frame as changed by injected faults."""
         changes = [(effect.report, which) for effect, which, _ in self._live if effect.report is not None]
         frame = self.codec.decode(data) if changes else None
         if frame is None or not isinstance(frame.body, StateReport):
@@ -289,15 +281,15 @@ def _plant(
             pose=parameters.pose,
             hand_force=hand_force,
         )
-    known = Calibration.nominal()
-    # the model's own numbers where they are the truth: what is set anew is rounded
-    same = np.array_equal(truth.coils.wrench_per_current, known.coils.wrench_per_current)
+    nominal = Calibration.nominal()
+    # keep the model's own numbers if they are true: setting them would round
+    same = np.array_equal(truth.coils.wrench_per_current, nominal.coils.wrench_per_current)
     return MuJoCoPlant(
         timing,
         coil_map=None if same else truth.coils,
         gravity=truth.gravity,
-        mass=None if truth.mass == known.mass else truth.mass,
-        inertia=None if np.array_equal(truth.inertia, known.inertia) else truth.inertia,
+        mass=None if truth.mass == nominal.mass else truth.mass,
+        inertia=None if np.array_equal(truth.inertia, nominal.inertia) else truth.inertia,
         pose=parameters.pose,
         stops=True,
         stop_damping=True,
@@ -307,10 +299,7 @@ def _plant(
 
 _AGAIN, _LOOK = 0.02, 0.05
 _LET_GO, _COMPUTES = 2.0, 60.0
-"""Longest silence of a host in lockstep [s], and before a flight.
-
-There it computes what a scene bears.
-"""
+"""Timeout for a host in lockstep [s], in flight and before it, when the host checks the scene's stability."""
 
 _MOST, _FEW = 4096, 32
 _ESTOP = b"\x07"
@@ -322,7 +311,7 @@ class ServerReport(NamedTuple):
 
     Attributes:
         ticks: Samples taken.
-        missed: Periods for which simulated time stood still because the machine did.
+        missed: Periods for which simulated time stood still because the machine stalled.
         wall_time: Duration in real time [s].
         latency: Latency of the samples in real time.
         ignored: Ignored frames by reason.
@@ -340,10 +329,10 @@ class ServerReport(NamedTuple):
 
     def __str__(self) -> str:
         rate = self.ticks / max(self.wall_time, 1e-9)
-        lines = [f"  {self.wall_time:.1f} s, {self.ticks} samples, {rate:.0f} a second, {self.missed} periods stalled"]
+        lines = [f"  {self.wall_time:.1f} s, {self.ticks} samples, {rate:.0f} Hz, {self.missed} periods stalled"]
         if self.latency.count:
             median, most = self.latency.p50 * 1e6, self.latency.p99 * 1e3
-            lines.append(f"  late by {median:.0f} µs in the median, {most:.2f} ms at 99 %")
+            lines.append(f"  sample latency: median {median:.0f} µs, 99th percentile {most:.2f} ms")
         if self.ignored:
             counts = ", ".join(f"{count} for {reason}" for reason, count in sorted(self.ignored.items()))
             lines += wrapped(f"frames ignored: {counts}", further="    ")
@@ -352,17 +341,16 @@ class ServerReport(NamedTuple):
 
 
 class TwinServer:
-    """Server of a twin: punctual samples, frames in and out.
+    """Server of a twin: samples on schedule, receives and sends frames.
 
-    In real time it is the clock of both ends: it samples at absolute deadlines, and if it is late by whole periods
-    simulated time stands still for as long. In lockstep it takes a sample when the one before is answered, repeats it
-    after 20 ms without answer, and drops the host after 2 s, or 60 s while it is inactive. Emergency stops are handled
-    before all other frames.
+    In real time it samples at absolute deadlines; if it is late by whole periods, simulated time stands still for
+    them. In lockstep it takes a sample when the last one is answered, repeats it after 20 ms without an answer, and
+    drops the host after 2 s, or after 60 s while inactive. Emergency stops are handled before all other frames.
 
     Args:
         twin: The device.
         server: Socket or serial line; closed with this server.
-        spin: Polling time before sleeping in lockstep [s]; short latencies if a processor is free.
+        spin: Polling time before sleeping in lockstep [s]; lowers latency if a core is free.
 
     Attributes:
         address: Address for hosts.
@@ -379,9 +367,7 @@ class TwinServer:
         self._stopped = threading.Event()
 
     def run(self, duration: float | None = None, each: Callable[[], object] | None = None) -> ServerReport:
-        """Serve for `duration` [s] or until `stop`.
-
-        `each` is called after each sample.
+        """Serve for `duration` [s] or until `stop`; call `each` after each sample.
 
         Raises:
             MaglevError: If the simulated device diverges, or the link has failed.
@@ -413,51 +399,45 @@ class TwinServer:
         self._stopped.set()
 
     def close(self) -> None:
-        """Stop, and close the socket or line."""
+        """Stop, and close the socket or serial line."""
         self.stop()
         self._server.close()
 
     def _await_deadline(self) -> None:
-        """Handle frames until the next sample is due.
-
-        Frames that wait at a late deadline are handled too.
-        """
+        """Handle frames until the next sample is due, and those already waiting if it is overdue."""
         clock, period = time.monotonic_ns, self._period
         self._deadline = self._zero + (self.twin.tick + 1) * period
-        left = 1
-        while left > 0 and not self._stopped.is_set():
-            left = self._deadline - clock()
-            self._receive(min(max(left * 1e-9, 0.0), _LOOK))
-        late = max(clock() - self._deadline, 0)
-        self.latency.add(late)
-        # a machine that stalls makes simulated time stall, where catching up would look like a host gone silent
-        self.missed += late // period
-        self._zero += late // period * period
+        remaining = 1
+        while remaining > 0 and not self._stopped.is_set():
+            remaining = self._deadline - clock()
+            self._receive(min(max(remaining * 1e-9, 0.0), _LOOK))
+        delay = max(clock() - self._deadline, 0)
+        self.latency.add(delay)
+        # after a stall, pause simulated time too: catching up would look like a silent host
+        self.missed += delay // period
+        self._zero += delay // period * period
 
     def _await_answer(self, frame: bytes | None) -> None:
-        """Wait until the last sample is answered or host lost."""
+        """Wait until the last sample is answered or the host is dropped."""
         twin, clock = self.twin, time.monotonic_ns
-        asked, state, patience = clock(), None, 0
-        again, spun = asked + round(_AGAIN * 1e9), asked + round(self._spin * 1e9)
+        start, state, timeout = clock(), None, 0
+        again, spun = start + round(_AGAIN * 1e9), start + round(self._spin * 1e9)
         while not twin.answered and twin.firmware.session and not self._stopped.is_set():
             if twin.firmware.state is not state:  # the time to compute ends when the device is armed
                 state = twin.firmware.state
-                patience = clock() + round((_COMPUTES if state is State.INACTIVE else _LET_GO) * 1e9)
+                timeout = clock() + round((_COMPUTES if state is State.INACTIVE else _LET_GO) * 1e9)
             self._receive(0.0 if clock() < spun else _AGAIN)
             if twin.answered:
                 return
             now = clock()
-            if now > patience:
+            if now > timeout:
                 twin.firmware.lose_host(max(twin.tick, 0) * self._period)
             elif now > again:
                 self._send(frame)
                 again = now + round(_AGAIN * 1e9)
 
     def _receive(self, timeout: float) -> None:
-        """Receive for `timeout` [s] and handle the frames.
-
-        Once the sample is due, at most one period is spent.
-        """
+        """Receive for `timeout` [s] and handle the frames, for at most one period once the sample is due."""
         self._collect(0.0 if self._waiting else timeout)
         for count in range(1, len(self._waiting) + 1):
             self._take(*self._waiting.popleft())
