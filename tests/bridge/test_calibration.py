@@ -144,7 +144,7 @@ def change(*path: Any, to: Any = None) -> Callable[[dict[str, Any]], object]:
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (change("format", to="maglev_mj calibration 2"), r"format must be 'maglev_mj calibration 1' \(got 'maglev_mj c"),
+        (change("format", to="maglev_mj calibration 2"), r"format must be 'maglev_mj calibration 1' \(got 'magl"),
         (change("mass"), "mass is missing"),
         (change("masss", to=1.0), "masss is unknown"),
         (change("coils", to=[1.0]), r"coils must be an object with directions, force_constants, points \(got \[1.0\]"),
