@@ -1,11 +1,11 @@
-/* Mutated frames into the firmware: what it does is looked at after each.
+/* Feed mutated frames to the firmware and check invariants after each.
 
        cc -std=c99 -g -O1 -fsanitize=address,undefined -fno-sanitize-recover=all scripts/firmware/fuzz_firmware.c
           scripts/firmware/maglev_firmware.c -o fuzz_firmware
        fuzz_firmware [FRAMES [SEED]]      1 000 000 without a key and as many with one, by default
 
-   It ends with status 1 where a current flows outside ACTIVE or is beyond its limit, an answer is longer than it may
-   be, or the enable line is toggled in another state; a sanitizer ends it where memory or arithmetic is misused. */
+   Exit status 1 if a current flows outside ACTIVE or exceeds its limit, an answer is too long, or the enable line is
+   toggled outside ACTIVE; sanitizers abort on memory and arithmetic errors. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -95,7 +95,7 @@ static void fill(struct maglev_frame *f) {
     f->sequence = device.sequence + (draw(20) ? 1 : (uint32_t)draw(UINT32_MAX));
     f->time = draw(UINT64_MAX);
     switch (f->type) {
-    case MAGLEV_HELLO: f->of.hello.nonce = draw(20) == 0; break; /* and the calibration, all zeros */
+    case MAGLEV_HELLO: f->of.hello.nonce = draw(20) == 0; break; /* calibration: all zeros */
     case MAGLEV_CTRL:
         f->of.ctrl.request = device.last.request + (draw(10) ? 1 : (uint32_t)draw(3) - 1);
         f->of.ctrl.operation = draw(8) ? device.state == MAGLEV_INACTIVE ? MAGLEV_ARM : MAGLEV_RESET : (uint8_t)draw(8);
@@ -109,7 +109,7 @@ static void fill(struct maglev_frame *f) {
             f->of.cmd.pulsed[i] = draw(10) ? 0.5 : number_at_random();
         }
         f->of.cmd.width = draw(10) ? 0.001 : number_at_random(); break;
-    default: break; /* whatever was there */
+    default: break; /* unchanged */
     }
 }
 
@@ -126,7 +126,7 @@ static void seal(uint8_t *data, size_t body) {
     for (int i = 0; i < 4; i++) data[body + (size_t)i] = (uint8_t)(~crc >> 8 * i);
 }
 
-/* Bits are turned in what a frame says, or in its bytes with the CRC made right again, or not; or it is cut short. */
+/* Flip bits of a frame's fields, or of its bytes with or without a new CRC, or truncate it. */
 static size_t make(uint8_t *data) {
     struct maglev_frame f = {.type = 0};
     uint64_t kind = draw(12);
@@ -150,7 +150,7 @@ static void run(unsigned long count) {
     memset(&device, 0, sizeof device);
     require(maglev_start(&device, &profile, &hardware), "it does not start");
     for (unsigned long end = done + count; done < end; done++) {
-        /* of the exact length, so that a sanitizer sees every byte beyond it that is touched */
+        /* exact length, so that a sanitizer detects every access beyond it */
         uint8_t data[MAGLEV_LARGEST], *answer = malloc(MAGLEV_LARGEST);
         size_t length = make(data);
         uint8_t *exact = malloc(length ? length : 1);

@@ -12,14 +12,14 @@
    computes them in software, which is in these figures. */
 #include "maglev_firmware.h"
 
-#define SILENCE UINT64_C(1000000000) /* [ns]; a session is another host's after so long without a frame */
-#define LONGEST UINT64_C(1000000000) /* [ns]; a watchdog that waits longer is none */
-#define GAP 2          /* periods without a command after which the hover currents are on */
-#define PATIENCE 3     /* samples in a row in which a current is not what it should be */
-#define CLOSE 0.25     /* [A]; how far a current may be from what it should be, */
-#define CLOSE_SHARE 0.1 /* and this share of it */
-#define IMPLAUSIBLE 4.0 /* times the largest speed of a spot: that is no flotor */
-#define WARNING_RISE 0.8 /* temperature from which RESET is refused */
+#define SILENCE UINT64_C(1000000000) /* [ns]; another host may take over after this time without a frame */
+#define LONGEST UINT64_C(1000000000) /* [ns]; largest watchdog timeout */
+#define GAP 2          /* periods without a command before hover currents */
+#define PATIENCE 3     /* consecutive samples with a wrong current */
+#define CLOSE 0.25     /* [A]; tolerance of currents, */
+#define CLOSE_SHARE 0.1 /* plus this fraction of the command */
+#define IMPLAUSIBLE 4.0 /* times the largest spot speed: a sensor error */
+#define WARNING_RISE 0.8 /* temperature at which RESET is refused */
 #define ROUNDING 1e-9  /* of the host's currents */
 
 enum { MAGIC = 0x4A4D, HEADER = 20, CRC = 4, TAG = 16, BLOCK = 64 };
@@ -28,7 +28,7 @@ const char *const maglev_reasons[MAGLEV_REASONS] = {"short", "magic", "crc", "ve
                                                     "direction", "session", "old", "inactive", "busy"};
 static const uint8_t SIZES[MAGLEV_TYPES] = {0, 44, 160, 80, 32, 136, 132, 28, 68}; /* of header and body */
 
-#ifdef MAGLEV_NO_LIBRARY /* all that a compiler asks of a C library, for a board that has none */
+#ifdef MAGLEV_NO_LIBRARY /* what the compiler needs of a C library */
 void *memset(void *start, int value, size_t count);
 void *memset(void *start, int value, size_t count) {
     for (volatile uint8_t *to = start; count; count--) *to++ = (uint8_t)value; /* volatile: else it may call itself */
@@ -42,7 +42,7 @@ static void copy_bytes(uint8_t *to, const uint8_t *from, size_t count) {
     for (size_t i = 0; i < count; i++) to[i] = from[i];
 }
 
-/* In the same time wherever they differ. */
+/* In constant time. */
 static bool same_bytes(const uint8_t *one, const uint8_t *other, size_t count) {
     unsigned difference = 0;
     for (size_t i = 0; i < count; i++) difference |= one[i] ^ other[i];
@@ -55,7 +55,7 @@ static void copy_six(double *to, const double *from) {
 
 static double size(double value) { return value < 0.0 ? -value : value; }
 
-/* By the exponent: a compiler that was told that there is no NaN cannot take it away. */
+/* By the exponent: -ffast-math cannot remove it. */
 static bool finite(double value) {
     union { double value; uint64_t bits; } both = {value};
     return (both.bits >> 52 & 0x7FF) != 0x7FF;
@@ -139,7 +139,7 @@ static void write_tag(const struct maglev_profile *profile, const uint8_t *data,
 
 /* ---- frames ---- */
 
-/* One walk over a frame's fields both writes and reads them, byte by byte, the lowest first. */
+/* One traversal of a frame's fields both writes and reads them, little-endian. */
 struct cursor { uint8_t *to; const uint8_t *from; };
 
 static uint64_t bytes(struct cursor *c, uint64_t value, int count) {
@@ -226,7 +226,7 @@ enum maglev_reason maglev_decode(const struct maglev_profile *profile, const uin
                                  struct maglev_frame *frame) {
     if (length < 4) return MAGLEV_SHORT;
     if (data[0] != (MAGIC & 0xFF) || data[1] != MAGIC >> 8) return MAGLEV_BAD_MAGIC;
-    if (length > MAGLEV_LARGEST) return MAGLEV_BAD_LENGTH; /* before the CRC, whose time has to end */
+    if (length > MAGLEV_LARGEST) return MAGLEV_BAD_LENGTH; /* before the CRC, to bound its time */
     if (length < 4 + trailer(profile)) return MAGLEV_BAD_CRC;
     struct cursor c = {NULL, data + length - CRC};
     if (bytes(&c, 0, CRC) != crc32(data, length - CRC)) return MAGLEV_BAD_CRC;
@@ -247,7 +247,7 @@ enum maglev_reason maglev_decode(const struct maglev_profile *profile, const uin
 /* ---- serial line ---- */
 
 size_t maglev_stuff(const uint8_t *frame, size_t length, uint8_t *out) {
-    size_t code = 1, end = 2; /* where the piece's length goes, and where its next byte */
+    size_t code = 1, end = 2; /* index of the block's length, and of its next byte */
     out[0] = 0;
     for (size_t i = 0; i < length; i++) {
         if (frame[i]) out[end++] = frame[i];
@@ -282,11 +282,11 @@ size_t maglev_unstuff(struct maglev_line *line, uint8_t byte) {
 
 /* ---- temperatures ---- */
 
-/* 1 - exp(-x) for x >= 0: a series for a small part of x, doubled until it is all of it. */
+/* 1 - exp(-x) for x >= 0: series for x / 2^n, doubled n times. */
 static double risen(double x) {
     if (!(x < 64.0)) return 1.0;
     int doublings = 0;
-    for (; x > 0.015625; x *= 0.5) doublings++; /* 12 times at most */
+    for (; x > 0.015625; x *= 0.5) doublings++; /* at most 12 */
     static const double parts[7] = {1.0 / 8, 1.0 / 7, 1.0 / 6, 1.0 / 5, 1.0 / 4, 1.0 / 3, 1.0 / 2};
     double sum = 1.0;
     for (int i = 0; i < 7; i++) sum = 1.0 - sum * x * parts[i];
@@ -301,7 +301,7 @@ void maglev_heat(struct maglev_device *d, double seconds, const double *currents
     d->heated = true;
     for (int i = 0; i < MAGLEV_COILS; i++) d->rises[i] += share * (scale * currents[i] * currents[i] - d->rises[i]);
     if (all_finite(d->rises)) return;
-    for (int i = 0; i < MAGLEV_COILS; i++) d->rises[i] = 1.0; /* a meter that says nonsense is no reason to go on */
+    for (int i = 0; i < MAGLEV_COILS; i++) d->rises[i] = 1.0; /* invalid measurement: trip */
 }
 
 static double warmest(const struct maglev_device *d) {
@@ -312,7 +312,7 @@ static double warmest(const struct maglev_device *d) {
 
 /* ---- guards ---- */
 
-/* What is wrong with a command: nothing is ever clipped. */
+/* Fault of a command; nothing is clamped. */
 static uint32_t command_fault(const struct maglev_device *d, const double *held, const double *pulsed, double width) {
     double most = d->profile->current_limit * (1.0 + ROUNDING);
     if (!all_finite(held) || !all_finite(pulsed) || !(width >= 0.0 && width <= 1.0)) return MAGLEV_INVALID_COMMAND;
@@ -334,16 +334,16 @@ static uint32_t spot_fault(struct maglev_device *d, const struct maglev_reading 
         d->same[k] = same ? d->same[k] + 1 : 0;
         most = d->same[k] > most ? d->same[k] : most;
     }
-    /* a sample that was missed is time, not speed */
+    /* missed samples count as time */
     uint32_t periods = r->number == d->spots_number ? 1 : r->number - d->spots_number;
     double step = d->profile->spot_speed * ((double)d->profile->period * 1e-9) * (double)periods;
     copy_six(d->spots, r->spots), d->spots_number = r->number;
-    if (had && fastest > step) /* far above it, it is the sensor that jumped */
+    if (had && fastest > step) /* far above the limit: a jump of the sensor */
         return fastest < IMPLAUSIBLE * step ? MAGLEV_FLOTOR_OVERSPEED : MAGLEV_SENSOR_OUT_OF_RANGE;
     return d->profile->frozen && most >= d->profile->frozen ? MAGLEV_SENSOR_FROZEN : 0;
 }
 
-/* Count samples in a row in which something is so; return whether they are enough. */
+/* Count consecutive samples with a condition; return true at the limit. */
 static bool strikes(uint8_t *count, bool so, uint8_t enough) {
     *count = so ? (uint8_t)(*count + (*count < enough)) : 0;
     return *count >= enough;
@@ -355,7 +355,7 @@ static bool follows(const struct maglev_reading *r) {
     return true;
 }
 
-/* What is wrong at a sample of a device that is active, beside the fault that is known. */
+/* Faults at a sample in ACTIVE, added to `fault`. */
 static uint32_t flight_fault(struct maglev_device *d, const struct maglev_reading *r, uint32_t fault) {
     fault |= spot_fault(d, r);
     if (d->has_conversions && r->conversions == d->conversions) fault |= MAGLEV_SENSOR_STOPPED;
@@ -446,7 +446,7 @@ static size_t greet(struct maglev_device *d, uint64_t now, uint64_t nonce, uint8
 static size_t hello(struct maglev_device *d, const struct maglev_frame *f, uint64_t now, uint64_t peer,
                     uint8_t *answer) {
     uint64_t nonce = f->of.hello.nonce;
-    if (!(d->session && nonce == d->nonce && peer == d->peer)) { /* else the answer before was lost */
+    if (!(d->session && nonce == d->nonce && peer == d->peer)) { /* else the earlier answer was lost */
         if (d->session && (d->state == MAGLEV_ACTIVE || now - d->heard < SILENCE))
             return ignore(d, MAGLEV_BUSY_HELLO), greet(d, now, nonce, MAGLEV_BUSY, answer);
         if (!same_bytes(f->of.hello.calibration, d->profile->calibration, MAGLEV_HASH))
@@ -477,12 +477,12 @@ static size_t control(struct maglev_device *d, const struct maglev_frame *f, uin
 static size_t obey(struct maglev_device *d, const struct maglev_frame *f, uint64_t now) {
     if (!newer(f->sequence, d->sequence)) return ignore(d, MAGLEV_OLD);
     d->sequence = f->sequence, d->heard = now;
-    /* of a sample yet to come, by 2^32 periods: its difference goes round */
+    /* wraps to a huge age for a future sample */
     uint64_t age = (uint64_t)(d->number - f->of.cmd.answers) * d->profile->period;
     if (!d->profile->lockstep && now > d->sampled) age += now - d->sampled;
     if (age > (d->profile->lockstep ? 0 : d->profile->stale)) return ignore(d, MAGLEV_OLD);
     d->is_answered = true, d->answered = f->of.cmd.answers;
-    if (d->state == MAGLEV_INACTIVE) /* a host measures the line's delay before takeoff */
+    if (d->state == MAGLEV_INACTIVE) /* lets a host measure link latency before takeoff */
         d->commanded_at = now, d->answers = f->of.cmd.answers;
     if (d->state != MAGLEV_ACTIVE) return ignore(d, MAGLEV_NOT_ACTIVE);
     uint32_t fault = command_fault(d, f->of.cmd.held, f->of.cmd.pulsed, f->of.cmd.width);
@@ -502,7 +502,7 @@ static size_t emergency(struct maglev_device *d, const struct maglev_frame *f, u
 
 static bool positive(double value) { return finite(value) && value > 0.0; }
 
-/* Numbers of which each alone may be, but not with the others: see HELLO_ACK on the protocol's page. Times first, so
+/* Consistency of the profile: see HELLO_ACK in the protocol. Times first, so
    that twice a period does not overflow. */
 static bool agree(const struct maglev_profile *p) {
     return p->watchdog <= LONGEST && p->period <= p->watchdog / 2 && p->delay <= 2 * p->period &&
@@ -565,6 +565,6 @@ size_t maglev_sample(struct maglev_device *d, uint8_t *data) {
     if (d->state == MAGLEV_ACTIVE) fault = flight_fault(d, &r, fault);
     else if (strikes(&d->not_off, !all_within(r.measured, CLOSE), PATIENCE)) fault |= MAGLEV_COIL_NOT_OFF;
     if (fault) latch(d, fault, r.time);
-    if (d->state == MAGLEV_ACTIVE) d->hardware->toggle(d->hardware->context, r.time); /* a step that hangs does not */
+    if (d->state == MAGLEV_ACTIVE) d->hardware->toggle(d->hardware->context, r.time); /* last, in case the step hangs */
     return d->session ? report(d, &r, data) : 0;
 }

@@ -1,8 +1,8 @@
-/* The device's side of docs/reference/protocol.md, version 3, in freestanding C99: no heap, no library, no clock of its own.
+/* Device side of docs/reference/protocol.md, version 3, in freestanding C99: no heap, no library, no clock.
 
-   A board fills in a profile and a hardware structure, then calls maglev_receive() for each frame that came and
-   maglev_sample() once in every sample period; README.md beside this file says from which interrupt, and what each of
-   the hardware's functions must do, and by when. None of the functions below may interrupt another of them. */
+   A board fills in a profile and a hardware structure, then calls maglev_receive() for each received frame and
+   maglev_sample() once per sample period. README.md specifies the interrupts, and the function and time limit of each
+   hardware callback. The functions below must not interrupt each other. */
 #ifndef MAGLEV_FIRMWARE_H
 #define MAGLEV_FIRMWARE_H
 
@@ -13,11 +13,11 @@
 enum {
     MAGLEV_VERSION = 3,
     MAGLEV_COILS = 6,
-    MAGLEV_SPOTS = 6,     /* x and y on the first diode, on the second, on the third */
-    MAGLEV_HASH = 16,     /* bytes of a calibration's hash */
-    MAGLEV_KEY = 32,      /* most bytes of a key */
-    MAGLEV_LARGEST = 256, /* bytes; what is longer is no frame */
-    MAGLEV_STUFFED = MAGLEV_LARGEST + 4 /* bytes that a frame may take on a serial line */
+    MAGLEV_SPOTS = 6,     /* x and y on diodes 0, 1 and 2 */
+    MAGLEV_HASH = 16,     /* bytes of a calibration digest */
+    MAGLEV_KEY = 32,      /* largest key [bytes] */
+    MAGLEV_LARGEST = 256, /* largest frame [bytes] */
+    MAGLEV_STUFFED = MAGLEV_LARGEST + 4 /* largest frame on a serial link [bytes] */
 };
 
 enum maglev_type {
@@ -35,7 +35,7 @@ enum maglev_fault {
     MAGLEV_SENSOR_FROZEN = 512, MAGLEV_HOST = 4096, MAGLEV_SENSOR_STOPPED = 8192, MAGLEV_COIL_NOT_OFF = 16384,
     MAGLEV_ALL_FAULTS = 32767
 };
-/* Why a frame was ignored: the first seven are no frames, the others none that may be obeyed. */
+/* Reasons for ignoring a frame: the first seven invalid, the others not acceptable. */
 enum maglev_reason {
     MAGLEV_SHORT, MAGLEV_BAD_MAGIC, MAGLEV_BAD_CRC, MAGLEV_BAD_VERSION, MAGLEV_BAD_TYPE, MAGLEV_BAD_LENGTH,
     MAGLEV_BAD_TAG, MAGLEV_DIRECTION, MAGLEV_SESSION, MAGLEV_OLD, MAGLEV_NOT_ACTIVE, MAGLEV_BUSY_HELLO, MAGLEV_REASONS
@@ -44,52 +44,52 @@ extern const char *const maglev_reasons[MAGLEV_REASONS];
 
 #define MAGLEV_NONE 0xFFFFFFFFu
 
-/* What a device is. */
+/* Properties of a device. */
 struct maglev_profile {
     uint64_t period;             /* between samples [ns] */
-    uint64_t delay;              /* from a command's arrival to its taking effect [ns] */
-    uint64_t watchdog;           /* how long it waits for a command [ns] */
-    uint64_t enable;             /* how long the enable line may stand still before the amplifiers open [ns] */
-    uint64_t stale;              /* how old the sample may be whose answer is obeyed [ns]; four periods are usual */
+    uint64_t delay;              /* from a command's arrival to its effect [ns] */
+    uint64_t watchdog;           /* longest time without a command [ns] */
+    uint64_t enable;             /* longest time without a change of the enable line [ns] */
+    uint64_t stale;              /* largest age of the answered sample [ns]; normally four periods */
     double current_limit;        /* largest current in any coil [A] */
-    double continuous_current;   /* that a coil bears for ever [A] */
-    double hover_limit;          /* largest current in a coil that ARM's hover may have [A] */
-    double thermal_time;         /* time constant of a coil's warming [s] */
+    double continuous_current;   /* continuous rating of a coil [A] */
+    double hover_limit;          /* largest hover current in a coil at ARM [A] */
+    double thermal_time;         /* thermal time constant of a coil [s] */
     double spot_limit;           /* largest coordinate of a spot on its diode [m] */
     double spot_speed;           /* largest speed of a spot [m/s] */
-    uint32_t frozen;             /* equal readings in a row that the sensor's noise rules out; 0: it has none */
-    uint32_t device;             /* its number */
+    uint32_t frozen;             /* consecutive equal readings ruled out by sensor noise; 0: no noise */
+    uint32_t device;             /* device number */
     uint32_t key_length;         /* 16 to 32 bytes, or 0 for no key */
     uint8_t key[MAGLEV_KEY];
     uint8_t calibration[MAGLEV_HASH];
     bool lockstep;               /* simulated time waits for each answer; false on a board */
 };
 
-/* What a board measures at a sample. */
+/* Measurements at a sample. */
 struct maglev_reading {
-    uint64_t time;                    /* instant of the sample [ns], a whole number of periods after any other */
+    uint64_t time;                    /* of the sample [ns], whole periods after any other */
     double spots[MAGLEV_SPOTS];       /* [m] */
     double measured[MAGLEV_COILS];    /* currents [A] */
-    double commanded[MAGLEV_COILS];   /* currents that the amplifiers are told at that instant [A] */
-    uint32_t number;                  /* of the sample; one that was missed has had its number too */
-    uint32_t conversions;             /* counted by the converter, not by the program: see README.md */
-    uint8_t valid;                    /* bit k is set where diode k's spot can be trusted */
-    bool enabled;                     /* the amplifier board's word that its enable line lives */
+    double commanded[MAGLEV_COILS];   /* currents commanded at that time [A] */
+    uint32_t number;                  /* of the sample; missed samples are counted */
+    uint32_t conversions;             /* counted by the converter, not by software: see README.md */
+    uint8_t valid;                    /* bit k: spot of diode k is valid */
+    bool enabled;                     /* read back: the board sees the enable line toggle */
 };
 
-/* What a board does. `context` comes first in every call. No function waits. */
+/* Functions of a board. `context` is the first argument of every call. No function blocks. */
 struct maglev_hardware {
     void *context;
     void (*read)(void *context, struct maglev_reading *reading);
     /* Currents [A] from `delay` after `now` on: `pulsed` for the first `width` seconds, then `held`. */
     void (*drive)(void *context, uint64_t now, const double *held, const double *pulsed, double width);
-    /* All currents off at once, and what was still to come forgotten. */
+    /* Switch all currents off immediately and discard pending commands. */
     void (*cut)(void *context);
-    /* Change the level of the enable line. */
+    /* Toggle the enable line. */
     void (*toggle)(void *context, uint64_t now);
-    /* The device's clock [ns], which never goes back. */
+    /* Device clock [ns]; never decreases. */
     uint64_t (*now)(void *context);
-    /* 32 bits that nobody can guess. */
+    /* 32 unpredictable bits. */
     uint32_t (*random)(void *context);
 };
 
@@ -124,20 +124,20 @@ struct maglev_frame {
     } of;
 };
 
-/* A device: one session at a time, a state, latched faults. The first half may be read by anyone, and is written by
-   the functions below alone. */
+/* A device: one session at a time, a state, latched faults. The fields up to `rises` may be read by others; only the
+   functions below write them. */
 struct maglev_device {
     const struct maglev_profile *profile;
     const struct maglev_hardware *hardware;
-    uint64_t peer;                     /* to whom STATEs go, where there is a session */
-    uint64_t fault_time;               /* when the first of the latched faults was raised [ns]; 0 for none */
-    uint32_t session;                  /* its number; 0 for none */
-    uint32_t faults, first;            /* latched; those of them that the first trip latched */
-    uint32_t answered;                 /* sample of the newest answer that was taken, where `is_answered` */
-    uint32_t counts[MAGLEV_REASONS];   /* frames ignored, by reason */
+    uint64_t peer;                     /* address for STATEs during a session */
+    uint64_t fault_time;               /* time of the first latched fault [ns]; 0 for none */
+    uint32_t session;                  /* session number; 0 for none */
+    uint32_t faults, first;            /* latched faults; those latched by the first trip */
+    uint32_t answered;                 /* sample of the newest accepted answer, if `is_answered` */
+    uint32_t counts[MAGLEV_REASONS];   /* ignored frames, by reason */
     uint8_t state;
     bool is_answered, holding;
-    double rises[MAGLEV_COILS];        /* temperatures, 1 where a coil trips */
+    double rises[MAGLEV_COILS];        /* temperatures; a coil trips at 1 */
 
     /* the session */
     uint64_t nonce, heard;
@@ -155,47 +155,47 @@ struct maglev_device {
     bool has_spots, has_conversions, has_sampled, heated;
 };
 
-/* Begin, inactive and with the currents cut. Return false, and do nothing, where the profile is not one of a device: a
-   time or limit that is not above 0 or not finite, or that contradicts another (the protocol's page says which), a key
-   of another length, a function that is missing. Profile and hardware are kept by reference. */
+/* Start inactive, with the currents cut. Return false, without effect, if the profile is invalid: a time or limit not
+   above 0, not finite, or inconsistent with another (see HELLO_ACK in the protocol), a wrong key length, or a missing
+   function. Profile and hardware are kept by reference. */
 bool maglev_start(struct maglev_device *device, const struct maglev_profile *profile,
                   const struct maglev_hardware *hardware);
 
-/* Take a frame that came from a peer, and write what is to be sent back to it, MAGLEV_LARGEST bytes at most. Return
-   its length; 0 for nothing. A peer is any number that stands for an address; on a serial line always the same. */
+/* Process a received frame and write the answer for its peer, at most MAGLEV_LARGEST bytes. Return its length; 0 for
+   none. A peer is any number that represents an address; constant on a serial link. */
 size_t maglev_receive(struct maglev_device *device, const uint8_t *data, size_t length, uint64_t peer,
                       uint8_t *answer);
 
-/* Read a sample, act on what is wrong, and write the STATE for the session's peer. Return its length; 0 where there is
-   no session. */
+/* Read a sample, react to faults, and write the STATE for the session's peer. Return its length, 0 without a
+   session. */
 size_t maglev_sample(struct maglev_device *device, uint8_t *frame);
 
-/* Let currents [A] flow for so long [s]. A board that pulses calls it for each piece of constant current that ended
-   since the sample before; where it was not called, maglev_sample() takes the measured currents for the whole time. */
+/* Update the temperatures for constant currents [A] over a duration [s]. A board with pulses calls it for each interval
+   since the last sample; if it is not called, maglev_sample() assumes the measured currents for the whole period. */
 void maglev_heat(struct maglev_device *device, double seconds, const double *currents);
 
-/* Cut the currents and latch faults, for a reason of the board's own, such as an emergency stop that it noticed. */
+/* Cut the currents and latch faults for a reason detected by the board, such as its emergency stop. */
 void maglev_trip(struct maglev_device *device, uint32_t faults);
 
-/* In lockstep, the host is gone: latch WATCHDOG if active, and end the session. */
+/* Lockstep: the host is lost. Latch WATCHDOG if active, and end the session. */
 void maglev_lose_host(struct maglev_device *device);
 
 /* Write a frame, with a tag if the profile has a key; return its length. */
 size_t maglev_encode(const struct maglev_profile *profile, struct maglev_frame *frame, uint8_t *data);
 
-/* Read a frame; return MAGLEV_REASONS where it can be trusted, else the reason why not. */
+/* Decode a frame; return MAGLEV_REASONS if it is valid, else the reason. */
 enum maglev_reason maglev_decode(const struct maglev_profile *profile, const uint8_t *data, size_t length,
                                  struct maglev_frame *frame);
 
-/* Write a frame as a serial line carries it, with a zero byte on either side, MAGLEV_STUFFED bytes at most; return
-   its length. The frame has MAGLEV_LARGEST bytes at most. */
+/* COBS-encode a frame of at most MAGLEV_LARGEST bytes, with a zero byte before and after; return the length, at most
+   MAGLEV_STUFFED. */
 size_t maglev_stuff(const uint8_t *frame, size_t length, uint8_t *out);
 
-/* Bytes of a serial line on their way to a frame; all zeros at the start. */
+/* Decoder of a serial link; initialise with zeros. */
 struct maglev_line { uint8_t data[MAGLEV_LARGEST]; uint16_t length; uint8_t code, left; bool lost; };
 
-/* Take the next byte of a line; return the length of the frame that it ended, in `line->data` until the next byte, or
-   0. What is no frame is skipped. */
+/* Process the next byte; return the length of the frame that it completed, in `line->data` until the next byte, or 0.
+   Invalid frames are skipped. */
 size_t maglev_unstuff(struct maglev_line *line, uint8_t byte);
 
 #endif

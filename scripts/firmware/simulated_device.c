@@ -1,4 +1,4 @@
-/* The firmware's simulated hardware: UDP on 127.0.0.1, a clock, an amplifier board, and a flotor for small angles.
+/* Simulated device with the firmware: UDP on 127.0.0.1, a clock, an amplifier board, and a flotor for small angles.
 
        cd scripts/firmware
        cc -std=c99 -O2 simulated_device.c simulated_flotor.c maglev_firmware.c -o simulated_device -lm
@@ -8,12 +8,12 @@
                         [--hand X,Y,Z,RX,RY,RZ@FROM:UNTIL]
        simulated_device --golden [--key FILE] < FRAMES
 
-   The plant's FILE has five names, each before its numbers: wrench_per_current (36, by rows) [N/A, N m/A], inertia (6:
-   the mass three times, then the moments) [kg, kg m^2], gravity (6: accelerations) [m/s^2, rad/s^2], spots_per_pose
-   (36, by rows) [1, m], rest (6) [m, rad]. A key's FILE has 32 to 64 hexadecimal digits. --noise [m] is what a spot's
-   reading jitters by; with it 30 equal readings in a row are a fault. --golden reads frames, a line of hexadecimal
-   digits each, and prints each as it writes what it read. Faults are those of FAULTS below.
-   --hand pushes the flotor with a constant wrench [N, N m] between two instants of the device's clock [s]. */
+   The plant FILE contains five names, each followed by its numbers: wrench_per_current (36, row-major) [N/A, N m/A],
+   inertia (6: mass three times, then moments) [kg, kg m^2], gravity (6: accelerations) [m/s^2, rad/s^2],
+   spots_per_pose (36, row-major) [1, m], rest (6) [m, rad]. A key FILE has 32 to 64 hexadecimal digits. --noise is
+   the amplitude of the spot noise [m]; with it 30 consecutive equal readings are a fault. --golden reads frames, one line of
+   hexadecimal digits each, and prints them re-encoded. Faults are listed in FAULTS below. --hand applies a constant
+   wrench [N, N m] to the flotor between two times of the device's clock [s]. */
 #define _POSIX_C_SOURCE 200809L
 
 #include <arpa/inet.h>
@@ -31,9 +31,9 @@
 
 #include "simulated_flotor.h"
 
-#define AGAIN UINT64_C(20000000)    /* [ns]; lockstep: a STATE is sent again after so long without an answer */
-#define LET_GO UINT64_C(2000000000) /* [ns]; lockstep: and the host is given up after so long, */
-#define COMPUTES UINT64_C(60000000000) /* [ns]; or so long before a flight: it computes what a scene bears */
+#define AGAIN UINT64_C(20000000)       /* [ns]; lockstep: a STATE is repeated after this time without an answer */
+#define LET_GO UINT64_C(2000000000)    /* [ns]; lockstep: the host is dropped after this time, */
+#define COMPUTES UINT64_C(60000000000) /* [ns]; or after this time before a flight, while it computes the preflight check */
 
 enum { WAITING = 4096 };
 static const struct { const char *name; int count; } FAULTS[NO_FAULT] = {
@@ -73,7 +73,7 @@ static uint64_t clock_now(void) {
     return (uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec;
 }
 
-/* A peer's number is its address and port. One that cannot leave is lost, as on any line. */
+/* A peer is encoded as address and port. A frame that cannot be sent is dropped. */
 static void send_to(uint64_t peer, const uint8_t *data, size_t length) {
     struct sockaddr_in to = {.sin_family = AF_INET, .sin_port = (in_port_t)peer};
     to.sin_addr.s_addr = (in_addr_t)(peer >> 16);
@@ -82,14 +82,14 @@ static void send_to(uint64_t peer, const uint8_t *data, size_t length) {
 
 static void take(const uint8_t *data, size_t length, uint64_t peer) {
     uint8_t answer[MAGLEV_LARGEST];
-    if (!profile.lockstep) { /* what comes after the next sample is due belongs to that sample's instant */
+    if (!profile.lockstep) { /* frames after the next sample's due time count at that time */
         uint64_t due = ((uint64_t)plant.number + 1) * profile.period, passed = clock_now() - begun;
         advance(passed < due ? passed : due);
     }
     send_to(peer, answer, maglev_receive(&device, data, length, peer, answer));
 }
 
-/* Wait until an instant of the machine's clock for what comes, and take all that waits, emergency stops first. */
+/* Wait for frames until a time of the machine's clock, then process all that wait, emergency stops first. */
 static void hear(uint64_t until) {
     static struct { uint8_t data[2 * MAGLEV_LARGEST]; size_t length; uint64_t peer; } frames[WAITING];
     uint64_t now = clock_now(), left = until > now ? until - now : 0;
@@ -104,7 +104,7 @@ static void hear(uint64_t until) {
         socklen_t size = sizeof from;
         ssize_t length = recvfrom(line, frames[count].data, sizeof frames[count].data, 0,
                                   (struct sockaddr *)&from, &size);
-        if (length < 0) break; /* no more, or word of a datagram that nobody took */
+        if (length < 0) break; /* no more, or an error of an earlier datagram */
         frames[count].length = (size_t)length;
         frames[count].peer = (uint64_t)from.sin_addr.s_addr << 16 | from.sin_port;
     }
@@ -124,7 +124,7 @@ static void in_lockstep(uint64_t stop) {
         advance((uint64_t)plant.number * profile.period);
         uint32_t session = device.session;
         size_t length = maglev_sample(&device, data);
-        uint64_t sent = clock_now(), again = sent; /* sent: or since its state changed */
+        uint64_t sent = clock_now(), again = sent; /* sent: or last change of state */
         uint8_t state = device.state;
         while (!ended && device.session == session && !(device.is_answered && device.answered == plant.number)) {
             if (clock_now() >= again) send_to(device.peer, data, length), again = clock_now() + AGAIN;
@@ -169,7 +169,7 @@ static void read_plant(const char *path) {
     lay();
 }
 
-/* Return how many bytes hexadecimal digits stand for; 0 where they are none, or more than there is room for. */
+/* Return the number of bytes of hexadecimal digits; 0 if they are invalid or exceed the buffer. */
 static uint32_t read_hex(uint8_t *place, uint32_t room, const char *text) {
     size_t digits = strspn(text, "0123456789abcdefABCDEF");
     if (text[digits] || digits % 2 || digits > 2 * room) return 0;

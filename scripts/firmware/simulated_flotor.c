@@ -1,4 +1,4 @@
-/* See simulated_flotor.h. Freestanding as the firmware; time in whole nanoseconds, motion exact between switches. */
+/* See simulated_flotor.h. Freestanding, like the firmware; time in nanoseconds, motion exact between switches. */
 #include "simulated_flotor.h"
 
 static void copy_six(double *to, const double *from) {
@@ -7,7 +7,7 @@ static void copy_six(double *to, const double *from) {
 
 static bool suffers(int fault) { return plant.fault == fault && plant.now >= plant.fault_at; }
 
-/* What flows from now on; the board lets nothing flow where its enable line stands still, whatever it was told. */
+/* Currents from now on; the board passes none while its enable line is still, whatever is commanded. */
 const double *flow(void) {
     const double *told = plant.now < plant.on.pulse_end ? plant.on.pulsed : plant.on.held;
     for (int i = 0; i < COILS; i++) plant.flowing[i] = plant.now < plant.live_until ? told[i] : 0.0;
@@ -33,7 +33,7 @@ static void move(double duration) {
         plant.pose[i] += duration * (plant.twist[i] + 0.5 * duration * pull[i]);
         plant.twist[i] += duration * pull[i];
     }
-    if (plant.pose[2] <= plant.rest[2] && plant.twist[2] <= 0.0) { /* it lands, and stays where it is */
+    if (plant.pose[2] <= plant.rest[2] && plant.twist[2] <= 0.0) { /* it lands and stays there */
         plant.pose[2] = plant.rest[2], plant.lying = 1;
         for (int i = 0; i < 6; i++) plant.twist[i] = 0.0;
     }
@@ -62,9 +62,9 @@ void advance(uint64_t now) {
     }
 }
 
-/* ---- what the firmware asks of the hardware ---- */
+/* ---- hardware functions for the firmware ---- */
 
-static double jitter(void) { /* even over -1 to 1 */
+static double jitter(void) { /* uniform in -1 to 1 */
     plant.random ^= plant.random << 13, plant.random ^= plant.random >> 17, plant.random ^= plant.random << 5;
     return (double)plant.random / 2147483648.0 - 1.0;
 }
@@ -91,7 +91,7 @@ static void drive(void *context, uint64_t now, const double *held, const double 
     uint64_t at = now + profile.delay;
     (void)context;
     while (plant.waiting && plant.due[plant.waiting - 1].at >= at) plant.waiting--;
-    if (plant.waiting == SWITCHES) plant.waiting--; /* more than 64 within the delay: the newest counts */
+    if (plant.waiting == SWITCHES) plant.waiting--; /* queue full: the newest command replaces the last */
     struct drive *next = &plant.due[plant.waiting++];
     next->at = at, next->pulse_end = at + (uint64_t)(width * 1e9 + 0.5);
     copy_six(next->held, held);

@@ -1,19 +1,19 @@
-/* The firmware on an Arm MPS2+ with a Cortex-M4 (AN386), as QEMU emulates it: a serial line, a clock, and the
-   simulated flotor on the chip. Simulated time waits for the answer to each sample. README.md says how to build and
-   run it, and what a real board must bring instead.
+/* The firmware on an Arm MPS2+ with a Cortex-M4 (AN386), emulated by QEMU: a serial link, a clock, and the
+   simulated flotor on the chip, in lockstep. README.md explains how to build and run it, and what a real board needs
+   instead.
 
-   Interrupts only move bytes and wake the loop in main(), which alone calls the firmware. UART0 is the line to the
+   Interrupts only move bytes and wake the loop in main(), the only caller of the firmware. UART0 is the link to the
    host, UART1 the log. */
 #include "device.h" /* written by build.py */
 #include "simulated_flotor.h"
 
 enum { MHZ = 25, RING = 1024, STACK = 16384, UNUSED = 0x5A5A5A5A };
-enum { FULL = 1, CAME = 2 };                     /* in a UART's state */
-enum { SENDS = 1, RECEIVES = 2, INTERRUPTS = 12 }; /* in its control */
+enum { FULL = 1, CAME = 2 };                     /* bits of a UART's state */
+enum { SENDS = 1, RECEIVES = 2, INTERRUPTS = 12 }; /* bits of its control */
 enum { LEFT_INTERRUPT = 1, CAME_INTERRUPT = 2 };
-#define AGAIN UINT64_C(20000000)    /* [ns]; a STATE is sent again after so long without an answer */
-#define LET_GO UINT64_C(2000000000)   /* [ns]; and the host is given up after so long, */
-#define COMPUTES UINT64_C(60000000000) /* [ns]; or so long before a flight: it computes what a scene bears */
+#define AGAIN UINT64_C(20000000)    /* [ns]; a STATE is repeated after this time without an answer */
+#define LET_GO UINT64_C(2000000000)   /* [ns]; the host is dropped after this time in flight, */
+#define COMPUTES UINT64_C(60000000000) /* [ns]; or this time before it: it checks the scene's stability */
 
 struct uart { volatile uint32_t data, state, control, interrupts, divisor; };
 struct timer { volatile uint32_t control, value, reload; };
@@ -34,9 +34,9 @@ struct maglev_profile profile = {PROFILE};
 
 struct ring { uint8_t bytes[RING]; volatile uint32_t head, tail; };
 static struct ring came, leaving;
-static struct { uint32_t sample, command, frame, lost, again; } most; /* [counts of the clock], and numbers */
+static struct { uint32_t sample, command, frame, lost, again; } most; /* [clock counts], and numbers */
 
-/* All that a compiler asks of a C library, beside the firmware's memset. */
+/* What the compiler needs of a C library, besides the firmware's memset. */
 void *memcpy(void *to, const void *from, size_t count);
 void *memcpy(void *to, const void *from, size_t count) {
     volatile uint8_t *place = to; /* volatile: else it may call itself */
@@ -55,12 +55,12 @@ static uint64_t clock_now(void) {
     return passed * (1000 / MHZ);
 }
 
-/* ---- session numbers: no generator here, so a keyed hash of what came and when ---- */
+/* ---- session numbers: no hardware generator, so a keyed hash of received frames and their times ---- */
 
-static struct maglev_profile pool = {.key_length = MAGLEV_KEY}; /* its key begins as the device's */
-static uint32_t jitter; /* of all arrivals [counts of the clock] */
+static struct maglev_profile pool = {.key_length = MAGLEV_KEY}; /* initial key: the device's */
+static uint32_t jitter; /* of all arrivals [clock counts] */
 
-/* The tag of a frame with these numbers, under the pool. */
+/* Tag of a frame with these numbers, with the pool as key. */
 static void hash(uint64_t one, uint64_t other, uint8_t *tag) {
     struct maglev_frame frame = {MAGLEV_ESTOP, 0, 0, one, .of.estop.request = other};
     uint8_t data[MAGLEV_LARGEST];
@@ -68,7 +68,7 @@ static void hash(uint64_t one, uint64_t other, uint8_t *tag) {
     for (int i = 0; i < 16; i++) tag[i] = data[end - 16 + (size_t)i];
 }
 
-/* A HELLO came: its nonce was drawn by the host. */
+/* Mix in the nonce of a HELLO, drawn by the host. */
 static void stir(const uint8_t *hello) {
     uint64_t nonce = 0;
     uint8_t first[16], second[16];
@@ -81,7 +81,7 @@ uint32_t draw(void *context) {
     static uint64_t drawn;
     uint8_t tag[16];
     (void)context;
-    hash(0, UINT64_C(1) << 63 | ++drawn, tag); /* which stir() never hashes */
+    hash(0, UINT64_C(1) << 63 | ++drawn, tag); /* never hashed by stir() */
     return (uint32_t)tag[0] | (uint32_t)tag[1] << 8 | (uint32_t)tag[2] << 16 | (uint32_t)tag[3] << 24;
 }
 
@@ -111,7 +111,7 @@ static void byte_left(void) {
     while (!(LINE->state & FULL) && take(&leaving, &byte)) LINE->data = byte;
 }
 
-/* A frame that has no room is lost, as on any line: nothing here waits for the host. */
+/* Drop a frame if the buffer is full: never wait for the host. */
 static void send(const uint8_t *frame, size_t length) {
     uint8_t out[MAGLEV_STUFFED];
     size_t count = length ? maglev_stuff(frame, length, out) : 0;
@@ -122,7 +122,7 @@ static void send(const uint8_t *frame, size_t length) {
     __asm__ volatile("cpsie i");
 }
 
-/* Interrupts wait while a call is timed: the bytes that come meanwhile are not its own. */
+/* Disable interrupts while a call is timed, to exclude their time. */
 static uint32_t begin(void) {
     __asm__ volatile("cpsid i" ::: "memory");
     return counts();
@@ -149,7 +149,7 @@ static void hear(void) {
     }
 }
 
-/* ---- log: a line for each change of state, or of whether currents flow ---- */
+/* ---- log: a line for each change of state, faults or current flow ---- */
 
 static void print(const char *text) {
     for (; *text; text++) {
@@ -187,12 +187,12 @@ static void tell(void) {
 static void run(void) {
     static uint8_t frame[MAGLEV_LARGEST];
     static size_t length;
-    static uint64_t first, last; /* when it was sent */
-    static uint32_t session;     /* that it was for */
-    static uint8_t state;        /* and then */
+    static uint64_t first, last; /* first and last transmission */
+    static uint32_t session;     /* of that frame */
+    static uint8_t state;        /* of the device at the first transmission */
     uint64_t now = clock_now();
     if (!device.session) return;
-    if (device.state != state) state = device.state, first = now; /* the time to compute ends as it is armed */
+    if (device.state != state) state = device.state, first = now; /* the time to compute ends when it is armed */
     if (device.session != session || (device.is_answered && device.answered == plant.number)) {
         session = device.session, first = last = now, plant.number++;
         advance((uint64_t)plant.number * profile.period);
@@ -219,7 +219,7 @@ int main(void) {
         run();
         tell();
         __asm__ volatile("cpsid i");
-        if (came.tail == came.head) __asm__ volatile("wfi"); /* wakes for interrupts held back, too */
+        if (came.tail == came.head) __asm__ volatile("wfi"); /* also wakes for pending interrupts */
         __asm__ volatile("cpsie i");
     }
 }

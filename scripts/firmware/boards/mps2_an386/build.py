@@ -2,8 +2,8 @@
 
     python scripts/firmware/boards/mps2_an386/build.py [--key FILE] [--hand X,Y,Z,RX,RY,RZ@FROM:UNTIL] PROGRAM
 
-device.h is written beside the program. The hand pushes the flotor with a constant wrench [N, N m] between two instants
-of the device's clock [s].
+Writes device.h next to the program. The hand applies a constant wrench [N, N m] to the flotor between two times of the
+device's clock [s].
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ CORTEX_M4 = "-mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard"
 
 
 def plant(hand: str) -> dict[str, object]:
-    """Return the members of the plant; `hand` is as on the command line."""
+    """Return the members of the plant; `hand` as on the command line."""
     calibration = Calibration.nominal()
     wrench, start, end = re.split("[@:]", hand)
     return {
@@ -40,7 +40,7 @@ def plant(hand: str) -> dict[str, object]:
         "gravity": [*calibration.gravity, 0.0, 0.0, 0.0],
         "slopes": calibration.beams._spots(np.zeros(6))[1],
         "rest": REST,
-        "hand": np.array([float(one) for one in wrench.split(",")]).reshape(6),
+        "hand": np.array([float(x) for x in wrench.split(",")]).reshape(6),
         "hand_from": round(float(start) * 1e9),
         "hand_until": round(float(end) * 1e9),
     }
@@ -74,7 +74,7 @@ def initialiser(members: Mapping[str, object]) -> str:
     """Return the members of a C structure by name."""
     lines = []
     for name, value in members.items():
-        numbers = ", ".join(repr(one) for one in np.ravel(np.asarray(value)).tolist())
+        numbers = ", ".join(repr(x) for x in np.ravel(np.asarray(value)).tolist())
         lines.append(f".{name} = {{{numbers}}}" if np.ndim(np.asarray(value)) else f".{name} = {numbers}")
     return " \\\n    " + ", \\\n    ".join(lines)
 
@@ -83,7 +83,7 @@ def build(program: Path, key: bytes = b"", hand: str = "0,0,0,0,0,0@0:0") -> Non
     """Compile and link the program.
 
     Raises:
-        CalledProcessError: If the compiler refuses; it has said why.
+        CalledProcessError: If compilation fails.
     """
     macros = {"BAUD": str(BAUD), "PLANT": initialiser(plant(hand)), "PROFILE": initialiser(profile(key))}
     header = "\n".join(f"#define {name} {text}" for name, text in macros.items())
@@ -95,8 +95,8 @@ def build(program: Path, key: bytes = b"", hand: str = "0,0,0,0,0,0@0:0") -> Non
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--key", type=Path, metavar="FILE", help="secret as hexadecimal digits (default: none)")
-    parser.add_argument("--hand", default="0,0,0,0,0,0@0:0", help="wrench and times (default: none)")
+    parser.add_argument("--key", type=Path, metavar="FILE", help="key file, hexadecimal digits (default: none)")
+    parser.add_argument("--hand", default="0,0,0,0,0,0@0:0", help="wrench [N, N m] and times [s] (default: none)")
     parser.add_argument("program", type=Path)
     options = parser.parse_args()
     secret = bytes.fromhex(options.key.read_text()) if options.key else b""
