@@ -28,7 +28,7 @@ class Url(NamedTuple):
     """Parsed address of a link: "udp", host and port; or "serial", path and baud rate."""
 
     scheme: str
-    place: str
+    host: str
     number: int
 
 

@@ -156,11 +156,11 @@ def bridge(
         print("  measuring link latency and checking the scene's stability", flush=True)
         with scheduled(realtime):  # as in flight, which reports refused settings
             report = measure_line(plant)
-        found = preflight(plant, scene, as_written=as_written, report=report)
-        anyway = _may_fly(plant, address, found, anyway)
-        if found.softened:
-            print("\n".join(wrapped(found.softened)), flush=True)
-        return _fly(plant, _Flown(found, anyway, seconds, record, realtime), front, page.web)
+        result = preflight(plant, scene, as_written=as_written, report=report)
+        anyway = _may_fly(plant, address, result, anyway)
+        if result.softened:
+            print("\n".join(wrapped(result.softened)), flush=True)
+        return _fly(plant, _Flown(result, anyway, seconds, record, realtime), front, page.web)
 
 
 def _check(modes: Mapping[str, bool], mass: bool, flying: Sequence[str]) -> None:
@@ -179,22 +179,22 @@ def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "
     print(f"  measuring link latency for {_MEASURED:g} s, currents off", flush=True)
     with _punctual(policy):
         report = measure_line(plant, _MEASURED)
-    found = preflight(plant, scene, report=report)
-    print(found.report.table())
+    result = preflight(plant, scene, report=report)
+    print(result.report.table())
     walls = (
         f"{hand} {stiffness:.0f} N/m with {damping:.0f} N s/m"
-        for hand, (stiffness, damping) in stiffest_walls(found.report, plant).items()
+        for hand, (stiffness, damping) in stiffest_walls(result.report, plant).items()
     )
-    head = f"critical stiffness at {found.report.planned * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
+    head = f"critical stiffness at {result.report.planned * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
     print("\n".join(wrapped(f"{head}: {', '.join(walls)}")))
     verdict = (
-        found.problem or found.softened or f"ready to fly: {scene.name} is stable up to {found.bears * 1e3:.2f} ms"
+        result.problem or result.softened or f"ready to fly: {scene.name} is stable up to {result.bears * 1e3:.2f} ms"
     )
     print("\n".join(wrapped(verdict)))
-    return 1 if found.problem else 0
+    return 1 if result.problem else 0
 
 
-def _may_fly(plant: RemotePlant, address: str, found: Preflight, anyway: bool) -> bool:
+def _may_fly(plant: RemotePlant, address: str, result: Preflight, anyway: bool) -> bool:
     """Return True if a failed check may be overridden, in flight too.
 
     Raises:
@@ -202,19 +202,21 @@ def _may_fly(plant: RemotePlant, address: str, found: Preflight, anyway: bool) -
     """
     half = 0.5 * plant.stated.current_limit
     weak = address.startswith(_TWINS) or plant.limits.current_limit <= half
-    if found.problem and not anyway:
-        raise PlantError(f"no takeoff: {found.problem}; use --anyway to fly regardless")
-    if found.problem and not weak:
-        raise PlantError(f"no takeoff: --anyway needs --max-current of at most {half:g} A on a device: {found.problem}")
-    if found.problem:
-        _warn(f"warning: {found.problem}")
+    if result.problem and not anyway:
+        raise PlantError(f"no takeoff: {result.problem}; use --anyway to fly regardless")
+    if result.problem and not weak:
+        raise PlantError(
+            f"no takeoff: --anyway needs --max-current of at most {half:g} A on a device: {result.problem}"
+        )
+    if result.problem:
+        _warn(f"warning: {result.problem}")
     return anyway and weak
 
 
 class _Flown(NamedTuple):
     """Options of a flight."""
 
-    found: Preflight
+    result: Preflight
     anyway: bool
     seconds: float | None
     record: Path | None
@@ -226,8 +228,8 @@ def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) ->
 
     However the flight ends, the device is disarmed before recordings are closed.
     """
-    found, switch = flown.found, StopSwitch()
-    scene = found.scene
+    result, switch = flown.result, StopSwitch()
+    scene = result.scene
     with ExitStack() as last:
         last.enter_context(switch.signals())
         viewer = None
@@ -240,7 +242,7 @@ def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) ->
             last.push(partial(_keep, file))
         judge = None
         if viewer is not None:  # before real-time scheduling, which a child process would inherit
-            judge = SideAnswers(partial(judge_change, report=found.report, anyway=flown.anyway), UNKNOWN)
+            judge = SideAnswers(partial(judge_change, report=result.report, anyway=flown.anyway), UNKNOWN)
             last.callback(judge.close, 0.0)
         flight = Flight(
             plant,
@@ -249,7 +251,7 @@ def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) ->
             file=file,
             publishers=[] if viewer is None else [viewer],
             warn=_warn,
-            bears=found.report.anyway if found.problem else found.bears,
+            bears=result.report.anyway if result.problem else result.bears,
             judge=judge,
         )
         if viewer is not None:

@@ -175,7 +175,7 @@ def _server(listen: str, key: bytes | None) -> Server:
     if not listen.startswith("udp:"):
         raise ParameterError(f"listen must be udp://HOST:PORT or pty (got {listen!r})")
     url = parse_url(listen, server=True)
-    return UdpServer(check_host(url.place, key), url.number)
+    return UdpServer(check_host(url.host, key), url.number)
 
 
 def _greeting(listen: str, server: TwinServer) -> str:
