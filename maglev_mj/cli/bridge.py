@@ -187,9 +187,7 @@ def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "
     )
     head = f"critical stiffness at {result.report.planned * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
     print("\n".join(wrapped(f"{head}: {', '.join(walls)}")))
-    verdict = (
-        result.problem or result.softened or f"ready to fly: {scene.name} is stable up to {result.bears * 1e3:.2f} ms"
-    )
+    verdict = result.problem or result.softened or f"{scene.name} is stable up to {result.bears * 1e3:.2f} ms: ready"
     print("\n".join(wrapped(verdict)))
     return 1 if result.problem else 0
 
