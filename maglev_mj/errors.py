@@ -1,7 +1,4 @@
-"""Errors of this package, and shared messages.
-
-A message states the value and what is allowed.
-"""
+"""Errors of this package and their messages: what is allowed, and the value got."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ if TYPE_CHECKING:
 
     from maglev_mj.frames import Command, Sample
 
-_LONGEST = 200
+_MAX_CHARACTERS = 200
 
 
 class MaglevError(Exception):
@@ -39,32 +36,27 @@ class MaglevError(Exception):
 
 
 class ParameterError(MaglevError, ValueError):
-    """Error of a parameter's value or shape.
+    """Invalid value or shape of a parameter.
 
     Example:
         >>> from maglev_mj import Timing
         >>> Timing(period=-0.005)
         Traceback (most recent call last):
             ...
-        maglev_mj.errors.ParameterError: period must be a finite number above 0, not -0.005
+        maglev_mj.errors.ParameterError: period must be above 0 (got -0.005)
     """
 
 
 class MissingPackageError(MaglevError):
-    """Error of an extra's missing package."""
+    """An optional dependency is not installed."""
 
 
 class ModelError(ParameterError):
-    """Error of a model file.
-
-    The file is missing, does not compile, or lacks a named element.
-    """
+    """A model file is missing, does not compile, or lacks a required element."""
 
 
 class PlantError(MaglevError):
-    """Error of a plant that cannot continue.
-
-    It is closed, got a command that is not finite, or its engine warned.
+    """The plant cannot continue: it is closed, got a non-finite command, or the engine warned.
 
     Example:
         >>> from maglev_mj import ExactPlant, PlantError
@@ -79,13 +71,11 @@ class PlantError(MaglevError):
 
 
 class SensingError(MaglevError):
-    """Error of sensor readings without a matching pose."""
+    """No pose matches the sensor readings."""
 
 
 class DivergenceError(PlantError):
-    """Error of a flotor far outside its range.
-
-    Its state may also be no number any more.
+    """The simulation diverged: the flotor is far outside its range, or its state is NaN.
 
     Attributes:
         partial: `RunResult` of the scene up to the error; None outside a run of a scene.
@@ -103,36 +93,36 @@ class DivergenceError(PlantError):
 
 
 def not_one_of(name: str, allowed: Iterable[str], given: object, also: str = "") -> str:
-    """Return the message for a value that is not allowed.
+    """Return the error message for a value that is not among the choices.
 
     Args:
         name: Name of the parameter.
-        allowed: Allowed texts.
-        given: The value.
-        also: Further allowed values, in words.
+        allowed: The choices.
+        given: The value got.
+        also: Description of other allowed values.
     """
-    known = list(allowed)
-    return f"{name} must be one of {', '.join(known)}{also}, not {one_line(given)}{meant(given, known)}"
+    choices = list(allowed)
+    return f"{name} must be one of {', '.join(choices)}{also} (got {one_line(given)}){meant(given, choices)}"
 
 
 def check_instance(name: str, value: object, kind: Any, allowed: str) -> None:
-    """Check that an argument is of a class.
+    """Check the type of an argument.
 
     Args:
         name: Name of the argument.
         value: The argument.
-        kind: The class, or a union of classes.
-        allowed: Allowed values, in words.
+        kind: Allowed type, or a union of types.
+        allowed: Description of the allowed values.
 
     Raises:
-        ParameterError: If it is of another class.
+        ParameterError: If the type differs.
     """
     if not isinstance(value, kind):
-        raise ParameterError(f"{name} must be {allowed}, not {one_line(value)}")
+        raise ParameterError(f"{name} must be {allowed} (got {one_line(value)})")
 
 
 def check_one_of(name: str, allowed: Collection[str], given: object, also: str = "") -> None:
-    """Check that a value is one of the allowed texts; see `not_one_of`.
+    """Check that a value is one of the choices; see `not_one_of`.
 
     Raises:
         ParameterError: If it is not.
@@ -142,48 +132,45 @@ def check_one_of(name: str, allowed: Collection[str], given: object, also: str =
 
 
 def file_path(value: Path | str) -> Path:
-    """Return a file's path given as text or path.
+    """Return a path given as text or `Path`.
 
     Raises:
-        ParameterError: If it is neither.
+        ParameterError: If the value is neither.
     """
-    from pathlib import Path  # a help needs none
+    from pathlib import Path  # imported here: --help does not need it
 
-    check_instance("path", value, str | os.PathLike, "the path of a file")
+    check_instance("path", value, str | os.PathLike, "a file path")
     return Path(value)
 
 
 def named(cls: type) -> str:
-    """Return a user's class with its file, for messages."""
+    """Return the name of a user-defined class with its file, for messages."""
     file = getattr(sys.modules.get(cls.__module__), "__file__", None)
     return f"{cls.__name__} of {os.path.basename(file or cls.__module__)}"
 
 
 def one_line(value: object) -> str:
-    """Return a value as one short line."""
+    """Return the repr of a value on one line, truncated to 200 characters."""
     text = " ".join(repr(value).split())
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+    return text if len(text) <= _MAX_CHARACTERS else f"{text[: _MAX_CHARACTERS - 1]}…"
 
 
 def meant(given: object, allowed: Iterable[str]) -> str:
-    """Return the end of a message with the nearest text.
-
-    It is empty if no allowed text is near.
-    """
+    """Return "; did you mean X?" for the closest choice, or "" if none is close."""
     near = get_close_matches(str(given).lower(), allowed, n=1, cutoff=0.7)
     return f"; did you mean {near[0]}?" if near else ""
 
 
 def require(packages: Iterable[str], extra: str, why: str) -> None:
-    """Check that packages are installed.
+    """Check that optional packages are installed.
 
     Args:
         packages: Import names.
         extra: Extra of this package that installs them.
-        why: Sentence on their purpose.
+        why: What they are needed for; begins the message.
 
     Raises:
-        MissingPackageError: If one is not installed.
+        MissingPackageError: If one is missing.
     """
     if not all(map(_is_installed, packages)):
         raise MissingPackageError(f"{why}: {install_command(extra)}")
@@ -192,18 +179,18 @@ def require(packages: Iterable[str], extra: str, why: str) -> None:
 def _is_installed(name: str) -> bool:
     try:
         return find_spec(name) is not None
-    except ModuleNotFoundError:  # of the package that it is in
+    except ModuleNotFoundError:  # the parent package is missing
         return False
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra's packages for this Python."""
+    """Return the pip command that installs an extra for this Python."""
     import shlex
     from importlib.metadata import PackageNotFoundError, requires
 
     try:
         parts = [line.partition(";") for line in requires("maglev-mj") or ()]
-    except PackageNotFoundError:  # not installed itself: run in a clone
+    except PackageNotFoundError:  # running from a clone, not installed
         parts = []
-    wanted = [name.strip() for name, _, marker in parts if f"extra == '{extra}'" in marker.replace('"', "'")]
-    return shlex.join([sys.executable, "-m", "pip", "install", *(wanted or [f".[{extra}]"])])
+    packages = [name.strip() for name, _, marker in parts if f"extra == '{extra}'" in marker.replace('"', "'")]
+    return shlex.join([sys.executable, "-m", "pip", "install", *(packages or [f".[{extra}]"])])

@@ -1,7 +1,6 @@
-"""Parameters: checks and declarations.
+"""Parameter checks and declarations.
 
-A failed check gives an error of one line; a declaration takes one line.
-A class of declared parameters gets its checks, its JSON and its command-line options from the declarations.
+A class of declared parameters derives its checks, JSON and command-line options from the declarations.
 """
 
 from __future__ import annotations
@@ -9,6 +8,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import re
 import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -34,8 +34,8 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of, not_one_of
 from maglev_mj.frames import AXES, Array, Component
 
-_NO_NUMBERS = bool, np.bool_, str, bytes
-"""Types accepted by float(), but refused as numbers."""
+_NOT_NUMBERS = bool, np.bool_, str, bytes
+"""Types that float() accepts but `number` rejects."""
 
 _LARGEST = sys.float_info.max
 _T = TypeVar("_T")
@@ -45,10 +45,10 @@ def flag(name: str, value: object) -> bool:
     """Return `value` as a bool.
 
     Raises:
-        ParameterError: If it is neither True nor False.
+        ParameterError: If it is not a bool.
     """
     if not isinstance(value, bool | np.bool_):
-        raise ParameterError(f"{name} must be True or False, not {value!r}")
+        raise ParameterError(f"{name} must be True or False (got {value!r})")
     return bool(value)
 
 
@@ -60,21 +60,23 @@ def number(
     at_least: float = -math.inf,
     below: float = math.inf,
     at_most: float = math.inf,
+    unit: str = "",
 ) -> float:
-    """Return `value` as a finite float within the bounds.
+    """Return `value` as a finite float within the bounds; the unit is for the message.
 
     Raises:
         ParameterError: If it is not a number, not finite, or outside the bounds.
     """
     try:
-        result = math.nan if isinstance(value, _NO_NUMBERS) else float(value)  # type: ignore[arg-type]
+        result = math.nan if isinstance(value, _NOT_NUMBERS) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         result = math.nan
     if not (above < result < below and at_least <= result <= at_most and math.isfinite(result)):
         bounds = {"above": above, "at least": at_least, "below": below, "at most": at_most}
-        words = [f"{word} {bound:g}" for word, bound in bounds.items() if math.isfinite(bound)]
-        allowed = "a finite number" + (" " + " and ".join(words) if words else "")
-        raise ParameterError(f"{name} must be {allowed}, not {value!r}")
+        limits = " and ".join(f"{word} {bound:g}" for word, bound in bounds.items() if math.isfinite(bound))
+        limits = re.sub(r"e\+0?", "e", re.sub(r"^at least (\S+ and) at most", r"between \1", limits))
+        allowed = [*["a finite number"] * (not limits or not math.isfinite(result)), *[limits] * bool(limits), unit]
+        raise ParameterError(f"{name} must be {' '.join(filter(None, allowed))} (got {value!r})")
     return result
 
 
@@ -82,31 +84,31 @@ def whole(name: str, value: object, *, at_least: float = 0.0, at_most: float = 2
     """Return `value` as an int within the bounds.
 
     Raises:
-        ParameterError: If it is not a whole number, or outside the bounds.
+        ParameterError: If it is not an integer, or outside the bounds.
     """
     result = number(name, value, at_least=at_least, at_most=at_most)
     if result != int(result):
-        raise ParameterError(f"{name} must be a whole number, not {value!r}")
+        raise ParameterError(f"{name} must be an integer (got {value!r})")
     return int(result)
 
 
 def interval(
     name: str, value: Sequence[object], *, at_least: float = -math.inf, at_most: float = math.inf
 ) -> tuple[float, float]:
-    """Return lower and upper end of a checked range.
+    """Return (low, high) of a checked range.
 
     Raises:
-        ParameterError: If the value is not two such numbers in this order.
+        ParameterError: If it is not two numbers within the bounds in ascending order.
     """
     try:
         ends = tuple(value)
     except TypeError:
         ends = ()
     if len(ends) != 2:
-        raise ParameterError(f"{name} must be a lower and a higher value, not {value!r}")
+        raise ParameterError(f"{name} must be a pair (low, high) (got {value!r})")
     low, high = (number(name, end, at_least=at_least, at_most=at_most) for end in ends)
     if low > high:
-        raise ParameterError(f"{name} must be from a lower to a higher value, not {low:g} to {high:g}")
+        raise ParameterError(f"{name} must be in ascending order, low to high (got {low:g} to {high:g})")
     return low, high
 
 
@@ -122,36 +124,35 @@ def numbers(
     """Return `value` as a float array with checked entries.
 
     Args:
-        name: Name in the message.
+        name: Name for the message.
         value: Number or array.
-        at_least: Least value allowed.
+        at_least: Inclusive lower bound.
         above: Exclusive lower bound; None for none.
-        at_most: Largest value allowed.
-        finite: False lets infinity pass; NaN never passes.
+        at_most: Inclusive upper bound.
+        finite: False allows infinity; NaN is never allowed.
 
     Raises:
         ParameterError: If an entry is not a number, not finite, or outside the bounds.
     """
     if value.__class__ is float and max(at_least, -_LARGEST) <= value <= min(at_most, _LARGEST) and above is None:
-        return np.array(value)  # most, at a third of the cost
+        return np.array(value)  # fast path: a third of the cost
     try:
         raw = np.asarray(value)
-    except ValueError:  # rows of different lengths
+    except ValueError:  # ragged rows
         raw = np.asarray("")
     if raw.dtype.kind not in "fiu" or _has_flag(value):
-        raise ParameterError(f"{name} must be a number or an array of numbers, not {value!r}")
+        raise ParameterError(f"{name} must be a number or an array of numbers (got {value!r})")
     array = np.asarray(raw, dtype=np.float64)
     good = array >= at_least
     if finite:
         good &= np.isfinite(array)
     if not good.all():
-        kind = "finite and " if finite else ""
-        bound = f"at least {at_least:g}" if math.isfinite(at_least) else "a number"
-        raise ParameterError(f"{name} must be {kind}{bound} everywhere, not {array[~good].flat[0]:g}")
+        allowed = ["finite"] * finite + [f"at least {at_least:g}"] * math.isfinite(at_least) or ["a number"]
+        raise ParameterError(f"{name} must be {' and '.join(allowed)} (got {array[~good].flat[0]:g})")
     if above is not None and not (array > above).all():
-        raise ParameterError(f"{name} must be above {above:g} everywhere, not {array.min():g}")
+        raise ParameterError(f"{name} must be above {above:g} (got {array.min():g})")
     if at_most < math.inf and not (array <= at_most).all():
-        raise ParameterError(f"{name} must be at most {at_most:g} everywhere, not {array.max():g}")
+        raise ParameterError(f"{name} must be at most {at_most:g} (got {array.max():g})")
     return array
 
 
@@ -164,22 +165,20 @@ def store(frozen: object, **values: Any) -> None:
 def six(
     name: str, value: ArrayLike, batch: tuple[int, ...] = (), *, at_least: float = 0.0, finite: bool = False
 ) -> Array:
-    """Return a checked parameter of the six axes, (6,) or (..., 6).
-
-    (..., 6) is for the batch; a number applies to all axes.
+    """Return a checked parameter of the six axes, (6,) or (..., 6) for a batch; a number applies to all axes.
 
     Raises:
-        ParameterError: If an entry is too small or the shape does not fit.
+        ParameterError: If an entry is below the bound or the shape is wrong.
     """
     array = numbers(name, value, at_least=at_least, finite=finite)
     if array.shape not in ((), (6,), (*batch, 6)):
         allowed = "(6,)" if not batch else f"(6,) or {(*batch, 6)}"
-        raise ParameterError(f"{name} must be a number or have the shape {allowed}, not {array.shape}")
+        raise ParameterError(f"{name} must be a number or have shape {allowed} (got {array.shape})")
     return np.broadcast_to(array, (6,)) if array.ndim == 0 else array
 
 
 def parsed_number(name: str, text: str) -> float:
-    """Return the finite number given by a text.
+    """Parse a finite number.
 
     Raises:
         ParameterError: If the text is not a finite number.
@@ -191,16 +190,16 @@ def parsed_number(name: str, text: str) -> float:
 
 
 def axis_indices(axes: str | Sequence[str]) -> tuple[int, ...]:
-    """Return the indices of one or several axis names.
+    """Return the indices of one or more axis names.
 
     Raises:
-        ParameterError: If a name is unknown or given twice, or there is no name.
+        ParameterError: If a name is unknown or repeated, or there is none.
     """
     names = (axes,) if isinstance(axes, str) or not isinstance(axes, Iterable) else tuple(axes)
     for name in names:
         check_one_of("axis", AXES, name)
     if not names or len(set(names)) != len(names):
-        raise ParameterError(f"axes must be one or more different names of {', '.join(AXES)}, not {names!r}")
+        raise ParameterError(f"axes must be one or more of {', '.join(AXES)}, without duplicates (got {names!r})")
     return tuple(AXES.index(name) for name in names)
 
 
@@ -208,17 +207,17 @@ def batch_shape(what: str, values: Iterable[Array]) -> tuple[int, ...]:
     """Return the common batch shape of parameters (..., axes).
 
     Raises:
-        ParameterError: If they do not fit one another.
+        ParameterError: If they do not broadcast.
     """
     shapes = [value.shape[:-1] for value in values]
     try:
         return np.broadcast_shapes(*shapes)
     except ValueError:
-        raise ParameterError(f"{what} parameters must fit one batch shape, not {sorted(set(shapes))}") from None
+        raise ParameterError(f"{what} parameters must share a batch shape (got {sorted(set(shapes))})") from None
 
 
 def common_shape(what: str, *shapes: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the broadcast shape of shapes.
+    """Return the shape to which all shapes broadcast.
 
     Raises:
         ParameterError: If they do not broadcast.
@@ -226,7 +225,7 @@ def common_shape(what: str, *shapes: tuple[int, ...]) -> tuple[int, ...]:
     try:
         return np.broadcast_shapes(*shapes)
     except ValueError:
-        raise ParameterError(f"{what} must fit one shape, not {', '.join(map(str, sorted(set(shapes))))}") from None
+        raise ParameterError(f"{what} must share a shape (got {', '.join(map(str, sorted(set(shapes))))})") from None
 
 
 def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
@@ -240,27 +239,27 @@ def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
     if values.ndim == 0:
         return (float(values),) * count
     if values.shape[-1] != count:
-        raise ParameterError(f"{name} must have a last dimension of {count} (one for each axis), not {values.shape}")
+        raise ParameterError(f"{name} must have a last dimension of {count}, one per axis (got shape {values.shape})")
     if values.ndim == 1:
         return tuple(values.tolist())
     return tuple(np.ascontiguousarray(np.moveaxis(values, -1, 0)))
 
 
 def _has_flag(value: object) -> bool:
-    """Return True for a bool among numbers."""
+    """Return True if a bool is among the values."""
     return isinstance(value, bool | np.bool_) or (isinstance(value, list | tuple) and any(map(_has_flag, value)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """Change of a value by one press of a key.
+    """Change of a value by one key press.
 
     Attributes:
-        factor: Factor of a press, with the result to three digits; 0 for none.
-        add: Step of a press, on a grid of the same size.
+        factor: Factor per press; the result is rounded to three digits. 0 for none.
+        add: Step per press; the result is a multiple of it. 0 for none.
         among: Values to step through.
-        least: Lower limit of the keys; the parameter's own bounds may be wider.
-        most: Upper limit of the keys.
+        least: Lower limit for the keys; the parameter's bounds may be wider.
+        most: Upper limit for the keys.
         inverse: True if the keys act on the inverse, such as a rate for a period: "up" then reduces the value.
         word: Name in actions; the parameter's name by default.
 
@@ -289,26 +288,24 @@ class Turn:
         """Return the value after a press, 1 up, -1 down."""
         if self.among:
             now = 1.0 / value if self.inverse else value
-            nearest = min(range(len(self.among)), key=lambda place: abs(self.among[place] - now))
+            nearest = min(range(len(self.among)), key=lambda index: abs(self.among[index] - now))
             chosen = self.among[min(max(nearest + way, 0), len(self.among) - 1)]
             return 1.0 / chosen if self.inverse else chosen
         if self.add:
             turned = (round(value / self.add) + way) * self.add
         else:
-            # three digits, so that the value can be read and set again
+            # three digits: the displayed value is the exact value
             turned = float(f"{value * (self.factor if way > 0 else 1.0 / self.factor):.3g}")
         return min(max(turned, self.least), self.most)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One declared parameter.
-
-    See `param` for the attributes not listed here.
+    """Declared parameter; see `param` for the attributes not listed here.
 
     Attributes:
-        name: Its name.
-        kind: float, int, bool or str; object for a value that `parse` checks.
+        name: Name of the field.
+        kind: float, int, bool or str; object for a value checked by `parse`.
         bounds: Keywords of `number`.
     """
 
@@ -329,7 +326,7 @@ class Parameter:
         """Return a checked value.
 
         Raises:
-            ParameterError: If it is of another kind or outside its bounds.
+            ParameterError: If the type is wrong, or the value is outside its bounds.
         """
         if value is None and self.optional:
             return None
@@ -339,31 +336,31 @@ class Parameter:
             return flag(self.name, value)
         if self.kind is str:
             if not isinstance(value, str) or (self.choices and value not in self.choices):
-                what = not_one_of(self.name, self.choices, value)
-                raise ParameterError(what if self.choices else f"{self.name} must be a text, not {value!r}")
+                message = not_one_of(self.name, self.choices, value)
+                raise ParameterError(message if self.choices else f"{self.name} must be a string (got {value!r})")
             return value
-        result = number(self.name, value, **self.bounds)
+        result = number(self.name, value, **self.bounds, unit="" if self.along else self.unit)
         if self.kind is int:
             if result != int(result):
-                raise ParameterError(f"{self.name} must be a whole number, not {result:g}")
+                raise ParameterError(f"{self.name} must be an integer (got {result:g})")
             return int(result)
         return result
 
     def from_text(self, text: str) -> Any:
-        """Return the value given by a text, bounds unchecked.
+        """Parse a value; its bounds are not checked.
 
         Raises:
-            ParameterError: If it is of another kind.
+            ParameterError: If the text is not of the parameter's type.
         """
         if self.kind is object:
-            raise ParameterError(f"{self.name} cannot be given as a word, not {text!r}")
+            raise ParameterError(f"{self.name} cannot be set from text (got {text!r})")
         if self.optional and text.lower() == "none":
             return None
         if self.kind is str:
             return text
         if self.kind is bool:
             if text.lower() not in ("true", "false"):
-                raise ParameterError(f"{self.name} must be true or false, not {text!r}")
+                raise ParameterError(f"{self.name} must be true or false (got {text!r})")
             return text.lower() == "true"
         return parsed_number(self.name, text)
 
@@ -389,17 +386,17 @@ def param(
     Args:
         help: Short description.
         unit: Unit; empty for none.
-        default: Default value; None if `derive` makes it.
+        default: Default value; None if `derive` computes it.
         above: Exclusive lower bound.
         at_least: Inclusive lower bound.
         below: Exclusive upper bound.
         at_most: Inclusive upper bound.
-        choices: Allowed texts; empty for any.
+        choices: Allowed strings; empty for any.
         optional: True if None is allowed.
-        derive: Function that makes the default from the object, with its earlier parameters set.
-        parse: Function that checks a value of another type than number, bool or text.
-        live: True if it may change while the scene runs; a `Turn` sets the change by a key, a quarter by default.
-        along: True if it is along the axis that the parameter `axis` chooses; its unit is that along a translation.
+        derive: Function that computes the default from the object, whose earlier parameters are set.
+        parse: Function that checks a value of another type than number, bool or string.
+        live: True if it may change while the scene runs, by 25 % per key press; a `Turn` for another step.
+        along: True if it acts along the axis of the parameter `axis`; its unit is the one for a translation.
 
     Example:
         >>> class Ball(Parameters):
@@ -433,15 +430,15 @@ def param_range(
     at_least: float = -math.inf,
     at_most: float = math.inf,
 ) -> Any:
-    """Declare a parameter of a lower and a higher value; see `param`.
+    """Declare a range parameter (low, high); see `param`.
 
     Args:
-        name: Its name.
+        name: Name of the field.
         help: Short description.
         unit: Unit; empty for none.
-        default: Default values; None if it is optional.
-        at_least: Inclusive lower bound of both.
-        at_most: Inclusive upper bound of both.
+        default: Default range; None if it is optional.
+        at_least: Inclusive lower bound of both ends.
+        at_most: Inclusive upper bound of both ends.
     """
     parse = partial(interval, name, at_least=at_least, at_most=at_most)
     return param(help, unit, default=default, optional=default is None, parse=parse)
@@ -449,15 +446,15 @@ def param_range(
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=True, field_specifiers=(param,))
 class Parameters:
-    """Base of frozen dataclasses of declared, checked parameters.
+    """Base class of frozen dataclasses of declared, checked parameters.
 
     Raises:
-        ParameterError: If a value is of another kind or outside its bounds.
-        TypeError: If a declaration itself is wrong, when the class is made.
+        ParameterError: If a value has the wrong type or is outside its bounds.
+        TypeError: If a declaration is invalid, at class creation.
     """
 
     _declared: ClassVar[Mapping[str, Parameter]] = {}
-    _derived: ClassVar[frozenset[str]] = frozenset()  # of the class; an object has its own
+    _derived: ClassVar[frozenset[str]] = frozenset()  # overridden per object
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -466,24 +463,24 @@ class Parameters:
         hints = get_type_hints(cls)
         cls._declared = {item.name: _parameter(cls, item, hints[item.name]) for item in fields(cls)}  # type: ignore[arg-type]
 
-    def __init__(self, **values: Any) -> None:  # each subclass gets its own
-        raise TypeError("Parameters has none: make a subclass")
+    def __init__(self, **values: Any) -> None:  # generated for each subclass
+        raise TypeError("Parameters is abstract: define a subclass")
 
     def __post_init__(self) -> None:
         values, derived = vars(self), []
-        checked = values.pop("_checked", ())  # by the object that this is a copy of: see `replace`
-        for name, one in self._declared.items():
+        checked = values.pop("_checked", ())  # set by `replace`: already checked in the original
+        for name, parameter in self._declared.items():
             if name in checked:
                 continue
-            if values[name] is None and one.derive is not None:
+            if values[name] is None and parameter.derive is not None:
                 derived.append(name)
-                values[name] = one.derive(self)
-            values[name] = one.checked(values[name])
+                values[name] = parameter.derive(self)
+            values[name] = parameter.checked(values[name])
         values["_derived"] = frozenset(derived)
         self.check()
 
     def check(self) -> None:
-        """Check conditions on several parameters; raise ParameterError."""
+        """Check conditions across parameters; raise ParameterError if one fails."""
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
@@ -503,22 +500,20 @@ class Parameters:
 
     @classmethod
     def like(cls, name: str, **changes: Any) -> Any:
-        """Declare a parameter of another class as this one does, but for changes; see `param`.
+        """Return a declaration like one of this class, with changes; see `param`.
 
         Raises:
             ParameterError: If there is no such parameter.
         """
-        one = cls.parameter(name)
-        kept = {given: value for given, value in vars(one).items() if given not in ("name", "kind", "bounds")}
-        return param(**{**kept, **one.bounds, **changes})
+        parameter = cls.parameter(name)
+        keywords = {key: value for key, value in vars(parameter).items() if key not in ("name", "kind", "bounds")}
+        return param(**{**keywords, **parameter.bounds, **changes})
 
     def replace(self, **changes: Any) -> Self:
-        """Return a copy with changes; derived values are derived again.
-
-        The other values are not checked again by themselves.
+        """Return a copy with changes; derived values are recomputed, unchanged values are not rechecked.
 
         Raises:
-            ParameterError: If there is no parameter of a name, or a value is outside its bounds.
+            ParameterError: If a name is unknown, or a value is outside its bounds.
         """
         for name in changes:
             self.parameter(name)
@@ -529,7 +524,7 @@ class Parameters:
         return copy
 
     def independent_values(self) -> dict[str, Any]:
-        """Return the values that are not derived, by name."""
+        """Return the explicitly set values, without derived ones, by name."""
         return {name: value for name, value in self.as_json().items() if name not in self._derived}
 
     def as_json(self) -> dict[str, Any]:
@@ -538,10 +533,10 @@ class Parameters:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Return the object with values by name.
+        """Return an instance with these values by name.
 
         Raises:
-            ParameterError: If there is no parameter of a name, or a value is outside its bounds.
+            ParameterError: If a name is unknown, or a value is outside its bounds.
         """
         for name in values:
             cls.parameter(name)
@@ -549,19 +544,19 @@ class Parameters:
 
 
 def _check_names(cls: type[Parameters]) -> None:
-    """Refuse parameters without type, or with a hidden name."""
+    """Reject parameters without a type annotation, or that shadow an attribute."""
     for name, value in vars(cls).items():
         bases = [base for base in cls.__mro__[1:] if name in vars(base)]
         declared = [getattr(base, "__dataclass_fields__", {}).get(name) for base in bases]
-        was_one = any("param" in getattr(item, "metadata", ()) for item in declared)
+        overrides = any("param" in getattr(item, "metadata", ()) for item in declared)
         if "param" not in getattr(value, "metadata", ()):
-            if was_one:
+            if overrides:
                 raise TypeError(f"{cls.__name__}.{name} must be declared by param(...), as in {bases[0].__name__}")
         elif name not in inspect.get_annotations(cls):
-            raise TypeError(f"{cls.__name__}.{name} needs a type: `{name}: float = param(...)`")
-        elif bases and not was_one and not isinstance(vars(bases[0])[name], property):
-            what = "a method" if callable(getattr(bases[0], name)) else "an attribute"
-            raise TypeError(f"{cls.__name__}.{name} cannot be a parameter: it is {what} of {bases[0].__name__}")
+            raise TypeError(f"{cls.__name__}.{name} needs a type annotation: `{name}: float = param(...)`")
+        elif bases and not overrides and not isinstance(vars(bases[0])[name], property):
+            kind = "a method" if callable(getattr(bases[0], name)) else "an attribute"
+            raise TypeError(f"{cls.__name__}.{name} cannot be a parameter: it is {kind} of {bases[0].__name__}")
 
 
 def _parameter(cls: type, item: Any, hint: Any) -> Parameter:
@@ -573,24 +568,24 @@ def _parameter(cls: type, item: Any, hint: Any) -> Parameter:
     if get_origin(hint) in (Union, types.UnionType):
         kinds = [part for part in get_args(hint) if part is not type(None)]
     if declared["parse"] is None and (len(kinds) != 1 or kinds[0] not in (float, int, bool, str)):
-        raise TypeError(f"{cls.__name__}.{item.name} must be float, int, bool or str, or have a `parse`, not {hint}")
+        raise TypeError(f"{cls.__name__}.{item.name} must be float, int, bool or str, or have a `parse` (got {hint})")
     return Parameter(name=item.name, kind=object if declared["parse"] else kinds[0], default=item.default, **declared)
 
 
 def read_json(
     kind: str, path: str | Path, parse: Callable[[Any], _T], error: type[MaglevError] = ParameterError, **options: Any
 ) -> _T:
-    """Read a JSON file and return what `parse` makes of it.
+    """Read and parse a JSON file.
 
     Args:
         kind: Kind of the file, for messages.
         path: The file.
-        parse: Function of the content.
-        error: Type of the error that is raised.
+        parse: Function of the decoded content.
+        error: Type of the error raised.
         options: Options of `json.loads`.
 
     Raises:
-        MaglevError: Of that type, if the file cannot be read or parsed; one line with file and reason.
+        MaglevError: Of type `error`, if the file cannot be read or parsed; one line with path and reason.
     """
     try:
         return parse(json.loads(Path(path).read_text(encoding="utf-8"), **options))
@@ -599,4 +594,4 @@ def read_json(
     except MaglevError as failure:
         raise error(f"{kind} {str(path)!r}: {failure}") from None
     except (ValueError, RecursionError) as failure:
-        raise error(f"{kind} {str(path)!r} is not JSON: {failure}") from None
+        raise error(f"{kind} {str(path)!r} is not valid JSON: {failure}") from None

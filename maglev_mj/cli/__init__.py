@@ -1,4 +1,4 @@
-"""Command line: `maglev-mj` and its commands, one per module."""
+"""Command line: `maglev-mj` and its commands."""
 
 from maglev_mj.lazy import attach
 

@@ -18,28 +18,28 @@ _FILES = "FILE", "DIR", "PATH"
 
 
 def complete(parser: Parser, command: Callable[[Sequence[str]], Parser | None]) -> None:
-    """Answer a shell's request for completions of commands, or of a command's options and scene, and exit.
+    """Print the completions that a shell requests through argcomplete, and exit.
 
     Args:
-        parser: Parser of the program; the choices of its last action are the commands.
-        command: Function that returns the parser of a command line, with its options; None without a command.
+        parser: Parser of the program; its last action is the command.
+        command: Function that returns the parser of a command line with its options; None without a command.
     """
-    start = int(os.environ["_ARGCOMPLETE"])  # number of words of the program
+    start = int(os.environ["_ARGCOMPLETE"])  # number of words before the arguments
     _, _, _, words, _ = split_line(os.environ["COMP_LINE"], int(os.environ["COMP_POINT"]))
     commands: Any = parser._actions[-1]
-    commands.completer = lambda **_: {name: one.summary for name, one in commands.choices.items()}
-    if (typed := command(words[start:])) is not None:
-        os.environ["_ARGCOMPLETE"] = str(start + 1)  # the command is the program whose arguments are completed
-        parser = typed
+    commands.completer = lambda **_: {name: row.summary for name, row in commands.choices.items()}
+    if (selected := command(words[start:])) is not None:
+        os.environ["_ARGCOMPLETE"] = str(start + 1)  # treat "maglev-mj COMMAND" as the program
+        parser = selected
         for action in parser._actions:
             if action.help != argparse.SUPPRESS:
-                action.help = help_of(action).replace("%", "%%")  # which some shells show
-    completer: Any = _values  # typed as argcomplete's own class; any callable will do
+                action.help = help_of(action).replace("%", "%%")  # some shells show the help
+    completer: Any = _values  # argcomplete annotates its own class, but takes any callable
     argcomplete.autocomplete(parser, always_complete_options=False, default_completer=completer)
 
 
 def _values(prefix: str, action: argparse.Action, **_: Any) -> list[str]:
-    """Return completions: offered values, files or scenes."""
+    """Return the choices, files or scenes that start with the prefix."""
     if offered := getattr(action, "offered", ()):
         return [value for value in offered if value.startswith(prefix)]
     if action.metavar in _FILES:

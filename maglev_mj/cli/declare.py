@@ -1,4 +1,4 @@
-"""Commands declared by the signatures of their functions, on parsers with one-line errors."""
+"""Declaration of commands by the signatures of their functions, and parsers with one-line errors."""
 
 from __future__ import annotations
 
@@ -23,20 +23,17 @@ _MARGIN = 2
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Formatter of help texts that names each option once.
-
-    Lines that begin with a space stay as they are.
-    """
+    """Help formatter with one metavar per option; lines that start with a space are not wrapped."""
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=min(get_terminal_size().columns, WIDTH) - _MARGIN)
 
     def add_usage(self, usage: str | None, actions: Iterable[argparse.Action], *rest: Any, **named: Any) -> None:
-        """Add the required arguments; options are listed below."""
+        """Add a usage line with the required arguments only."""
         actions = list(actions)
-        needed = [one for one in actions if one.required or not one.option_strings]
-        words = [" ".join(filter(None, (*one.option_strings[:1], self._format_args(one, one.dest)))) for one in needed]
-        options = ["[options]"] if len(needed) < len(actions) else []
+        required = [item for item in actions if item.required or not item.option_strings]
+        words = [" ".join(filter(None, (*x.option_strings[:1], self._format_args(x, x.dest)))) for x in required]
+        options = ["[options]"] if len(required) < len(actions) else []
         super().add_usage(" ".join(["%(prog)s", *options, *words]), actions, *rest, **named)
 
     def _expand_help(self, action: argparse.Action) -> str:
@@ -45,7 +42,7 @@ class _Formatter(argparse.HelpFormatter):
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         paragraphs = re.split(r"\n(?=[ \n])|(?<=\n)(?=\S)", text)
         fill = super()._fill_text
-        return "\n".join(one if one[:1] in ("", " ") else fill(one, width, indent) for one in paragraphs)
+        return "\n".join(text if text[:1] in ("", " ") else fill(text, width, indent) for text in paragraphs)
 
 
 class Parser(argparse.ArgumentParser):
@@ -53,39 +50,35 @@ class Parser(argparse.ArgumentParser):
 
     Attributes:
         example: Example command line at the end of the help; empty for none.
-        words: Arguments that it will parse, for options that depend on them.
-        declared: Flags of the options of a command's function.
-        later: Functions that add options which depend on the words: `declare` calls them once the command's own options
-            are there.
+        words: Arguments to be parsed, for options that depend on them.
+        declared: Flags declared by the command's function.
+        later: Functions that add options which depend on the words; `declare` calls them after the command's options.
     """
 
     def __init__(self, *, example: str = "", words: Sequence[str] = (), **keywords: Any) -> None:
-        # the options of a scene are its own: a shorter word must not become one that is added later
+        # no abbreviations: one could match a scene's option that is added later
         super().__init__(**{"allow_abbrev": False, "formatter_class": _Formatter, **keywords})
         self.example, self.words, self.declared = example, words, set[str]()
         self.later = list[Callable[[], object]]()
 
     def group(self, title: str) -> argparse._ArgumentGroup:
-        """Return the option group of a title.
-
-        The help lists groups in the order of the first calls.
-        """
-        found = (group for group in self._action_groups if group.title == title)
-        return next(found, None) or self.add_argument_group(title)
+        """Return the option group with this title, created at the first call."""
+        matches = (group for group in self._action_groups if group.title == title)
+        return next(matches, None) or self.add_argument_group(title)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse the arguments; an unknown one is an error. See `argparse.ArgumentParser`."""
+        """Parse the arguments; unknown ones are an error. See `argparse.ArgumentParser`."""
         options, unknown = self.parse_known_args(args, namespace)
         self.refuse(unknown)
         return options
 
     def refuse(self, unknown: Sequence[str]) -> None:
-        """Exit with an error that names unknown arguments, if there are any."""
+        """Exit with an error if there are unknown arguments."""
         if unknown:
             options = [word.partition("=")[0] for word in unknown if word.startswith("--")]
             near = (text for word in options if (text := meant(word, self._option_string_actions)))
-            other = "; parameters are given by --set and --vary" if "--set" in self._option_string_actions else ""
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{other}{next(near, '')}")
+            hint = "; set parameters by --set and --vary" if "--set" in self._option_string_actions else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}{next(near, '')}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
@@ -93,30 +86,25 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(None, not_one_of(name, action.choices, value))
 
     def format_help(self) -> str:
-        """Return the help: required arguments, option groups, example.
-
-        The options of every command come last among the groups.
-        """
+        """Return the help: arguments, option groups (general options last), example."""
         self._action_groups.sort(key=lambda group: group is self._optionals)
         return super().format_help() + (f"\nExample:\n  {self.example}\n" if self.example else "")
 
     def error(self, message: str) -> Any:
-        """Print one line and exit with status 2."""
+        """Print a one-line error and exit with status 2."""
         self.exit(2, f"{self.prog}: {message}\n")
 
 
 def help_of(action: argparse.Action) -> str:
-    """Return the help of an option, which may be composed when it is asked for."""
+    """Return the help of an option; it may be composed lazily."""
     compose: Callable[[], str] | None = getattr(action, "compose", None)
     return (action.help or "").replace("%%", "%") if compose is None else compose()
 
 
 def joined(arguments: Sequence[str]) -> list[str]:
-    """Join an option and a negative number after it.
+    """Join an option with a negative number after it that argparse would take for an option: -1e-3, -5:3, -inf.
 
-    argparse takes -1e-3, -5:3 and -inf for options.
-
-    Numbers that argparse knows stay as they are, so that an option of several values gets them all.
+    Plain negative numbers stay separate, for options with several values.
     """
     result: list[str] = []
     for argument in arguments:
@@ -129,29 +117,29 @@ def joined(arguments: Sequence[str]) -> list[str]:
 
 
 def number_option(text: str) -> float:
-    """Return an option's number."""
+    """Parse a number."""
     try:
         return float(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a number, not {text!r}") from None
+        raise argparse.ArgumentTypeError(f"must be a number (got {text!r})") from None
 
 
 def count(text: str) -> int:
-    """Return an option's whole number."""
+    """Parse an integer."""
     try:
         return int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
+        raise argparse.ArgumentTypeError(f"must be an integer (got {text!r})") from None
 
 
 def beside_inverse(parser: Container, option: str, dest: str) -> Container:
-    """Add an unlisted option that gives another's inverse, and return where to add the other.
+    """Add a hidden option for the inverse of another (rate [Hz], period [s]); return the group for the other.
 
-    A rate [Hz] is understood wherever a period [s] is, and a period wherever a rate is; not both at once.
+    The two options are mutually exclusive.
 
     Args:
         parser: Parser of the command.
-        option: Name of the option.
+        option: Name of the hidden option.
         dest: Attribute of the other option.
     """
     either = parser.add_mutually_exclusive_group()
@@ -162,7 +150,7 @@ def beside_inverse(parser: Container, option: str, dest: str) -> Container:
 def _inverse(text: str) -> float:
     value = number_option(text)
     if not (value > 0.0 and math.isfinite(value)):
-        raise argparse.ArgumentTypeError(f"must be a finite number above 0, not {text!r}")
+        raise argparse.ArgumentTypeError(f"must be a finite number above 0 (got {text!r})")
     return 1.0 / value
 
 
@@ -172,7 +160,7 @@ KINDS: Mapping[type, tuple[Callable[[str], Any], str | None]] = {
     Path: (Path, "FILE"),
     str: (str, None),
 }
-"""Function that reads a word, and the word's name in the help, by type."""
+"""Parsing function and metavar by type."""
 
 T = TypeVar("T")
 Take = Callable[[argparse.Namespace], Any]
@@ -194,10 +182,10 @@ class Option(NamedTuple):
 
 
 class Shared(NamedTuple):
-    """Options that depend on others.
+    """Options shared by several commands.
 
     Attributes:
-        add: Function that adds them to a parser; None if another option adds them.
+        add: Function that adds them to a parser; None if another declaration adds them.
         take: Function that returns their value.
     """
 
@@ -218,28 +206,25 @@ def option(
     default: Callable[[], Any] | None = None,
     **bounds: float,
 ) -> Option:
-    """Declare an option; an argument if it has no group.
+    """Declare an option; a positional argument if the group is empty.
 
     Args:
-        help: What it is. A default is added, except of flags and lists.
+        help: Description; the default is appended, except for flags and lists.
         group: Title of its group in the help.
-        metavar: Word for its value.
-        name: Its name, where that is not the parameter's.
-        kind: Type of its word, or function that reads it, where that is not the parameter's.
+        metavar: Placeholder for the value.
+        name: Name, if it differs from the parameter's.
+        kind: Type or parsing function, if it differs from the parameter's type.
         take: Function that returns the parameter's value.
-        inverse: Name of an option that gives its inverse.
-        const: Value of the option without a word; None if it needs one.
-        default: Function that returns its default, where that is in a library of the command.
-        bounds: Bounds of its number, as `number` has them.
+        inverse: Name of a hidden option for the inverse.
+        const: Value of the option without an argument; None if it requires one.
+        default: Function that returns the default, if that needs a slow import.
+        bounds: Bounds of a number; see `number`.
     """
     return Option(help, group, metavar, name, kind, take, inverse, const, default, bounds)
 
 
 def declare(function: Callable[..., int], parser: Parser) -> None:
-    """Add the options of a command's function, which runs with their values.
-
-    An option that the parser has already is not added again.
-    """
+    """Add the options of a command's function, except those already added, and set it as `run`."""
     describe(function, parser)
     arguments = _arguments(function, parser)
     parser.set_defaults(run=lambda options: function(**arguments(options)))
@@ -248,7 +233,7 @@ def declare(function: Callable[..., int], parser: Parser) -> None:
 
 
 def declared(kind: Callable[..., T], parser: Parser) -> Callable[[argparse.Namespace], T]:
-    """Add the options of a dataclass; return a function that takes one from parsed options."""
+    """Add the options of a dataclass; return a function that builds it from parsed options."""
     arguments = _arguments(kind, parser)
     return lambda options: kind(**arguments(options))
 
@@ -259,12 +244,12 @@ def _signature(owner: Callable[..., object]) -> Signature:
 
 
 def _arguments(owner: Callable[..., object], parser: Parser) -> Callable[[argparse.Namespace], dict[str, Any]]:
-    """Add an option for each argument of a function; return a function that takes their values."""
+    """Add an option for each argument of a function; return a function that collects their values."""
     takes: dict[str, Take] = {}
-    for name, one in _signature(owner).parameters.items():
-        kind, about = get_args(one.annotation) or (one.annotation, None)
+    for name, argument in _signature(owner).parameters.items():
+        kind, about = get_args(argument.annotation) or (argument.annotation, None)
         if isinstance(about, Option):
-            _add(parser, name, kind, about, one.default)
+            _add(parser, name, kind, about, argument.default)
             takes[name] = about.take or partial(_value, name, about)
         elif isinstance(about, Shared):
             if about.add is not None:
@@ -276,7 +261,7 @@ def _arguments(owner: Callable[..., object], parser: Parser) -> Callable[[argpar
 
 
 def describe(function: Callable[..., object], parser: Parser) -> None:
-    """Set a parser's help to a function's docstring."""
+    """Set a parser's description and epilog from a function's docstring."""
     description, _, status = str(getdoc(function)).partition("\n\nReturns:\n")
     parser.description = " ".join(description.split())
     parser.epilog = " ".join(status.split()) or None
@@ -306,7 +291,7 @@ def _add(parser: Parser, name: str, kind: Any, about: Option, default: Any) -> N
 
 
 def _reading(kind: Any, about: Option) -> dict[str, Any]:
-    """Return how a word becomes an option's value."""
+    """Return the argparse settings that parse an option's value."""
     if get_origin(kind) is Literal:
         return {"choices": get_args(kind), "metavar": about.metavar}
     kinds = [about.kind] if about.kind is not None else [*get_args(kind), kind]
@@ -319,7 +304,7 @@ def _reading(kind: Any, about: Option) -> dict[str, Any]:
 def _value(name: str, about: Option, options: argparse.Namespace) -> Any:
     value = getattr(options, name)
     if about.bounds and value is not None:
-        from maglev_mj.parameters import number  # with arrays, which a help does not need
+        from maglev_mj.parameters import number  # imported here: --help does not need NumPy
 
         number(about.name or name, value, **about.bounds)
     return value

@@ -1,4 +1,4 @@
-"""Command for the lessons, which are notebooks."""
+"""Command that writes the lesson notebooks."""
 
 from __future__ import annotations
 
@@ -12,35 +12,32 @@ from maglev_mj.errors import ParameterError
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 LESSONS = _PACKAGE / "lessons" if (_PACKAGE / "lessons").is_dir() else _PACKAGE.parent / "docs" / "lessons"
-"""Folder of the notebooks.
-
-It is inside the installed package, or with the documents of the repository.
-"""
+"""Folder of the notebooks: in the installed package, or docs/lessons in a clone."""
 
 _PAGES = "https://github.com/maglev-mj/maglev_mj/blob/main/docs/"
 _SOLUTION = re.compile(r"\n*<details>.*?</details>", re.DOTALL)
 
 
 def lessons(
-    out: Annotated[Path, option("folder to write to; it is made", "", "DIR")],
+    out: Annotated[Path, option("output folder; created if missing", "", "DIR")],
     *,
-    students: Annotated[bool, option("without the solutions")] = False,
+    students: Annotated[bool, option("notebooks without solutions")] = False,
 ) -> int:
-    """Write the lessons, notebooks for Jupyter, to a folder."""
+    """Write the lessons to a folder as Jupyter notebooks."""
     notebooks = sorted(LESSONS.glob("*.ipynb"))
     out.mkdir(parents=True, exist_ok=True)
-    if taken := [path.name for path in notebooks if (out / path.name).exists()]:
-        raise ParameterError(f"{out / taken[0]} is there already, and may hold your work; name another folder")
+    if existing := [path.name for path in notebooks if (out / path.name).exists()]:
+        raise ParameterError(f"{out / existing[0]} already exists and may contain your work; choose another folder")
     for path in notebooks:
         notebook = json.loads(path.read_text(encoding="utf-8").replace("](../", f"]({_PAGES}"))
-        made = without_solutions(notebook) if students else notebook
-        (out / path.name).write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        content = without_solutions(notebook) if students else notebook
+        (out / path.name).write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     print(f"  wrote {len(notebooks)} notebooks to {out}; next: jupyter lab {out}")
     return 0
 
 
 def without_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
-    """Return a notebook without solutions: an empty cell in place of each that computes one."""
+    """Return a notebook without solutions; solution cells are emptied."""
     return notebook | {"cells": [_for_students(cell) for cell in notebook["cells"]]}
 
 

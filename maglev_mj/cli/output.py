@@ -1,4 +1,4 @@
-"""Outputs of commands: checked before the work, then a progress bar, JSON, pictures and tables."""
+"""Outputs of commands: checks before the run, progress bar, JSON, charts and tables."""
 
 from __future__ import annotations
 
@@ -24,19 +24,17 @@ _WIDTH, _SLIDER = 30, 6
 _ERASED = "\r\x1b[K"
 
 LAYOUT = Path(__file__).parents[1] / "recording" / "layout.json"
-"""Layout file for Foxglove: device, walls, arrows, plots of position and force, log."""
+"""Foxglove layout: device, walls, arrows, plots of position and force, log."""
 
 
 class Progress:
-    """Context manager that draws a progress bar.
-
-    Call it with the finished and the total work.
+    """Progress bar as a context manager; call it with the finished and total amount of work.
 
     Args:
-        label: Name of the work.
+        label: Label of the bar.
         stream: Output stream; standard error by default.
-        quiet: Time before the first drawing [s].
-        every: Time between two drawings [s].
+        quiet: Time before the bar appears [s].
+        every: Time between updates [s].
     """
 
     def __init__(self, label: str, stream: TextIO | None = None, *, quiet: float = 2.0, every: float = 0.2) -> None:
@@ -61,10 +59,7 @@ class Progress:
             pass
 
     def __call__(self, done: int, total: int) -> None:
-        """Update the finished work.
-
-        Less than before begins a second part.
-        """
+        """Update the progress; a smaller `done` than before restarts the estimate of the time left."""
         with self._lock:
             if not self._total or done < self._done:
                 self._start, self._first = time.monotonic(), done
@@ -72,7 +67,7 @@ class Progress:
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Remove the bar while something else is printed."""
+        """Hide the bar while something else is printed."""
         with self._lock:
             if self._shown:
                 self._stream.write(_ERASED)
@@ -92,12 +87,12 @@ class Progress:
     def _bar(self) -> str:
         now = time.monotonic()
         if not self._total:
-            place = int((now - self._began) / self._every) % (_WIDTH - _SLIDER + 1)
-            bar = f"{'.' * place}{'#' * _SLIDER}".ljust(_WIDTH, ".")
+            position = int((now - self._began) / self._every) % (_WIDTH - _SLIDER + 1)
+            bar = f"{'.' * position}{'#' * _SLIDER}".ljust(_WIDTH, ".")
             return f"[{bar}] {self._label}: {now - self._began:.0f} s"
         bar = ("#" * (_WIDTH * self._done // self._total)).ljust(_WIDTH, ".")
-        fresh = self._done - self._first
-        left = f", {(now - self._start) * (self._total - self._done) / fresh:.0f} s left" if fresh else ""
+        advance = self._done - self._first
+        left = f", {(now - self._start) * (self._total - self._done) / advance:.0f} s left" if advance else ""
         return f"[{bar}] {self._label}: {self._done} of {self._total}{left}"
 
 
@@ -107,28 +102,28 @@ _FILES = "render", "export"
 
 
 def check_outputs(options: argparse.Namespace) -> None:
-    """Check that all outputs chosen by options can be written.
+    """Check that all output paths are writable.
 
-    The present folder as `out` is left out: files of a session have a second place.
+    The current folder as `out` is not checked: files of a session have a fallback folder.
 
     Args:
         options: Parsed options of any command.
 
     Raises:
-        ParameterError: If a file is a folder, has no folder, may not be written, or is named twice, or if a recording
-            has an unknown suffix.
+        ParameterError: If a path is a folder, its folder does not exist, it is not writable, it is used twice, or a
+            recording has an unknown suffix.
         MissingPackageError: If the package for a recording is not installed.
     """
     files = {name: Path(path) for name in _OUTPUTS if (path := getattr(options, name, None)) not in (None, "-")}
     if "out" in files and options.command not in _FILES and (folder := files.pop("out")) != Path():
         check_folder("out", folder)
     if "record" in files and "workers" in options and not (cells := files.pop("record")).is_file():
-        check_folder("record", cells)  # a file may be an old record, which the study refuses
+        check_folder("record", cells)  # a file may be a record of an old version, which the study rejects
         if "json" in files and files["json"].resolve() == cells.resolve():
-            raise ParameterError(f"json and record must be a file and a folder, not {str(cells)!r} for both")
+            raise ParameterError(f"json and record must be different paths (got {str(cells)!r} for both)")
     check_files(files, getattr(options, "file", None))
     if "record" in files:
-        from maglev_mj.recording import check_name  # only a recording needs that code
+        from maglev_mj.recording import check_name  # imported here: only recordings need it
 
         check_name(files["record"])
 
@@ -137,39 +132,40 @@ def check_files(files: Mapping[str, Path], recording: Path | None = None) -> Non
     """Check that files can be written.
 
     Args:
-        files: Option and file of each.
-        recording: A recording that they must not replace.
+        files: Path by option name.
+        recording: Input recording that they must not overwrite.
 
     Raises:
-        ParameterError: If one is a folder, has no folder, may not be written, is the recording, or is named twice.
+        ParameterError: If a path is a folder, its folder does not exist, it is not writable, it is the recording, or it
+            is used twice.
     """
     for name, path in files.items():
         if path.is_dir() or not path.parent.is_dir():
-            raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
-        if not (os.access(path, os.W_OK) if path.exists() else _takes_files(path.parent)):
-            raise ParameterError(f"{name} must be a file that may be written, not {str(path)!r}")
+            raise ParameterError(f"{name} must be a file in an existing folder (got {str(path)!r})")
+        if not (os.access(path, os.W_OK) if path.exists() else _is_writable(path.parent)):
+            raise ParameterError(f"{name} must be a writable file (got {str(path)!r})")
         if recording is not None and path.resolve() == recording.resolve():
-            raise ParameterError(f"{name} must be another file than the recording, not {str(path)!r}")
+            raise ParameterError(f"{name} must not overwrite the recording (got {str(path)!r})")
     if len({path.resolve() for path in files.values()}) < len(files):
-        raise ParameterError(f"{' and '.join(files)} must be two files, not {str([*files.values()][-1])!r} for both")
+        raise ParameterError(f"{' and '.join(files)} must be different (got {str([*files.values()][-1])!r} for both)")
 
 
 def check_folder(name: str, path: Path) -> None:
-    """Check that the folder of an option takes files, or can be made.
+    """Check that a folder is writable or can be created.
 
     Raises:
-        ParameterError: If it is a file, or may not be written.
+        ParameterError: If it is a file or not writable.
     """
-    there = next(one for one in (path, *path.parents) if one.exists())
-    if not there.is_dir():
-        raise ParameterError(f"{name} must be a folder, not {str(path)!r}")
-    if not _takes_files(there):
-        raise ParameterError(f"{name} must be a folder that may be written, not {str(path)!r}")
+    existing = next(folder for folder in (path, *path.parents) if folder.exists())
+    if not existing.is_dir():
+        raise ParameterError(f"{name} must be a folder (got {str(path)!r})")
+    if not _is_writable(existing):
+        raise ParameterError(f"{name} must be a writable folder (got {str(path)!r})")
 
 
-def _takes_files(folder: Path) -> bool:
-    """Return True if a file can be made in a folder, by making one."""
-    import tempfile  # a help needs none
+def _is_writable(folder: Path) -> bool:
+    """Return True if a temporary file can be created in a folder."""
+    import tempfile  # imported here: --help does not need it
 
     try:
         with tempfile.TemporaryFile(dir=folder):
@@ -179,16 +175,13 @@ def _takes_files(folder: Path) -> bool:
 
 
 def keep_partial(error: DivergenceError, json: str | None) -> None:
-    """Write the results of a run until it diverged."""
+    """Write the results of a diverged run, up to the divergence."""
     if error.partial is not None and json is not None:
         write_json(json, {**error.partial.as_json(), "diverged": str(error)})
 
 
 def write_json(target: str, data: Mapping[str, Any]) -> None:
-    """Write results and code versions as JSON.
-
-    To standard output if the target is "-".
-    """
+    """Write results and code versions as JSON to a file, or to standard output if the target is "-"."""
     import json
 
     from maglev_mj.versions import versions
@@ -207,16 +200,14 @@ def write_results(
     draw: Callable[[], Sequence[Path]] = tuple,
     written: Sequence[Path] = (),
 ) -> None:
-    """Write JSON if chosen, draw pictures, and print the text.
-
-    The text is left out if standard output has the JSON.
+    """Write JSON, draw charts, and print the table unless JSON goes to standard output.
 
     Args:
-        json: File of the JSON, or "-"; None for none.
+        json: JSON file, or "-" for standard output; None for none.
         data: Function that returns the JSON data.
         text: Function that returns the table.
-        draw: Function that draws and returns the files.
-        written: Files written before, listed as well.
+        draw: Function that draws the charts and returns their paths.
+        written: Files already written, to be listed too.
     """
     if json is not None:
         write_json(json, data())
@@ -239,44 +230,44 @@ def write_result(
     picture: str = "",
     written: Sequence[Path] = (),
 ) -> None:
-    """Write a result as JSON and pictures if chosen, and print its table.
+    """Write a result as JSON and charts if requested, and print its table.
 
     Args:
-        json: File of the JSON, or "-"; None for none.
+        json: JSON file, or "-" for standard output; None for none.
         result: The result.
-        pictures: Folder of the pictures; None for none.
-        picture: Name of the picture's file, without an ending; empty for all `pictures` of the result, by name.
-        written: Files written before, listed as well.
+        pictures: Output folder for charts; None for none.
+        picture: File stem of the chart; empty for all `pictures` of the result.
+        written: Files already written, to be listed too.
     """
 
     def draw() -> Sequence[Path]:
-        named = {picture: {}} if picture else {name: {"picture": name} for name in getattr(result, "pictures", ())}
-        return [] if pictures is None else [result.plot(pictures.path(name), **one) for name, one in named.items()]
+        calls = {picture: {}} if picture else {name: {"picture": name} for name in getattr(result, "pictures", ())}
+        return [] if pictures is None else [result.plot(pictures.path(name), **kw) for name, kw in calls.items()]
 
     write_results(json, result.as_json, lambda: str(result.table()), draw, written)
 
 
 FORMATS = "png", "pdf", "svg"
-"""Formats of pictures: those of `maglev_mj.pictures`, which loads arrays."""
+"""Chart formats, as in `maglev_mj.pictures`; repeated here because that imports NumPy."""
 
 
-def add_pictures(parser: Parser, told: str = "write pictures to this folder", default: Path | None = None) -> None:
+def add_pictures(parser: Parser, help: str = "output folder for charts", default: Path | None = None) -> None:
     """Add --out and --format.
 
     Args:
         parser: Parser of the command.
-        told: Help of --out.
-        default: Default folder; None for no pictures.
+        help: Help of --out.
+        default: Default folder; None for no charts.
     """
     output = parser.group("output")
-    output.add_argument("--out", metavar="DIR", type=Path, default=default, help=told)
+    output.add_argument("--out", metavar="DIR", type=Path, default=default, help=help)
     output.add_argument(
-        "--format", metavar="NAME", choices=FORMATS, help=f"of pictures: {', '.join(FORMATS)} (default {FORMATS[0]})"
+        "--format", metavar="NAME", choices=FORMATS, help=f"chart format: {', '.join(FORMATS)} (default {FORMATS[0]})"
     )
 
 
 def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
-    """Return the chosen picture folder; None for no pictures.
+    """Return the output folder for charts; None for no charts.
 
     Raises:
         ParameterError: If a format is given without a folder, or the folder is a file.
@@ -285,9 +276,9 @@ def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
     folder = options.out
     if folder is None:
         if options.format is not None:
-            raise ParameterError(f"format must be given with out, the folder of pictures, not {options.format!r} alone")
+            raise ParameterError(f"format requires out, the output folder (got format {options.format!r} alone)")
         return None
-    from maglev_mj.pictures import PictureFolder, require  # with arrays, which a help does not need
+    from maglev_mj.pictures import PictureFolder, require  # imported here: --help does not need NumPy
 
     require()
     check_folder("out", folder)
@@ -297,18 +288,18 @@ def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
 def script_options(
     description: str | None, quick: str | None = None, more: Callable[[Parser], object] = lambda parser: None
 ) -> argparse.Namespace:
-    """Return the options of a script that draws.
+    """Return the options of a script that draws charts.
 
     Args:
         description: Description of the script.
-        quick: Help of `--quick`; None for a script without it.
-        more: Called with the parser, for options of its own.
+        quick: Help of `--quick`; None for no such option.
+        more: Function that adds the script's own options.
 
     Returns:
         `pictures`, a `PictureFolder`, and `quick`.
     """
     parser = Parser(description=description)
-    add_pictures(parser, "write files to this folder (default figures)", Path("figures"))
+    add_pictures(parser, "output folder (default figures)", Path("figures"))
     if quick is not None:
         parser.add_argument("--quick", action="store_true", help=quick)
     more(parser)

@@ -1,4 +1,4 @@
-"""Options of the page and the hand's device."""
+"""Options of the web page and of the hand's input device."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from maglev_mj.views.viewer_process import Front, ShowReport
 
 PORT = 8123
-"""Default port of the page."""
+"""Default TCP port of the page."""
 
 _TOKEN = re.compile(r"[\w-]{16,}", re.ASCII)
-_OWN = "port", "no_open", "host", "token"
+_PAGE_OPTIONS = "port", "no_open", "host", "token"
 
 
-_PAGE = "page in a browser"
+_PAGE = "web page"
 
 
 def _origin(text: str) -> str:
@@ -46,16 +46,16 @@ def _origin(text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
-    """Chosen page in a browser."""
+    """Web page and its options."""
 
-    web: Annotated[bool, option("a page for any browser", _PAGE)] = False
-    port: Annotated[int | None, option(f"port of the page; 0 for any (default {PORT})", _PAGE)] = None
-    no_open: Annotated[bool, option("open no browser", _PAGE)] = False
-    host: Annotated[str | None, option("address of the page, with --token (default 127.0.0.1)", _PAGE, "H")] = None
+    web: Annotated[bool, option("web page for a browser, instead of a window", _PAGE)] = False
+    port: Annotated[int | None, option(f"TCP port of the page; 0 for any free port (default {PORT})", _PAGE)] = None
+    no_open: Annotated[bool, option("do not open a browser", _PAGE)] = False
+    host: Annotated[str | None, option("listen address; requires --token (default 127.0.0.1)", _PAGE, "H")] = None
     token: Annotated[
         str | None,
         option(
-            "text that the page's address must have, at least 16 characters; a new one where none is given",
+            "access token in the URL, at least 16 characters; random if omitted",
             _PAGE,
             "T",
             const="",
@@ -64,75 +64,72 @@ class PageOptions:
     allow_origin: Annotated[
         list[str],
         option(
-            "let pages of this origin connect to the page, such as http://192.168.0.5:8080, file:// or null; may be "
-            "given several times",
+            "allowed origin of pages that connect, e.g. http://192.168.0.5:8080, file:// or null; repeatable",
             _PAGE,
             "URL",
             kind=_origin,
         ),
     ] = field(default_factory=list)
     listens: Annotated[bool, Shared(None, lambda options: "listen" in options)] = False
-    """True if the command has an address of its own."""
+    """True if the command has a --listen address."""
 
     def open(self, *, drag: bool = True, settings: bool = True) -> Front | None:
-        """Start, announce and open the chosen page; None without choice.
+        """Start the page, print its URL and open it; return None without --web.
 
         Args:
-            drag: True if the knob can be pulled.
+            drag: True if the handle can be dragged.
             settings: True if parameters can be changed.
 
         Raises:
-            ParameterError: If an option is wrong, or is incompatible with another.
+            ParameterError: If an option is invalid or incompatible with another.
             MissingPackageError: If viser is not installed.
-            ListenError: If the port is taken, or the host is not of this machine.
+            ListenError: If the port is in use, or the host is not an address of this machine.
         """
         if not self.web:
-            if wrong := [name for name in _OWN if getattr(self, name) not in (None, False)]:
-                # a device's own port is another
-                more = "; a device's address is given by --listen" if wrong[0] == "port" and self.listens else ""
-                raise ParameterError(f"{wrong[0].replace('_', '-')} is for --web{more}")
+            if extra := [name for name in _PAGE_OPTIONS if getattr(self, name) not in (None, False)]:
+                # --port is easily confused with the device's address
+                hint = "; set a device's address by --listen" if extra[0] == "port" and self.listens else ""
+                raise ParameterError(f"{extra[0].replace('_', '-')} requires --web{hint}")
             return None
-        # imported here: it takes a fifth of a second
+        # imported here: takes 0.2 s
         import secrets
 
         from maglev_mj.session.access import is_loopback, listen
 
         host = self.host or "127.0.0.1"
-        # every user of this machine can read a token on the command line in the list of processes
+        # other users can read a token on the command line in the process list
         token = secrets.token_urlsafe() if self.token == "" else self.token
         if token is None and not is_loopback(host):
-            raise ParameterError(f"token must be given for a host that is not this machine, {host!r}: see --token")
+            raise ParameterError(f"host {host!r} is not this machine: add --token")
         if token is not None and not _TOKEN.fullmatch(token):
-            raise ParameterError("token must be 16 or more letters, digits, - and _")
-        require(("viser",), "web", "a page needs viser")
+            raise ParameterError("token must be at least 16 characters of letters, digits, - and _")
+        require(("viser",), "web", "the web page requires viser")
         from maglev_mj.views.page.page import Door, page
 
         listener = listen(PORT if self.port is None else self.port, host)
         door = Door(host, listener.getsockname()[1], token, self.allow_origin)
-        print(f"  the page is at {door.url}", flush=True)
+        print(f"  web page: {door.url}", flush=True)
         if not self.no_open and (os.name == "nt" or sys.platform == "darwin" or _has_screen()):
             _open_browser(door.url)
         return page(door, listener, drag=drag, settings=settings)
 
     def front(self, view: bool, folder: Path = Path(), *, watch: bool = False) -> Front | None:
-        """Return the chosen viewer: window, page, or None for neither.
-
-        For a device that is not simulated by this process alone.
+        """Return the viewer of a device: window, page, or None for neither.
 
         Args:
             view: True for a window.
-            folder: Folder for a window's screenshots.
-            watch: True if a page can only be looked at; its parameters are the host's in any case.
+            folder: Output folder for screenshots.
+            watch: True for a read-only page; parameters cannot be changed in any case.
 
         Raises:
             DisplayError: If a window cannot be opened.
             MaglevError: See `open`.
         """
         if view and self.web:
-            raise ParameterError("view and web are two ways to show it: give one")
+            raise ParameterError("view and web are mutually exclusive")
         if (front := self.open(drag=not watch, settings=False)) is not None or not view:
             return front
-        # imported here: it loads the library that opens windows
+        # imported here: loads the window library
         from maglev_mj.views.window.window import require_display, show
 
         require_display()
@@ -149,33 +146,30 @@ def _open_browser(url: str) -> None:
 def show_session(
     source: SnapshotSource, page: Front | None, folder: Path = Path(), duration: float | None = None
 ) -> ShowReport:
-    """Show a running scene on a page or window.
+    """Show a running scene on a page or in a window.
 
     Args:
         source: The scene to show.
         page: The page; None for a window.
-        folder: Folder for a window's screenshots.
-        duration: Real time until the end [s]; None waits for the user.
+        folder: Output folder for screenshots.
+        duration: Duration [s]; None until the user closes it.
 
     Raises:
         DisplayError: If a window cannot be opened.
-        MaglevError: If the page's process ends early.
+        MaglevError: If the page's process ends unexpectedly.
     """
     if page is not None:
         from maglev_mj.views.viewer_process import show_remotely
 
         return show_remotely(source, page, duration)
-    # imported here: it loads the library that opens windows
+    # imported here: loads the window library
     from maglev_mj.views.window.window import show
 
     return show(source, folder=folder, duration=duration)
 
 
 def _has_screen() -> bool:
-    """Return True if a graphical browser can open.
-
-    A browser in the terminal would occupy it.
-    """
+    """Return True if there is a display for a graphical browser; a text browser would block the terminal."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
@@ -185,7 +179,7 @@ _HandMapping: TypeAlias = Annotated["AxisMapping", parameters(_hand_mapping, _HA
 
 
 class _Device(argparse.Action):
-    """Keep a name, or print the devices and exit."""
+    """Store a device name, or list the devices and exit."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option: str | None = None) -> None:
         """See `argparse.Action`."""
@@ -194,13 +188,13 @@ class _Device(argparse.Action):
             return
         from maglev_mj.interop.hand_devices import described_devices
 
-        for line in described_devices() or ["no 3D mouse and no gamepad"]:
+        for line in described_devices() or ["no 3D mouse or gamepad detected"]:
             print(f"  {line}")
         parser.exit()
 
 
 _AUTO = "auto"
-"""Name that selects the first device: that of `maglev_mj.interop.hand_devices`, which loads arrays."""
+"""Name of the first device, as in `maglev_mj.interop.hand_devices`; repeated here because that imports NumPy."""
 
 
 def _add_hand_device(parser: Parser) -> None:
@@ -210,39 +204,36 @@ def _add_hand_device(parser: Parser) -> None:
         action=_Device,
         const=_AUTO,
         metavar="NAME",
-        help="a gamepad or 3D mouse as the hand: part of its name, spacenav, a socket's path, or auto for the first; "
-        "list prints all",
+        help="gamepad or 3D mouse: part of its name, spacenav, a socket path, or auto for the first; list prints all",
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandOptions:
-    """Chosen gamepad or 3D mouse as the hand."""
+    """Gamepad or 3D mouse as the hand."""
 
     name: Annotated[str | None, Shared(_add_hand_device, lambda options: options.hand_device)] = None
     mapping: _HandMapping
 
     @contextmanager
     def open(self, hand: SpringHand, tell: Callable[[str], object] = say) -> Iterator[list[HandDevice]]:
-        """Open the chosen device; close it at the end.
-
-        Empty without a choice.
+        """Open the device for the duration of the context; yield an empty list without --hand-device.
 
         Args:
-            hand: The hand moved by the device.
+            hand: Hand that the device moves.
             tell: Function that prints the device's name.
 
         Raises:
-            ParameterError: If an option is given without --hand-device, or the device is not there.
+            ParameterError: If an option is given without --hand-device, or the device is not found.
         """
         if self.name is None:
             if self.mapping != _hand_mapping():
-                raise ParameterError("hand-gain and the like are for --hand-device")
+                raise ParameterError("hand-gain and other hand options require --hand-device")
             yield []
             return
         from maglev_mj.interop.hand_devices import HandDevice, open_device
 
         device = open_device(self.name)
-        tell(f"  the hand: {device.name}")
+        tell(f"  hand device: {device.name}")
         with closing(HandDevice(device, hand, self.mapping)) as opened:
             yield [opened]

@@ -1,4 +1,4 @@
-"""Entry point of the command line, and the table of its commands."""
+"""Entry point of the command line, and table of commands."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from maglev_mj.terminal import say
 
 
 class Command(NamedTuple):
-    """Command, which is a function; see `declare`.
+    """Command; see `declare`.
 
     Attributes:
-        summary: Purpose in a few words.
+        summary: Summary in the list of commands.
         example: Arguments of an example.
-        function: Name of the function; empty if it is that of the command.
+        function: Name of the function; empty if it equals that of the command.
     """
 
     summary: str
@@ -36,37 +36,39 @@ class Command(NamedTuple):
 
 
 GROUPS: Mapping[str, Mapping[str, Command]] = {
-    "feel it": {
-        "view": Command("feel a scene in a window: pull with the mouse", "box --stiffness 4000 --friction"),
-        "tour": Command("walls and friction in eight steps, guided", "--out tour"),
-        "lessons": Command("notebooks to learn from, with or without solutions", "lessons --students"),
-        "render": Command("a picture or a clip of a scene, without a window", "corner --out corner.png --size 800x500"),
+    "interactive": {
+        "view": Command("scene in a window or browser; drag with the mouse", "box --stiffness 4000 --friction"),
+        "tour": Command("guided tour of walls and friction in eight steps", "--out tour"),
+        "lessons": Command("Jupyter notebooks, with or without solutions", "lessons --students"),
+        "render": Command("image or video of a scene, rendered off-screen", "corner --out corner.png --size 800x500"),
     },
     "compute": {
-        "drop": Command("drop the flotor on a stiff wall (figures 3, 4)", "--pulse 0 --phases 20 --out figures", "run"),
-        "press": Command("a hand hits a wall, then presses (figure 6)", "--hand stylus --hits 2 --json -", "run"),
-        "stick-slip": Command("pull out of rendered friction (figure 8)", "--law lugre --record run.maglev", "run"),
-        "run": Command("run any scene: of this package, or a file of yours", "twist --plant exact --json run.json"),
-        "stability": Command("where a wall is stable (figure 2), or a scene", "--hand arm --delay 0.002 --grid 20"),
-        "design": Command("the stiffest wall for what is uncertain", "--mass 0.56:0.84 --hand arm,stylus"),
-        "compare": Command("your law of a wall beside published ones", "drop --law pd --law observer --out figures"),
-        "sweep": Command("any scene over a grid of its parameters", "drop --vary height=1e-3:4e-3:4 --workers 2"),
-        "fidelity": Command("the cheapest model that will do for a scene", "let-go --duration 0.02 --phases 2"),
-        "card": Command("what a device renders: Z-width, transparency, mass, force", "drop --rate 1000 --out figures"),
-        "info": Command("Table 1 of the paper, and what the model yields", "--json table1.json"),
+        "drop": Command("drop onto a stiff wall (figures 3, 4)", "--pulse 0 --phases 20 --out figures", "run"),
+        "press": Command("hand impact and press on a wall (figure 6)", "--hand stylus --hits 2 --json -", "run"),
+        "stick-slip": Command("pull against rendered friction (figure 8)", "--law lugre --record run.maglev", "run"),
+        "run": Command("any scene, built-in or from your own file", "twist --plant exact --json run.json"),
+        "stability": Command("stability of a wall (figure 2) or of a scene", "--hand arm --delay 0.002 --grid 20"),
+        "design": Command("stiffest wall for uncertain mass, delay and hand", "--mass 0.56:0.84 --hand arm,stylus"),
+        "compare": Command(
+            "comparison of wall laws, published and your own", "drop --law pd --law observer --out figures"
+        ),
+        "sweep": Command("parameter sweep of any scene", "drop --vary height=1e-3:4e-3:4 --workers 2"),
+        "fidelity": Command("cheapest sufficient model for a scene", "let-go --duration 0.02 --phases 2"),
+        "card": Command("data sheet of a device: Z-width, transparency, mass, force", "drop --rate 1000 --out figures"),
+        "info": Command("Table 1 of the paper compared with the model", "--json table1.json"),
     },
     "device": {
-        "twin": Command("a simulated device behind the wire of a real one", "--rate 1000 --fault dead-coil:2@3 --view"),
-        "bridge": Command("a scene on a device", "udp://127.0.0.1:5678 --scene box --view --record f.maglev"),
-        "estop": Command("stop a device, also in the session of another host", "udp://192.168.1.20:5678 --key lab.key"),
-        "commission": Command("diodes and coils of a new device, before it hovers", "udp://127.0.0.1:5678 coils"),
-        "conform": Command("test a device's side of the protocol", "udp://127.0.0.1:5678 --json report.json"),
-        "fault": Command("what happened before a fault, from its file", "fault-20260101-120000.maglev --all"),
+        "twin": Command("simulated device with the protocol of a real one", "--rate 1000 --fault dead-coil:2@3 --view"),
+        "bridge": Command("scene on a device", "udp://127.0.0.1:5678 --scene box --view --record f.maglev"),
+        "estop": Command("emergency stop of a device, from any host", "udp://192.168.1.20:5678 --key lab.key"),
+        "commission": Command("sensor and coil checks of a new device, before it hovers", "udp://127.0.0.1:5678 coils"),
+        "conform": Command("protocol conformance test of a device", "udp://127.0.0.1:5678 --json report.json"),
+        "fault": Command("last cycles before a fault, from its file", "fault-20260101-120000.maglev --all"),
     },
     "recordings": {
-        "replay": Command("show a recording, or check it bit for bit", "run.maglev --check"),
-        "analyse": Command("figures of a recording beside its simulation", "run.maglev --from 0.1 --out figures"),
-        "export": Command("a recording for other programs: MCAP, table, arrays, sound", "run.maglev --to mcap"),
+        "replay": Command("playback of a recording, or bit-for-bit check", "run.maglev --check"),
+        "analyse": Command("recording compared with its simulation", "run.maglev --from 0.1 --out figures"),
+        "export": Command("conversion of a recording to MCAP, table, arrays or sound", "run.maglev --to mcap"),
     },
 }
 """Commands in the order of the help."""
@@ -86,23 +88,22 @@ MODULES: Mapping[str, str] = {
     }.items()
     for name in names.split()
 }
-"""Module of this package that has the function of each command."""
+"""Module of each command's function."""
 
 
-_UNREAD = 141  # as a shell gives for a program that a closed pipe ends
+_CLOSED_PIPE = 141  # as shells report SIGPIPE: 128 + 13
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Returns:
-        Exit status: 0, 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output closed by its
-        reader.
+        Exit status: 0 success, 1 failed run, 2 invalid input, 130 Ctrl-C, 141 closed output pipe.
     """
-    if arguments is None:  # a program: its end need not look through all that was loaded, which takes 25 ms
+    if arguments is None:  # as a program: skip garbage collection at exit, which takes 25 ms
         atexit.register(gc.freeze)
         if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
-            sys.stdout.reconfigure(errors="replace")  # not every encoding of a system has all signs of units
+            sys.stdout.reconfigure(errors="replace")  # some system encodings lack the unit symbols
     try:
         try:
             if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
@@ -116,31 +117,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(options)
         finally:
             if sys.stdout is not None:
-                sys.stdout.flush()  # a failure at the interpreter's end would be a traceback
-    except OSError as error:  # of standard output or standard error
+                sys.stdout.flush()  # fail here instead of with a traceback at interpreter exit
+    except OSError as error:  # from standard output or standard error
         _drop_unwritten()
         if isinstance(error, BrokenPipeError):
-            return _UNREAD
+            return _CLOSED_PIPE
         print(f"maglev-mj: {error}", file=sys.stderr)
         return 1
     except ImportError as error:
-        lacking = str(error.name).partition(".")[0]
-        if lacking not in _WITHOUT:
+        missing = str(error.name).partition(".")[0]
+        if missing not in _WITHOUT:
             raise
-        print(f"maglev-mj: this needs {lacking}, which cannot be imported here{_WITHOUT[lacking]}", file=sys.stderr)
+        print(f"maglev-mj: requires {missing}, which cannot be imported{_WITHOUT[missing]}", file=sys.stderr)
         return 1
 
 
 _WITHOUT = {
-    "mujoco": "; scenes do without it by `--plant exact`, devices by `--calibration FILE`",
-    "multiprocessing": "; sweeps do without it by `--workers 0`",
+    "mujoco": "; without it, use `--plant exact` for scenes, `--calibration FILE` for devices",
+    "multiprocessing": "; without it, use `--workers 0` for sweeps",
     "glfw": "",
 }
-"""What some systems, as a browser's Python, lack, and what does without it."""
+"""Alternatives to modules that some systems lack, such as Python in a browser."""
 
 
 def _run(options: argparse.Namespace) -> int:
-    from maglev_mj.cli.output import check_outputs  # a help needs neither
+    from maglev_mj.cli.output import check_outputs  # imported here: --help does not need it
 
     try:
         with _interruptible():
@@ -159,7 +160,7 @@ def _run(options: argparse.Namespace) -> int:
         _drop_unwritten()
         return 1
     except Exception as error:
-        from maglev_mj.scenes.find import line_of  # which the help does not need
+        from maglev_mj.scenes.find import line_of  # imported here: --help does not need it
 
         if (line := line_of(error)) is None:
             raise
@@ -169,12 +170,12 @@ def _run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Raise KeyboardInterrupt on Ctrl-C during a command; while a program loads and ends, Ctrl-C exits at once.
+    """Raise KeyboardInterrupt on Ctrl-C during a command; outside it, Ctrl-C exits immediately.
 
-    A signal that a shell lets the program ignore stays ignored.
+    An inherited SIG_IGN is kept.
     """
     before, replaced = signal.getsignal(signal.SIGINT), False
-    with suppress(ValueError):  # not the main thread, which alone receives signals
+    with suppress(ValueError):  # only the main thread receives signals
         if replaced := before not in (signal.SIG_IGN, None):
             signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -185,23 +186,23 @@ def _interruptible() -> Iterator[None]:
                 signal.signal(signal.SIGINT, before)
 
 
-def _stopped(options: argparse.Namespace, why: str) -> int:
-    print(f"maglev-mj {options.command}: {why}", file=sys.stderr)
+def _stopped(options: argparse.Namespace, reason: str) -> int:
+    print(f"maglev-mj {options.command}: {reason}", file=sys.stderr)
     return 130
 
 
 def _is_unread(stream: TextIO) -> bool:
-    """Return True for a pipe closed at its other end."""
+    """Return True if the reader of a pipe has closed it."""
     try:
         poll = select.poll()
         poll.register(stream, 0)
-    except (AttributeError, TypeError, ValueError):  # not on this system, or no file
+    except (AttributeError, TypeError, ValueError):  # no poll on this system, or no file
         return False
     return bool(poll.poll(0))
 
 
 def _drop_unwritten() -> None:
-    """Discard unwritten output, which the interpreter would write again."""
+    """Discard unwritten output, which the interpreter would retry at exit."""
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
@@ -211,14 +212,11 @@ def _drop_unwritten() -> None:
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
-    """Return the options of a command line; `command` is None without one.
-
-    Of all commands only that of the line is loaded.
-    """
+    """Return the options of a command line; `command` is None without one. Import only that command."""
     words = joined(arguments)
     if words and words[0] in COMMANDS:
         return _parsed(*words)
-    program = program_parser()  # an option of the program comes first, or a wrong word
+    program = program_parser()  # the first word is an option of the program, or invalid
     options, unknown = program.parse_known_args(words)
     if options.command is not None:
         options = _parsed(*options.command)
@@ -234,7 +232,7 @@ def _parsed(name: str, *words: str) -> argparse.Namespace:
 
 
 def _typed(words: Sequence[str]) -> Parser | None:
-    """Return the parser of a command line that is not complete; None without a command."""
+    """Return the parser of an incomplete command line; None without a command."""
     if not words or words[0] not in COMMANDS:
         return None
     parser = command_parser(words[0], words[1:])
@@ -244,38 +242,38 @@ def _typed(words: Sequence[str]) -> Parser | None:
 
 
 def program_parser() -> Parser:
-    """Return the parser of the program's own options; its help lists all commands."""
+    """Return the parser of the program, whose help lists all commands."""
     parser = Parser(prog="maglev-mj", description=f"{str(maglev_mj.__doc__).partition(':')[0]}.")
     parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     parser.epilog = (
-        "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] does for --period [s]. "
+        "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] sets --period [s]. "
         "In Python, help(maglev_mj) lists all names.\n\n"
-        "Exit status: 0; 1 failed run, 2 bad input, 130 Ctrl-C, 141 unread output."
+        "Exit status: 0 success, 1 failed run, 2 invalid input, 130 Ctrl-C, 141 closed output pipe."
     )
     command = parser.add_argument(
         "command", metavar="COMMAND", nargs=argparse.PARSER, choices=COMMANDS, help=argparse.SUPPRESS
     )
     command.required = False
     for title, group in GROUPS.items():
-        parser.add_argument_group(title, "\n".join(f"  {name:<16}{one.summary}" for name, one in group.items()))
+        parser.add_argument_group(title, "\n".join(f"  {name:<16}{row.summary}" for name, row in group.items()))
     return parser
 
 
 def command_parser(name: str, words: Sequence[str]) -> Parser:
-    """Return the parser of a command for these words, without its options."""
+    """Return the parser of a command for these words, before its options are added."""
     parser = Parser(prog=f"maglev-mj {name}", example=f"maglev-mj {name} {COMMANDS[name].example}", words=words)
     parser.set_defaults(command=name)
     return parser
 
 
 def add_options(parser: Parser, name: str) -> None:
-    """Load a command and add its options; those of a scene if the parser's words name one."""
-    from maglev_mj.cli.declare import declare  # which the help of all commands does not need
+    """Import a command and add its options, and those of the scene named in the parser's words."""
+    from maglev_mj.cli.declare import declare  # imported here: the list of commands does not need it
     from maglev_mj.views.window.backend import check_mujoco_gl
 
     try:
-        check_mujoco_gl()  # before the engine is loaded, which refuses it with a traceback
+        check_mujoco_gl()  # before MuJoCo is imported, which would fail with a traceback
     except ParameterError as error:
         parser.error(str(error))
-    module = import_module(f"maglev_mj.cli.{MODULES[name]}")  # a command loads its own libraries only
+    module = import_module(f"maglev_mj.cli.{MODULES[name]}")  # imports only what this command needs
     declare(getattr(module, COMMANDS[name].function or name.replace("-", "_")), parser)

@@ -21,15 +21,11 @@ if TYPE_CHECKING:
     from maglev_mj.recording import Recording, Segment
     from maglev_mj.session.replay import OwnCode
 
-_COMPARED, _LEAST_COMPARED = 10_000, 10
-"""Commands compared before other code's recording is shown.
-
-In all, and the least number of each segment.
-"""
+_COMPARED, _MIN_COMPARED = 10_000, 10
+"""Commands recomputed before a recording of other code is shown: total, and minimum per segment."""
 
 _OWN_SCENE = (
-    "scene or laws of one's own, which are executed: NAME, FILE.py, FILE.py:CLASS, or attached for what the recording "
-    "holds"
+    "your own scene or laws (executed): NAME or FILE.py[:CLASS]; attached for the source stored in the recording"
 )
 _PART = "part of the recording"
 
@@ -39,24 +35,24 @@ def replay(
     check: Annotated[
         bool,
         option(
-            "feed the samples to the controller and the hand to the plant; status 1 if any number differs, or the "
-            "file is not whole"
+            "bit-for-bit check of commands and motion, from the recorded samples and hand; status 1 if any number "
+            "differs or the file is damaged"
         ),
     ] = False,
     scene: Annotated[str | None, option(_OWN_SCENE, metavar="SCENE")] = None,
     *,
     page: PageOptions,
 ) -> int:
-    """Show a recording, or check it bit for bit."""
+    """Play back a recording, or check it bit for bit."""
     from maglev_mj.recording import InvalidRecordingError, Recording
     from maglev_mj.session.replay import Replay
 
     with Progress("replay"):
         recording = Recording.load(file)
     if not recording.ticks:
-        raise InvalidRecordingError(f"there is nothing in {str(file)!r}")
+        raise InvalidRecordingError(f"{str(file)!r} contains no samples")
     if recording.damage:
-        say(f"  {file}: {recording.damage}; {recording.ticks} samples are there")
+        say(f"  {file}: {recording.damage}; {recording.ticks} samples were read")
     for event in recording.events:
         print("\n".join(wrapped(printable(event), further="    ")))
     own = _own_code(scene, recording)
@@ -78,16 +74,14 @@ def _check(recording: Recording, own: OwnCode | None) -> int:
     print(verdict)
     simulated = (segment for segment in recording.segments if segment.setup["kind"] != "device")
     for plant in sorted({*map(unmade_plant, simulated)} - {""}):
-        text = f"the plant, {plant}, cannot be made here: the controller's answers alone are compared"
+        text = f"plant {plant} is not available: only the controller's commands were compared"
         for line in wrapped(text):
             say(line)
     return 0 if verdict.same else 1
 
 
 def _own_code(text: str | None, recording: Recording) -> OwnCode | None:
-    """Return the code given for a recording; None without.
-
-    A message is printed if it differs from the recorded code.
+    """Return the user's code for a recording; None without one. Print a note if it differs from the recorded code.
 
     Raises:
         ParameterError: If there is no such code.
@@ -98,17 +92,17 @@ def _own_code(text: str | None, recording: Recording) -> OwnCode | None:
         return None
     own = OwnCode(text, recording)
     if own.changed:
-        say(f"  {text} is not the file that was recorded: it has changed since, or is another", sys.stderr)
+        say(f"  {text} differs from the recorded file: it has changed, or is another file", sys.stderr)
     return own
 
 
 def _other_code(recording: Recording, own: OwnCode | None) -> str:
-    """Return a note if other code made a recording.
+    """Return a note if a recording was made by other code, else "".
 
-    Else "". The first answers of each segment are compared.
+    The first commands of each segment are recomputed and compared.
 
     Raises:
-        RecordingError: If an answer differs.
+        RecordingError: If a command differs.
     """
     from maglev_mj.recording import OwnCodeError, RecordingError
     from maglev_mj.recording.verify import first_other_answer
@@ -120,40 +114,38 @@ def _other_code(recording: Recording, own: OwnCode | None) -> str:
     difference = next(filter(None, theirs), "")
     if not difference:
         return ""
-    said, most = f"recorded by other code ({difference})", max(_COMPARED // len(segments), _LEAST_COMPARED)
+    note, limit = f"recorded by other code ({difference})", max(_COMPARED // len(segments), _MIN_COMPARED)
     try:
-        other = first_other_answer(recording, partial(rebuild, own=own), most)
+        other = first_other_answer(recording, partial(rebuild, own=own), limit)
     except OwnCodeError:
-        return f"{said}; its laws were not run again, for they are none of this package's"
+        return f"{note}; its user-defined laws were not executed"
     if other is not None:
         segment, tick, field = other
-        raise RecordingError(f"{said}, whose {field} is another from tick {tick} of segment {segment + 1} on")
-    return f"{said}; the first {most} answers of each segment are the same here"
+        raise RecordingError(f"{note}; {field} differs from tick {tick} of segment {segment + 1}")
+    return f"{note}; the first {limit} commands of each segment are identical"
 
 
 def analyse(
     file: Recorded,
-    segment: Annotated[int | None, option("only the N-th segment, from 1; parameters change between", _PART)] = None,
+    segment: Annotated[int | None, option("segment number, from 1 (default: all)", _PART)] = None,
     begin: Annotated[
         float | None,
-        option("from so long after the beginning of a segment on [s]", _PART, "SECONDS", name="from"),
+        option("start time within a segment [s]", _PART, "SECONDS", name="from"),
     ] = None,
-    end: Annotated[float | None, option("up to so long after it [s]", _PART, "SECONDS", name="to")] = None,
-    compare: Annotated[
-        bool, option("run the simulation of the same parameters too (the default)", "simulation")
-    ] = True,
+    end: Annotated[float | None, option("end time within a segment [s]", _PART, "SECONDS", name="to")] = None,
+    compare: Annotated[bool, option("simulate the same parameters for comparison (default on)", "simulation")] = True,
     scene: Annotated[str | None, option(_OWN_SCENE, "simulation", "SCENE")] = None,
     json: Annotated[str | None, json_of()] = None,
     *,
     pictures: Pictures,
     axis: Annotated[
         str | None,
-        option("axis to draw (default: the scene's, or one whose wall was touched)", "output", "NAME"),
+        option("axis of the charts (default: the scene's, or one with wall contact)", "output", "NAME"),
     ] = None,
 ) -> int:
-    """Figures 5, 6 and 9 of the paper from a recording, beside its simulation.
+    """Figures 5, 6 and 9 of the paper from a recording, compared with its simulation.
 
-    docs/explanation/analysis.md says of each what it tells.
+    docs/explanation/analysis.md explains each figure.
     """
     from maglev_mj.parameters import axis_indices
     from maglev_mj.recording import Recording
@@ -165,22 +157,22 @@ def analyse(
         several = len(recording.segments) > 1
         with progress.aside():
             own = _own_code(scene, recording)
-        wanted = _chosen(recording, file, segment, is_part=bool(begin) or end is not None)
+        segments = _chosen(recording, file, segment, is_part=bool(begin) or end is not None)
         reports: list[tuple[int, SegmentReport]] = []
-        for place, one in wanted:
-            reports.append((place, _report(one, begin or 0.0, end, compare, own)))
-            if len(wanted) > 1:
-                progress(len(reports), len(wanted))
-    axes = [one.axis(axis) for _, one in reports]  # before anything is written
+        for index, part in segments:
+            reports.append((index, _report(part, begin or 0.0, end, compare, own)))
+            if len(segments) > 1:
+                progress(len(reports), len(segments))
+    axes = [report.axis(axis) for _, report in reports]  # before any file is written
     if json is not None:
         write_json(json, _as_json(file, recording, reports))
     drawn = []
     if pictures is not None:
-        for (place, report), number in zip(reports, axes, strict=True):
-            drawn += _draw(report, number, pictures, f"segment_{place}_" if several else "analysis_")
+        for (index, report), number in zip(reports, axes, strict=True):
+            drawn += _draw(report, number, pictures, f"segment_{index}_" if several else "analysis_")
     if json != "-":
-        heads = [f"segment {place} of {len(recording.segments)}\n" if several else "" for place, _ in reports]
-        print("\n\n".join(f"{head}{one.table()}" for head, (_, one) in zip(heads, reports)))
+        heads = [f"segment {index} of {len(recording.segments)}\n" if several else "" for index, _ in reports]
+        print("\n\n".join(f"{head}{report.table()}" for head, (_, report) in zip(heads, reports)))
         damage = [f"{file}: {recording.damage}"] if recording.damage else []
         for line in [*damage, *recording.events, *drawn]:
             print("\n".join(wrapped(printable(line), further="    ")))
@@ -191,32 +183,32 @@ def _as_json(file: Path, recording: Recording, reports: Sequence[tuple[int, Segm
     from maglev_mj.versions import versions_read
 
     data = []
-    for place, report in reports:
-        by = versions_read(recording.segments[place - 1].setup.get("versions"))
-        data.append({"segment": place, "versions": by, **report.as_json()})
+    for index, report in reports:
+        recorded = versions_read(recording.segments[index - 1].setup.get("versions"))
+        data.append({"segment": index, "versions": recorded, **report.as_json()})
     about = {"file": str(file), "damage": recording.damage, "events": list(recording.events)}
     return {**about, "segments": data}
 
 
 def _chosen(recording: Recording, file: Path, number: int | None, *, is_part: bool) -> list[tuple[int, Segment]]:
-    """Return the segments to analyse and their numbers from 1.
+    """Return the numbers, from 1, and segments to analyse.
 
     Raises:
         InvalidRecordingError: If the recording has no samples.
-        ParameterError: If there is no such segment, or the segment of a part is ambiguous.
+        ParameterError: If there is no such segment, or from and to are ambiguous.
     """
     from maglev_mj.parameters import whole
     from maglev_mj.recording import InvalidRecordingError
 
     segments = recording.segments
-    usable = [(place, segment) for place, segment in enumerate(segments, start=1) if len(segment.tick) > 1]
+    usable = [(index, segment) for index, segment in enumerate(segments, start=1) if len(segment.tick) > 1]
     if not usable:
-        raise InvalidRecordingError(f"there is nothing in {str(file)!r} to be analysed")
+        raise InvalidRecordingError(f"{str(file)!r} contains no segment to analyse")
     if number is not None:
-        place = whole("segment", number, at_least=1, at_most=len(segments))
-        return [(place, segments[place - 1])]
+        index = whole("segment", number, at_least=1, at_most=len(segments))
+        return [(index, segments[index - 1])]
     if len(usable) > 1 and is_part:
-        raise ParameterError(f"from and to are within a segment: choose one of {len(segments)} with --segment")
+        raise ParameterError(f"from and to refer to one segment: choose one of {len(segments)} by --segment")
     return usable
 
 
@@ -224,40 +216,40 @@ def _report(segment: Segment, begin: float, end: float | None, compare: bool, ow
     from maglev_mj.analysis import analyse
     from maglev_mj.session.replay import rebuild_for, stick_positions_of, unmade_plant
 
-    again = rebuild_for(segment, own)
-    anchors = stick_positions_of(segment, again)
+    rebuilt = rebuild_for(segment, own)
+    anchors = stick_positions_of(segment, rebuilt)
     simulated = compare and not unmade_plant(segment, own)
     scene = own.scene if own else None
-    return analyse(segment, again, anchors=anchors, scene=scene, begin=begin, end=end, simulated=simulated)
+    return analyse(segment, rebuilt, anchors=anchors, scene=scene, begin=begin, end=end, simulated=simulated)
 
 
 def _draw(analysed: SegmentReport, axis: int, pictures: PictureFolder, stem: str) -> list[str]:
-    """Draw a segment; return lines about written and missing pictures."""
+    """Draw the charts of a segment; return a line for each written or omitted chart."""
     from maglev_mj.analysis.pictures import first_contact, sticks, whole_run
     from maglev_mj.frames import AXES
     from maglev_mj.pictures import save
 
-    wrote = [f"wrote {save(whole_run(analysed, axis), pictures.path(f'{stem}run'))}"]
+    lines = [f"wrote {save(whole_run(analysed, axis), pictures.path(f'{stem}run'))}"]
     if any(face.axis == AXES[axis] for face in analysed.recorded.figures.faces):
-        wrote.insert(0, f"wrote {save(first_contact(analysed, axis), pictures.path(f'{stem}contact'))}")
+        lines.insert(0, f"wrote {save(first_contact(analysed, axis), pictures.path(f'{stem}contact'))}")
     else:
-        wrote.append(f"no wall was touched on {AXES[axis]}: no picture of a contact")
+        lines.append(f"no wall contact on {AXES[axis]}: contact chart omitted")
     if analysed.recorded.anchors is not None:
-        wrote.append(f"wrote {save(sticks(analysed.recorded), pictures.path(f'{stem}sticks'))}")
+        lines.append(f"wrote {save(sticks(analysed.recorded), pictures.path(f'{stem}sticks'))}")
     else:
-        wrote.append("there is no friction: no picture of where it sticks")
-    return wrote
+        lines.append("no friction: chart of stick positions omitted")
+    return lines
 
 
 def export(
-    file: Annotated[Path, option("a recording", "", "FILE")],
+    file: Annotated[Path, option("recording", "", "FILE")],
     to: Annotated[
         Literal["npz", "mcap", "csv", "parquet", "wav"],
-        option("format; mcap is for Foxglove and Rerun, wav is the force as sound", "output"),
+        option("format: mcap for Foxglove and Rerun, wav for the force as sound", "output"),
     ],
-    out: Annotated[Path | None, option("where to (default: beside the recording)", "output")] = None,
+    out: Annotated[Path | None, option("output file (default: beside the recording)", "output")] = None,
 ) -> int:
-    """A recording for other programs: MCAP, table, arrays or sound."""  # noqa: D401
+    """Convert a recording to MCAP, table, arrays or sound."""
     from maglev_mj.recording import Recording
     from maglev_mj.recording.export import export
 
@@ -270,17 +262,17 @@ def export(
         say(f"  {file}: {recording.damage}")
     print(f"  wrote {path}: {recording.ticks} samples")
     if to == "mcap":
-        print(f"  Foxglove shows it with the layout {LAYOUT}")
+        print(f"  Foxglove layout: {LAYOUT}")
     return 0
 
 
 def fault(
-    file: Annotated[Path, option("fault-TIME.maglev, which a flight has left, or its recording", "", "FILE")],
-    all: Annotated[bool, option("show all 200 cycles, not the last 20", "output")] = False,
+    file: Annotated[Path, option("fault-TIME.maglev written by a flight, or its recording", "", "FILE")],
+    all: Annotated[bool, option("all 200 cycles instead of the last 20", "output")] = False,
     *,
     pictures: Picture,
 ) -> int:
-    """What happened, when, and the last cycles, from a flight's journal."""  # noqa: D401
+    """Show cause, time and last cycles of a fault, from a flight's journal."""
     from maglev_mj.bridge.fault import load_fault
 
     record = load_fault(file)

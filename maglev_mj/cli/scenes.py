@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class _Sampling(NamedTuple):
-    """Chosen plant and phases of the samples."""
+    """Plant and sampling phases."""
 
     plant: str
     phase: float
@@ -44,18 +44,18 @@ class _Sampling(NamedTuple):
 
 def _add_sampling(parser: Parser, cls: type[Scene]) -> None:
     plants, group = cls.plants, parser.group("run")
-    described = f"{', '.join(plants)} (default {plants[0]})"
-    plant: Any = group.add_argument("--plant", default=plants[0], metavar="NAME", help=described)
-    plant.offered = plants  # to a shell
+    text = f"plant: {', '.join(plants)} (default {plants[0]})"
+    plant: Any = group.add_argument("--plant", default=plants[0], metavar="NAME", help=text)
+    plant.offered = plants  # for shell completion
     if cls.takes_phase:
         add_phase(parser, "run", 0.0)
-        group.add_argument("--phases", type=count, metavar="N", help="also sweep N phases, evenly spread over a period")
+        group.add_argument("--phases", type=count, metavar="N", help="number of sampling phases, for statistics")
     else:
         parser.set_defaults(phase=0.0, phases=None)
 
 
 def _add_scene(parser: Parser) -> None:
-    """Add the options of any scene, or of the one that the command is named by."""
+    """Add the options of any scene, or of the scene with the command's name."""
     name = parser.prog.split()[-1]
     if name == "run":
         add_scene(parser, more=_add_sampling)
@@ -77,12 +77,12 @@ _RunScene: TypeAlias = Annotated["Scene", Shared(_add_scene, chosen_scene)]
 def run(
     *,
     scene: _RunScene,
-    sampling: Annotated[_Sampling, Shared(None, lambda given: _Sampling(given.plant, given.phase, given.phases))],
+    sampling: Annotated[_Sampling, Shared(None, lambda values: _Sampling(values.plant, values.phase, values.phases))],
     json: Annotated[str | None, json_of("parameters, motion and figures")] = None,
     pictures: Pictures,
     record: Record = None,
 ) -> int:
-    """Run any scene: of this package, or a file of yours."""
+    """Run a scene, built-in or from your own file."""
     from maglev_mj.scenes.run import run_variants
 
     warn_of_instability(scene)
@@ -93,7 +93,7 @@ def run(
     written = list[Path]()
     recording: AbstractContextManager[Begin] | None = None
     if record is not None:
-        from maglev_mj.session.replay import recorded_to  # with all that reads and writes recordings
+        from maglev_mj.session.replay import recorded_to  # imported here: loads the recording package
 
         recording = recorded_to(record, written)
     try:
@@ -116,7 +116,7 @@ def run(
 
 
 _SCENE = "joystick"
-_LEAST, _MOST = 160, 4000  # pixels of a picture's side
+_MIN_SIDE, _MAX_SIDE = 160, 4000  # [pixels]
 
 
 _add_joystick = partial(add_scene, default=_SCENE)
@@ -128,28 +128,28 @@ def _hand_stiffness() -> float:
     return SpringHand.stiffness
 
 
-_SeenScene: TypeAlias = Annotated["Scene", Shared(_add_joystick, chosen_scene)]
+_ViewedScene: TypeAlias = Annotated["Scene", Shared(_add_joystick, chosen_scene)]
 
 
 def view(
     *,
-    scene: _SeenScene,
-    hand_stiffness: Annotated[float, option("of the spring by which the hand pulls [N/m]", default=_hand_stiffness)],
+    scene: _ViewedScene,
+    hand_stiffness: Annotated[float, option("stiffness of the hand's spring [N/m]", default=_hand_stiffness)],
     seconds: Shown = None,
     record: Record = None,
     out: Folder = Path(),
     page: PageOptions,
     input_hand: HandOptions,
 ) -> int:
-    """Feel a scene in a window: pull with the mouse."""
+    """Show a scene in a window or browser and drag its handle with the mouse."""
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.session import Session
 
     hand = SpringHand(stiffness=hand_stiffness)
-    warn_of_instability(scene)  # and errors of a user's scene, before a page is opened
+    warn_of_instability(scene)  # also raises errors of a user's scene before a page opens
     front = page.open()
     if front is None:
-        # imported here: it loads the library that opens windows
+        # imported here: loads the window library
         from maglev_mj.views.window.window import require_display
 
         require_display()
@@ -161,7 +161,7 @@ def view(
 
 
 def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, out: Folder = Path()) -> int:
-    """Walls and friction in eight steps, guided."""
+    """Take a guided tour of walls and friction in eight steps."""
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.session import Session
     from maglev_mj.session.tour import Tour
@@ -182,24 +182,24 @@ def _show(
     folder: Path,
     seconds: float | None,
 ) -> None:
-    """Show a session, whose hand the devices are, and print its recordings."""
+    """Show a session whose hand is moved by the devices, and print the paths of its recordings."""
     for device in devices:
         device.act = session.act
     try:
         print(show_session(source, front, folder, seconds))
     finally:
-        for path in session.recordings:  # after any error the user needs their paths
+        for path in session.recordings:  # also after an error: the user needs the paths
             print_written(path)
 
 
 def render(
     *,
-    scene: _SeenScene,
-    out: Annotated[Path, option("a .png, .gif or .mp4", "output")],
+    scene: _ViewedScene,
+    out: Annotated[Path, option("output file, .png, .gif or .mp4", "output")],
     seconds: Annotated[
         float | None,
         option(
-            "simulated time of a clip, or when a picture is taken [s] (default: as long as the scene lasts, or half)",
+            "simulated duration of a video, or time of an image [s] (default: the scene's duration, or half of it)",
             "output",
             at_least=0.0,
             at_most=600.0,
@@ -207,17 +207,17 @@ def render(
     ] = None,
     time_scale: Annotated[
         float | None,
-        option("simulated time per second of a clip (default 1; less if short)", "output", at_least=1e-3, at_most=1.0),
+        option("playback speed, relative (default 1; less if short)", "output", at_least=1e-3, at_most=1.0),
     ] = None,
-    size: Annotated[str, option("pixels", "output", "WxH")] = "1200x750",
-    fps: Annotated[int, option("pictures a second", "output", at_least=1, at_most=50)] = 20,
-    plain: Annotated[bool, option("leave plots and words out", "output")] = False,
+    size: Annotated[str, option("width and height [pixels]", "output", "WxH")] = "1200x750",
+    fps: Annotated[int, option("frame rate [1/s]", "output", at_least=1, at_most=50)] = 20,
+    plain: Annotated[bool, option("omit plots and text", "output")] = False,
     magnify: Annotated[
-        int, option("draw the handle's motion so many times as large: 1, 3 or 5", "output", at_least=1, at_most=5)
+        int, option("magnification of the handle's motion: 1, 3 or 5", "output", at_least=1, at_most=5)
     ] = 1,
 ) -> int:
-    """A picture or a clip of a scene, without a window."""  # noqa: D401
-    # imported here: it loads the libraries that draw
+    """Render an image or video of a scene off-screen."""
+    # imported here: loads the rendering libraries
     from maglev_mj.views.window.offscreen import checked_name, render
 
     width, height = _pixels(size)
@@ -235,17 +235,17 @@ def render(
             magnify=magnify,
             progress=progress,
         )
-    print(f"wrote {out}" + (f", {frames} pictures" if frames > 1 else ""))
+    print(f"wrote {out}" + (f", {frames} frames" if frames > 1 else ""))
     return 0
 
 
 def _pixels(size: str) -> tuple[int, int]:
-    """Return width and height of a text such as 1200x750.
+    """Parse width and height from a text such as 1200x750.
 
     Raises:
         ParameterError: If the text has another form, or a size is outside its bounds.
     """
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
-    if match is None or not all(_LEAST <= int(part) <= _MOST for part in match.groups()):
-        raise ParameterError(f"size must be WxH, such as 1200x750, of {_LEAST} to {_MOST} pixels each, not {size!r}")
+    if match is None or not all(_MIN_SIDE <= int(part) <= _MAX_SIDE for part in match.groups()):
+        raise ParameterError(f"size must be WxH, e.g. 1200x750, {_MIN_SIDE} to {_MAX_SIDE} pixels each (got {size!r})")
     return int(match[1]), int(match[2])

@@ -1,4 +1,4 @@
-"""Gamepads and 3D mice as the hand: deflections set the target of its spring."""
+"""Gamepads and 3D mice as the hand: their deflections set the target of its spring."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Reading(NamedTuple):
     """State of an input device.
 
     Attributes:
-        shares: Shares of the full deflection on each axis, -1 to 1, six; None while the device is missing.
+        shares: Deflection of the six axes relative to full scale, -1 to 1; None while the device is disconnected.
         pressed: Numbers of the buttons pressed since the last reading.
     """
 
@@ -40,19 +40,16 @@ class Reading(NamedTuple):
 
 
 GONE = Reading(None)
-"""Reading of an absent device."""
+"""Reading of a disconnected device."""
 
 
 class InputDevice(Protocol):
-    """Interface of a six-axis device, read without waiting.
-
-    After it is unplugged, it may return.
-    """
+    """Interface of a six-axis device with non-blocking reads; it may reconnect after a disconnection."""
 
     name: str
 
     def read(self) -> Reading:
-        """Return the state since the last reading."""
+        """Return the current state and the buttons pressed since the last call."""
 
     def close(self) -> None:
         """Close the device; idempotent."""
@@ -63,13 +60,12 @@ _FINITE = 1e6
 
 
 class AxisMapping(Parameters):
-    """Mapping from an input device's deflections to six numbers.
+    """Mapping of an input device's six deflections: dead zone, order and sign, gains, then the dominant axis.
 
-    The dead zone is taken off each deflection first. Then come order and signs, the gains, and the choice of the
-    largest. The defaults change no number.
+    The default is the identity.
 
     Raises:
-        ParameterError: If a value is outside its bounds, or a word is no axis.
+        ParameterError: If a value is outside its bounds, or a name is not an axis.
 
     Example:
         >>> mapping = AxisMapping(order="x,y,z,0,0,0", invert="y", dominant=True)
@@ -77,40 +73,38 @@ class AxisMapping(Parameters):
         [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
     """
 
-    gain: float = param("factor on translations", default=1.0, at_least=0.0, at_most=100.0)
-    turning_gain: float = param("factor on rotations", default=1.0, at_least=0.0, at_most=100.0)
-    dead_zone: float = param("share of a full deflection that counts as none", default=0.0, at_least=0.0, at_most=0.9)
-    order: str = param("axis behind each of the six numbers, 0 for none", default=",".join(AXES))
-    invert: str = param("numbers with the opposite sign, such as x,rz", default=_NONE)
-    dominant: bool = param("keep the largest of the six numbers alone", default=False)
+    gain: float = param("gain of translations", default=1.0, at_least=0.0, at_most=100.0)
+    turning_gain: float = param("gain of rotations", default=1.0, at_least=0.0, at_most=100.0)
+    dead_zone: float = param("dead zone, as a fraction of full deflection", default=0.0, at_least=0.0, at_most=0.9)
+    order: str = param("source axis of each output axis; 0 for none", default=",".join(AXES))
+    invert: str = param("inverted output axes, e.g. x,rz", default=_NONE)
+    dominant: bool = param("only the axis with the largest deflection", default=False)
 
     def check(self) -> None:
         """See `Parameters`."""
         words, inverted = self.order.split(","), self._inverted()
         if len(words) != len(AXES) or not set(words) <= {*AXES, _NOTHING}:
-            raise ParameterError(f"order must be six of {', '.join(AXES)} and {_NOTHING}, not {self.order!r}")
+            raise ParameterError(f"order must be six of {', '.join(AXES)} and {_NOTHING} (got {self.order!r})")
         if not set(inverted) <= set(AXES) or len(set(inverted)) < len(inverted):
-            raise ParameterError(f"invert must be {_NONE}, or some of {', '.join(AXES)}, not {self.invert!r}")
+            raise ParameterError(f"invert must be {_NONE}, or some of {', '.join(AXES)} (got {self.invert!r})")
 
     def outside(self, deflection: Array, full: Array) -> Array:
-        """Return a deflection without its dead zone, (6,).
-
-        A full deflection stays full.
+        """Apply the dead zone to a deflection, (6,); full deflection is unchanged.
 
         Args:
-            deflection: From the centre [m, rad], (6,).
-            full: The full one [m, rad], (6,).
+            deflection: Deflection from the centre [m, rad], (6,).
+            full: Full deflection [m, rad], (6,).
         """
         if self.dead_zone == 0.0:
             return deflection
-        rest = np.maximum(np.abs(deflection) - self.dead_zone * full, 0.0) / (1.0 - self.dead_zone)
-        return np.copysign(rest, deflection)
+        size = np.maximum(np.abs(deflection) - self.dead_zone * full, 0.0) / (1.0 - self.dead_zone)
+        return np.copysign(size, deflection)
 
     def __call__(self, shares: Array) -> Array:
-        """Return the six numbers, (6,); NaN counts as 0.
+        """Map deflections to output axes, (6,); NaN counts as 0.
 
         Args:
-            shares: Of the full deflection or rate, (6,).
+            shares: Deflections relative to full scale, (6,).
         """
         values: Array = self._matrix @ np.nan_to_num(shares, posinf=_FINITE, neginf=-_FINITE)
         if self.dominant:
@@ -131,30 +125,26 @@ class AxisMapping(Parameters):
 
 
 HAND_MAPPING = AxisMapping(gain=3.0, turning_gain=3.0, dead_zone=0.15)
-"""Default settings of the axes.
+"""Default mapping: full deflection sets the target at three times the range, to press against walls."""
 
-A full deflection pulls to three times the range, so that a wall can be pressed.
-"""
-
-_FURTHEST = 1.0  # rad: a turn of more than pi would be one the other way round; no hand pulls so hard
+_FURTHEST = 1.0  # [m, rad]: a rotation above pi would wrap around
 _FULL = np.ones(len(AXES))
 
 
 class HandDevice:
     """Input device that moves a hand's target; a `Publisher`.
 
-    A deflection is a pose: the hand holds all six axes there. At rest, within the dead zone on every axis, it is
-    released, so that the mouse can be used and friction holds the flotor. Another target of the hand, such as the
-    mouse's, has priority.
+    The deflection sets the target pose on all six axes. With all axes in the dead zone the hand is released, so that
+    the mouse can be used and friction holds the flotor. Other targets of the hand, such as the mouse's, have priority.
 
     Args:
-        device: The device; closed with this.
+        device: The input device; `close` closes it too.
         hand: The hand.
-        mapping: Settings of the axes; `HAND_MAPPING` if None.
+        mapping: Axis mapping; `HAND_MAPPING` if None.
 
     Attributes:
-        note: Message for the user while the device is missing.
-        act: Called with the action of a pressed button; may be replaced.
+        note: Message for the user while the device is disconnected.
+        act: Function called with the action of a pressed button; may be replaced.
     """
 
     def __init__(self, device: InputDevice, hand: SpringHand, mapping: AxisMapping | None = None) -> None:
@@ -162,12 +152,12 @@ class HandDevice:
         self.act: Callable[[str], object] = lambda action: None
 
     def take(self) -> None:
-        """Return None: a device requests no scene."""
+        """Return None: an input device does not change the scene."""
 
     def show(self, snapshot: Snapshot) -> None:
         """Move the hand; see `Publisher`."""
         shares, pressed = self._device.read()
-        self.note = f"{self._device.name} is gone: the hand is released" if shares is None else ""
+        self.note = f"{self._device.name} disconnected: the hand is released" if shares is None else ""
         self._hand.device_target = None if shares is None else self._target(shares)
         for number in pressed:
             if number < len(BUTTONS):
@@ -189,32 +179,29 @@ _PERIOD = 1.0 / 120.0
 _PATIENCE = 20.0
 
 State: TypeAlias = tuple[tuple[float, ...], tuple[bool, ...]] | None
-"""Deflections and pressed buttons; None for no such device.
-
-Deflections are shares of the full one.
-"""
+"""Deflections relative to full scale and pressed buttons; None for a disconnected device."""
 
 
 class Gamepad:
-    """Gamepad, or a joystick of another kind.
+    """Gamepad, or another joystick.
 
     Args:
-        name: Part of its name, in upper or lower case; empty for the first device.
+        name: Part of its name, case-insensitive; empty for the first device.
 
     Attributes:
         name: Full name.
 
     Raises:
-        MaglevError: If there is none, or no display.
+        MaglevError: If there is no such device, or no display.
     """
 
     def __init__(self, name: str = "") -> None:
         self._process = SideProcess(watch, name)
-        found = [one for one in _first(self._process) if name.lower() in one.lower()]
-        if not found:
+        matches = [full for full in _first(self._process) if name.lower() in full.lower()]
+        if not matches:
             self.close()
-            raise MaglevError(f"no gamepad{f' called {name!r}' if name else ''}")
-        self.name, self._state = found[0], _first(self._process)
+            raise MaglevError(f"no gamepad{f' named {name!r}' if name else ''} found")
+        self.name, self._state = matches[0], _first(self._process)
 
     def read(self) -> Reading:
         """Return the state; see `InputDevice`."""
@@ -234,10 +221,7 @@ class Gamepad:
 
 
 def gamepad_names() -> list[str]:
-    """Return the names of all gamepads and joysticks.
-
-    Empty without a display.
-    """
+    """Return the names of all gamepads and joysticks; empty without a display."""
     with closing(SideProcess(watch, "")) as process:
         return list(_first(process))
 
@@ -247,72 +231,66 @@ def gamepad_shares(axes: Sequence[float], turn: float) -> tuple[float, ...]:
 
     Args:
         axes: Left stick x, y, right stick x, y, left and right trigger; up is negative, a trigger at rest is -1.
-        turn: 1 for the left bumper, -1 for the right one.
+        turn: Rotation about the vertical: 1 for the left bumper, -1 for the right one.
     """
     x, y, tilt_x, tilt_y, left, right = axes
-    # turned about x, a handle leans towards the person: the stick pulled back
+    # a positive rotation about x tilts the handle towards the user: stick pulled back
     return x, -y, 0.5 * (right - left), tilt_y, tilt_x, turn
 
 
 def watch(line: Connection, wanted: str) -> None:
-    """Send all device names, then each new state of one.
-
-    It runs in a process of its own, until the line ends.
+    """Send all device names, then each new state of one device; runs in a separate process until the pipe closes.
 
     Args:
-        line: Connection to the program.
+        line: Pipe to the main process.
         wanted: Part of the device's name.
     """
-    # imported here: it loads the library that opens windows
+    # imported here: loads the window library
     import glfw
 
     glfw.ERROR_REPORTING = "ignore"
-    glfw.init()  # where it cannot, as without a display, there are no devices
+    glfw.init()  # may fail, e.g. without a display; then there are no devices
     pads = _Pads(glfw)
     sent: Any = pads.names()
-    # once it is unplugged, no other becomes the hand
+    # keep the full name: after a disconnection no other device may take over
     wanted = next((name for name in sent if wanted.lower() in name.lower()), wanted)
     try:
         line.send(sent)
-        while not line.poll(_PERIOD):  # the end of the program is something to read
+        while not line.poll(_PERIOD):  # a closed pipe is readable
             glfw.poll_events()
             if (state := pads.state(wanted)) != sent:
                 line.send(state)
                 sent = state
     except OSError:
-        pass  # the program has ended
+        pass  # the main process has ended
     finally:
         glfw.terminate()
 
 
 class _Pads:
-    """All gamepads and joysticks, gamepads first.
-
-    Args:
-        glfw: The library.
-    """
+    """All gamepads and joysticks, gamepads first."""
 
     def __init__(self, glfw: Any) -> None:
         self._glfw = glfw
-        self._rest: dict[int, tuple[float, ...]] = {}
+        self._neutral: dict[int, tuple[float, ...]] = {}
 
     def names(self) -> list[str]:
-        """Return the names of all present devices."""
-        return [self._name(number) for number in self._there()]
+        """Return the names of all connected devices."""
+        return [self._name(number) for number in self._present()]
 
     def state(self, wanted: str) -> State:
         """Return the state of the first device matching a name."""
-        for number in self._there():
+        for number in self._present():
             if wanted.lower() in self._name(number).lower():
                 return self._gamepad(number) if self._glfw.joystick_is_gamepad(number) else self._joystick(number)
         return None
 
-    def _there(self) -> list[int]:
+    def _present(self) -> list[int]:
         glfw = self._glfw
         numbers = range(glfw.JOYSTICK_1, glfw.JOYSTICK_LAST + 1)
-        there = [number for number in numbers if glfw.joystick_present(number)]
-        self._rest = {number: rest for number, rest in self._rest.items() if number in there}
-        return sorted(there, key=lambda number: not glfw.joystick_is_gamepad(number))
+        present = [number for number in numbers if glfw.joystick_present(number)]
+        self._neutral = {number: axes for number, axes in self._neutral.items() if number in present}
+        return sorted(present, key=lambda number: not glfw.joystick_is_gamepad(number))
 
     def _name(self, number: int) -> str:
         name = self._glfw.get_gamepad_name(number) or self._glfw.get_joystick_name(number)
@@ -327,23 +305,17 @@ class _Pads:
         return gamepad_shares(state.axes, float(left) - float(right)), tuple(buttons[: len(BUTTONS)])
 
     def _joystick(self, number: int) -> State:
-        """Return deflections and buttons of a joystick.
-
-        The first six axes, relative to their first values: a throttle rests at its end.
-        """
-        places, count = self._glfw.get_joystick_axes(number)
-        axes = tuple(float(places[index]) if index < count else 0.0 for index in range(len(AXES)))
-        rest = self._rest.setdefault(number, axes)
-        x, y, *others = (place - first for place, first in zip(axes, rest))
+        """Return the first six axes and the buttons; axes are relative to their first values (throttles)."""
+        values, count = self._glfw.get_joystick_axes(number)
+        axes = tuple(float(values[index]) if index < count else 0.0 for index in range(len(AXES)))
+        neutral = self._neutral.setdefault(number, axes)
+        x, y, *others = (value - zero for value, zero in zip(axes, neutral))
         down, count = self._glfw.get_joystick_buttons(number)
         return (x, -y, *others), tuple(bool(down[index]) for index in range(min(count, len(BUTTONS))))
 
 
 def _first(process: SideProcess) -> Any:
-    """Return the next message of a process.
-
-    An empty list if it ends first.
-    """
+    """Return the next message of a process; an empty list if it ends first."""
     process.line.poll(_PATIENCE)
     return next(process.received(), [])
 
@@ -356,46 +328,44 @@ _EXCHANGED = 0, 2, 1, 3, 5, 4  # axes of a 3D mouse, in the order of the device
 
 
 def searched_paths() -> list[Path]:
-    """Return possible 3D mouse sockets, as libspnav 1.0 tries them."""
+    """Return possible 3D mouse sockets, in the order of libspnav 1.0."""
     try:
         lines = _SETTINGS.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
     split = [line.strip().partition("=") for line in lines]
-    set_there = [path.strip() for word, _, path in split if word.startswith("socket") and path.strip()]
-    named = os.environ.get("SPNAV_SOCKET")
-    return [*map(Path, [named] if named else []), *map(Path, set_there[:1]), _DAEMONS]
+    configured = [path.strip() for word, _, path in split if word.startswith("socket") and path.strip()]
+    variable = os.environ.get("SPNAV_SOCKET")
+    return [*map(Path, [variable] if variable else []), *map(Path, configured[:1]), _DAEMONS]
 
 
 class SpacenavMouse:
-    """3D mouse behind a spacenav socket, in protocol 0.
+    """3D mouse behind a spacenav socket, protocol 0, which every spacenavd supports.
 
-    Every spacenavd speaks that.
-
-    After a loss of the connection it is reopened, tried every second.
+    A lost connection is retried every second.
 
     Args:
         path: Path of the socket.
-        clock: Clock of real time [s].
+        clock: Real-time clock [s].
 
     Attributes:
         name: Name of the device.
 
     Raises:
-        MaglevError: If there is no answer.
+        MaglevError: If the socket does not accept a connection.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
         self.name, self._path, self._clock = f"3D mouse at {path}", path, clock
         self._line: socket.socket | None = None
-        self._call()
+        self._connect()
         if self._line is None:
             raise MaglevError(f"no {self.name}")
 
     def read(self) -> Reading:
         """Return the state; see `InputDevice`."""
         if self._line is None and self._clock() >= self._next:
-            self._call()
+            self._connect()
         if self._line is None:
             return GONE
         try:
@@ -416,9 +386,9 @@ class SpacenavMouse:
             self._line.close()
         self._line, self._next = None, self._clock() + _AGAIN
 
-    def _call(self) -> None:
-        """Connect to the socket, if possible."""
-        self._rest, self._shares = b"", (0.0,) * len(AXES)
+    def _connect(self) -> None:
+        """Connect to the socket; leave `_line` None on failure."""
+        self._buffer, self._shares = b"", (0.0,) * len(AXES)
         if not hasattr(socket, "AF_UNIX"):
             return
         self._line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -426,19 +396,16 @@ class SpacenavMouse:
         try:
             self._line.connect(os.fspath(self._path))
             self._line.send(_GREETING)
-        except OSError:  # no driver, or too many clients wait
+        except OSError:  # no driver, or its backlog is full
             self.close()
 
     def _receive(self, data: bytes) -> list[int]:
-        """Store the last received motion; return pressed buttons.
-
-        Data may arrive in pieces.
-        """
-        self._rest += data
+        """Parse events, which may arrive in fragments; store the last motion, return the pressed buttons."""
+        self._buffer += data
         pressed = []
-        while len(self._rest) >= _EVENT.size:
-            kind, *values = _EVENT.unpack(self._rest[: _EVENT.size])
-            self._rest = self._rest[_EVENT.size :]
+        while len(self._buffer) >= _EVENT.size:
+            kind, *values = _EVENT.unpack(self._buffer[: _EVENT.size])
+            self._buffer = self._buffer[_EVENT.size :]
             if kind == _MOTION:
                 self._shares = tuple(values[index] / _FULL_COUNT for index in _EXCHANGED)
             elif kind == _PRESS:
@@ -459,7 +426,7 @@ def open_device(name: str = AUTO) -> InputDevice:
         name: "auto", "spacenav" for the 3D mouse, the path of its socket, or part of a gamepad's name.
 
     Raises:
-        ParameterError: If it is not found.
+        ParameterError: If there is no such device.
     """
     try:
         if "/" in name:
@@ -470,19 +437,16 @@ def open_device(name: str = AUTO) -> InputDevice:
             return Gamepad("" if name == AUTO else name)
     except MaglevError:
         pass
-    raise ParameterError(f"hand-device must be one of those that `--hand-device list` prints, not {name!r}") from None
+    raise ParameterError(f"hand-device {name!r} not found; `--hand-device list` shows the connected devices") from None
 
 
 def described_devices() -> list[str]:
-    """Return a line about each device.
-
-    The first is that of "auto".
-    """
+    """Return a line for each device, that of "auto" first."""
     mouse = _mouse()
-    found = [] if mouse is None else [mouse.name]
+    names = [] if mouse is None else [mouse.name]
     if mouse is not None:
         mouse.close()
-    return found + [f"gamepad {name}" for name in gamepad_names()]
+    return names + [f"gamepad {name}" for name in gamepad_names()]
 
 
 def _mouse() -> SpacenavMouse | None:

@@ -405,8 +405,8 @@ def test_a_flight_is_analysed_beside_a_simulated_device(tmp_path: Path, capsys: 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--from", "3"], "from must be a finite number at least 0 and below 0.3965, not 3.0"),
-        (["--from", "0.2", "--to", "0.1"], "to must be a finite number above 0.2, not 0.1"),
+        (["--from", "3"], "from must be at least 0 and below 0.3965 (got 3.0"),
+        (["--from", "0.2", "--to", "0.1"], "to must be above 0.2 (got 0.1"),
         (["--from", "0.2", "--to", "0.201"], "from and to must have at least 2 samples between them"),
         (["--axis", "y"], "axis must be one of those with motion (z), not 'y'"),
     ],

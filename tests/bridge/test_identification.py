@@ -233,7 +233,7 @@ def test_a_weight_of_known_mass_gives_the_mass(noisy: bool, much: float) -> None
     assert added_mass(without, carrying, 0.1) == pytest.approx(MASS, rel=much)
     with pytest.raises(IdentificationError, match=r"must increase with the weight \(got a factor of 0\.9"):
         added_mass(carrying, without, 0.1)
-    with pytest.raises(ParameterError, match="added must be a finite number above 0"):
+    with pytest.raises(ParameterError, match="added must be above 0"):
         added_mass(without, carrying, 0.0)
 
 
@@ -305,7 +305,7 @@ def test_what_tells_nothing_is_refused() -> None:
         identify(poses, currents[:-1], **keywords)
     with pytest.raises(ParameterError, match="currents must be finite, or NaN"):
         identify(poses, np.full_like(currents, np.inf), **keywords)
-    with pytest.raises(ParameterError, match="the highest line must be a finite number below 100, not 150"):
+    with pytest.raises(ParameterError, match=r"the highest line must be below 100.* \(got 150"):
         identify(poses, currents, lines=[4.5, 150.0], **keywords)
     for few in (2, 3, 40):
         with pytest.raises(IdentificationError, match="longer than"):

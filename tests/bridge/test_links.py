@@ -381,5 +381,5 @@ def test_a_line_delays_each_frame_and_keeps_their_order() -> None:
         line.send(TO_DEVICE, data, 5)
     assert line.due == 2_000_005 and list(line.arrived(2_000_004)) == []
     assert list(line.arrived(2_000_005)) == [(TO_DEVICE, b"first"), (TO_DEVICE, b"second")]
-    with pytest.raises(ParameterError, match="delay must be a finite number at least 0, not -1"):
+    with pytest.raises(ParameterError, match=r"delay must be at least 0.* \(got -1"):
         Line(delay=-1.0)

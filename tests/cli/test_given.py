@@ -85,40 +85,43 @@ def test_that_a_device_is_found_by_its_address() -> None:
 
 REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "hand, unknown": (lambda: m.largest_stable_stiffness(80.0, hand="leg"), "hand must be one of none, arm, .*'leg'"),
-    "hand of a plant": (lambda: m.ExactPlant(hand="arm"), "hand must be a Hand, .* not 'arm'"),
-    "muscles of a hand": (lambda: m.ExactPlant(hand_force=3), "hand_force must be a function .* not 3"),
-    "model": (lambda: m.load_model("moon"), "model must be one of .* not 'moon'"),
-    "timing of a plant": (lambda: m.ExactPlant(0.005), r"timing must be a Timing, .* not 0\.005"),
-    "scene, misspelt": (lambda: m.run("drp"), "scene must be one of .*'drp'; did you mean drop?"),
-    "scene, a number": (lambda: m.run(3), "scene must be a Scene, .* not 3"),
+    "hand of a plant": (lambda: m.ExactPlant(hand="arm"), "hand must be a Hand, .*(not|got) 'arm'"),
+    "muscles of a hand": (lambda: m.ExactPlant(hand_force=3), "hand_force must be a function .*(not|got) 3"),
+    "model": (lambda: m.load_model("moon"), r"model must be one of .*got 'moon'\)"),
+    "timing of a plant": (lambda: m.ExactPlant(0.005), r"timing must be a Timing, .*(not|got) 0\.005"),
+    "scene, misspelt": (lambda: m.run("drp"), "scene must be one of .*'drp'.; did you mean drop"),
+    "scene, a number": (lambda: m.run(3), "scene must be a Scene, .*(not|got) 3"),
     "values first": (lambda: m.sweep({"height": [0.001]}, "drop"), "scene must be a Scene, .*height"),
-    "values, a name": (lambda: m.sweep(DROP, "height"), "vary must be lists of values .* not 'height'"),
-    "no values": (lambda: m.sweep(DROP, {"height": []}), r"vary must give a list of values for height, not \[\]"),
-    "range of a fidelity": (lambda: m.measure_fidelity(DROP, over=4), "over must be a Range, .* not 4"),
-    "cells": (lambda: m.run_cells(list, 3), "cells must be a list of cells, not 3"),
-    "number of an axis": (lambda: m.Wall(axes=2, lower=0.0, stiffness=1.0, damping=1.0), "axis must be .* not 2"),
+    "values, a name": (lambda: m.sweep(DROP, "height"), "vary must be lists of values .*(not|got) 'height'"),
+    "no values": (lambda: m.sweep(DROP, {"height": []}), r"vary must give a list of values for height.*(not|got) \[\]"),
+    "range of a fidelity": (lambda: m.measure_fidelity(DROP, over=4), "over must be a Range, .*(not|got) 4"),
+    "cells": (lambda: m.run_cells(list, 3), "cells must be a list of cells.*(not|got) 3"),
+    "number of an axis": (lambda: m.Wall(axes=2, lower=0.0, stiffness=1.0, damping=1.0), "axis must be .*(not|got) 2"),
     "file as record": (
         lambda: m.drive(m.ExactPlant(), controller(), 5, record="x.maglev"),
         r"record must be a function, as open_recording",
     ),
-    "time of a session": (lambda: m.Session("box").tick("1"), "elapsed must be a finite number, not '1'"),
-    "a scene to be found": (lambda: m.find_scene(DROP), "scene must be a name, .* not Drop"),
-    "requirements": (lambda: m.design_wall("pd"), "requirements must be WallRequirements.* not 'pd'"),
-    "a file to analyse": (lambda: m.analyse("f.maglev"), "segment must be a Segment, .* not 'f.maglev'"),
-    "a file to verify": (lambda: m.verify("f.maglev", m.rebuild), "recording must be .*load.* not 'f.maglev'"),
-    "a file to export": (lambda: m.export("f.maglev", "csv", "f.csv"), "recording must be .*load.* not 'f.maglev'"),
-    "a number as file": (lambda: m.Recording.load(3), "path must be the path of a file, not 3"),
-    "a setup": (lambda: m.rebuild("drop", None), "setup must be an object, not 'drop'"),
+    "time of a session": (lambda: m.Session("box").tick("1"), r"elapsed must be a finite number \(got '1'"),
+    "a scene to be found": (lambda: m.find_scene(DROP), "scene must be a name, .*(not|got) Drop"),
+    "requirements": (lambda: m.design_wall("pd"), "requirements must be WallRequirements.*(not|got) 'pd'"),
+    "a file to analyse": (lambda: m.analyse("f.maglev"), "segment must be a Segment, .*(not|got) 'f.maglev'"),
+    "a file to verify": (lambda: m.verify("f.maglev", m.rebuild), "recording must be .*load.*(not|got) 'f.maglev'"),
+    "a file to export": (
+        lambda: m.export("f.maglev", "csv", "f.csv"),
+        "recording must be .*load.*(not|got) 'f.maglev'",
+    ),
+    "a number as file": (lambda: m.Recording.load(3), r"path must be a file path \(got 3"),
+    "a setup": (lambda: m.rebuild("drop", None), "setup must be an object.*(not|got) 'drop'"),
     "controller first": (lambda: m.drive(controller(), m.ExactPlant(), 5), r"plant must have read\(\), .*Controller"),
     "scene to be driven": (lambda: m.drive(m.ExactPlant(), DROP, 5), r"controller must have step\(\), .*Drop"),
     "number of samples": (lambda: m.drive(m.ExactPlant(), 5, controller()), "ticks must be .*Controller"),
     "address of a device": (lambda: m.RemotePlant("upd://127.0.0.1:5"), "address must be udp://.*'upd://127.0.0.1:5'"),
-    "link to be stopped": (lambda: m.estop(None), "link must be an address .*got None"),
-    "twin": (lambda: m.Twin(3), r"parameters must be TwinParameters.* not 3"),
-    "target, three numbers": (lambda: m.SpringHand(target=[0, 0, 0]), r"target must be a pose .* not \[0, 0, 0\]"),
+    "link to be stopped": (lambda: m.estop(None), "link must be an address, .*(not|got) None"),
+    "twin": (lambda: m.Twin(3), r"parameters must be TwinParameters.*(not|got) 3"),
+    "target, three numbers": (lambda: m.SpringHand(target=[0, 0, 0]), r"target must be a pose .*(not|got) \[0, 0, 0\]"),
     "target of a device": (
         lambda: m.SpringHand(device_target=[0.0, 1.0]),
-        r"device_target must be a pose .* not \[0.0",
+        r"device_target must be a pose .*(not|got) \[0.0",
     ),
 }
 
@@ -134,4 +137,4 @@ def test_that_anything_else_is_one_line(case: str) -> None:
 def test_that_a_long_value_is_cut() -> None:
     with pytest.raises(ParameterError) as caught:
         m.analyse(range(10**200, 10**201))
-    assert str(caught.value).endswith("…") and len(str(caught.value)) < 300
+    assert str(caught.value).endswith("…)") and len(str(caught.value)) < 300

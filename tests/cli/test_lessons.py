@@ -86,7 +86,7 @@ def test_lessons_are_written_to_a_folder_and_never_over_work(
     assert link in mine.read_text(encoding="utf-8") and "../" not in "".join(re.findall(r"\]\([^)]+", mine.read_text()))
     mine.write_text("my work")
     (folder / "braking_pulse.ipynb").unlink()
-    assert main(["lessons", str(folder)]) == 2 and "name another folder" in capsys.readouterr().err
+    assert main(["lessons", str(folder)]) == 2 and "choose another folder" in capsys.readouterr().err
     assert mine.read_text() == "my work" and not (folder / "braking_pulse.ipynb").exists()
 
 

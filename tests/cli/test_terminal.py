@@ -49,7 +49,7 @@ def test_the_command_alone_prints_help_of_all_commands_in_groups(capsys: pytest.
     status, out, err = said(capsys)
     assert (status, err) == (0, "") and out == said(capsys, "--help")[1]
     places = [out.index(f"\n{title}:\n") for title in GROUPS]
-    assert list(GROUPS) == ["feel it", "compute", "device", "recordings"] and places == sorted(places)
+    assert list(GROUPS) == ["interactive", "compute", "device", "recordings"] and places == sorted(places)
     assert re.findall(r"^  (\w[a-z-]*)  +\S", out, re.MULTILINE) == [*COMMANDS]
     assert places[0] < 100 and out.count("\n") <= 45  # it fits a screen, and begins with the commands
     assert max(map(len, out.splitlines())) <= 80 and not ({*dir(maglev_mj)} - {*COMMANDS}) & {*out.split()}

@@ -145,7 +145,10 @@ def test_walls_and_laws_that_do_not_fit_are_refused() -> None:
         (lambda: wall(lower=-math.inf), "needs a finite lower or upper"),
         (lambda: wall(pulse=10.0), "pulse_width must be above 0"),
         (lambda: wall(stiffness=[1.0, 2.0]), "last dimension of 1"),
-        (lambda: Hold(stiffness=np.ones((2, 6)), damping=np.ones((3, 6))), "Hold parameters must fit one batch shape"),
+        (
+            lambda: Hold(stiffness=np.ones((2, 6)), damping=np.ones((3, 6))),
+            "Hold parameters must share a batch shape",
+        ),
         (lambda: Controller(different, period=T), r"share one pulse_width, not \[0.001, 0.002\]"),
     ]
     for make, words in refused:

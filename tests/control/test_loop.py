@@ -107,9 +107,9 @@ def test_divergence_carries_its_cycles() -> None:
 
 
 def test_ticks_must_be_whole_and_positive() -> None:
-    with pytest.raises(ParameterError, match="ticks must be a finite number at least 1, not 0"):
+    with pytest.raises(ParameterError, match=r"ticks must be at least 1.* \(got 0"):
         drive(Recorder(), Broken(0.0), 0)
-    with pytest.raises(ParameterError, match=r"ticks must be a whole number, not 2.7"):
+    with pytest.raises(ParameterError, match=r"ticks must be an integer \(got 2.7\)"):
         drive(Recorder(), Broken(0.0), 2.7)  # type: ignore[arg-type]
 
 

@@ -163,7 +163,7 @@ def test_a_device_that_goes_lets_go_and_says_so_until_it_is_back() -> None:
     played = Played()
     gone = played.after(Reading(None), 0.0)
     assert gone.target is None
-    assert gone.notes == ["stick is gone: the hand is released"]
+    assert gone.notes == ["stick disconnected: the hand is released"]
     back = played.after(Reading(one(0)), 0.0)
     assert back.notes == []
     assert back.target == pytest.approx(one(0, 3.0 * RANGE[0]))
@@ -456,7 +456,7 @@ def test_view_has_its_hand_from_a_3d_mouse(path: Path, shown: Shown, capsys: pyt
         assert cli.main(["view", "--hand-device", "auto", "--hand-gain", "2", "--hand-invert", "x"]) == 0
     assert shown.targets == [pytest.approx([-2.0 * RANGE[0], *[0.0] * 5])]
     assert shown.states == ["paused"]  # by the button
-    assert f"the hand: 3D mouse at {path}" in capsys.readouterr().out
+    assert f"hand device: 3D mouse at {path}" in capsys.readouterr().out
 
 
 def test_list_prints_what_is_there(
@@ -464,7 +464,7 @@ def test_list_prints_what_is_there(
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["view", "--hand-device", "list"])
-    assert (ended.value.code, capsys.readouterr().out) == (0, "  no 3D mouse and no gamepad\n")
+    assert (ended.value.code, capsys.readouterr().out) == (0, "  no 3D mouse or gamepad detected\n")
     monkeypatch.setattr(hand_devices, "gamepad_names", lambda: ["Test Stick"])
     with Daemon(path), pytest.raises(SystemExit) as ended:
         cli.main(["view", "--hand-device", "list"])

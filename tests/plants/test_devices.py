@@ -320,7 +320,7 @@ def test_drivers_time_constant_of_ones_own(kind: Any) -> None:
         plant.read()
         momentum = INERTIA[0] * np.ravel(plant.state()[1])[2]
         assert momentum == pytest.approx(2.0 * (PERIOD - tau * (1.0 - np.exp(-PERIOD / tau))), rel=1e-5)
-    with pytest.raises(ParameterError, match="driver_time_constant must be a finite number above 0, not 0"):
+    with pytest.raises(ParameterError, match=r"driver_time_constant must be above 0.* \(got 0"):
         kind(driver_lag=True, driver_time_constant=0.0)
 
 
@@ -373,7 +373,7 @@ def test_what_an_option_needs_of_a_model_is_named(tmp_path: Path) -> None:
             MuJoCoPlant(model=path, **options)
     with pytest.raises(ModelError, match=r"no such MJCF file: '.*nothing.xml'"):
         MuJoCoPlant(model=tmp_path / "nothing.xml")
-    with pytest.raises(ModelError, match="model must be one of drop, maglev, scene, or an MJCF file, not 'mine'"):
+    with pytest.raises(ModelError, match=r"model must be one of drop, maglev, scene, or an MJCF file \(got 'mine'\)"):
         ExactPlant(model="mine")
     with pytest.raises(ParameterError, match="mass must be"):
         load_model("drop", mass=-1.0)

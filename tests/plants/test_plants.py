@@ -208,26 +208,26 @@ def test_closed_plants_stay_closed(plant_type: Callable[..., SampledPlant]) -> N
 
 def test_bad_parameters_are_refused_with_the_value() -> None:
     refused: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
-        (Timing, {"period": 0.0}, "period must be a finite number above 0, not 0.0"),
-        (Timing, {"delay": -0.001}, "delay must be a finite number at least 0, not -0.001"),
+        (Timing, {"period": 0.0}, r"period must be above 0.* \(got 0.0"),
+        (Timing, {"delay": -0.001}, r"delay must be at least 0.* \(got -0.001"),
         (Timing, {"delay": 1e12}, r"delay must be at most 10000 periods of 0.005 s, not 1e.12 s"),
         (Timing, {"delay": [0.001, 0.006]}, "delay must have the same number of whole periods"),
         (Timing, {"phase": 1.0}, "phase must be at least 0 and below 1, not 1"),
-        (ExactPlant, {"mass": 0.0}, "mass must be a finite number above 0"),
+        (ExactPlant, {"mass": 0.0}, "mass must be above 0"),
         (ExactPlant, {"pose": np.zeros((3, 6)), "mass": [0.7, 0.7]}, r"mass must be above 0, .* batch shape \(3,\)"),
         (ExactPlant, {"pose": np.zeros((3, 6)), "twist": np.zeros((2, 6))}, "must have one batch shape"),
         (ExactPlant, {"pose": [0.001]}, r"pose and twist must be \(..., 6\)"),
-        (ExactPlant, {"wrench": math.inf}, "wrench must be finite and a number everywhere, not inf"),
-        (ExactPlant, {"wrench_limit": np.ones((3, 6))}, r"wrench_limit must be a number or have the shape \(6,\)"),
+        (ExactPlant, {"wrench": math.inf}, r"wrench must be finite \(got inf"),
+        (ExactPlant, {"wrench_limit": np.ones((3, 6))}, r"wrench_limit must be a number or have shape \(6,\)"),
         (ExactPlant, {"timing": Timing(delay=[0.001, 0.002]), "pose": np.zeros((3, 6))}, r"have the shape \(3,\)"),
-        (MuJoCoPlant, {"timing": Timing(delay=[0.001, 0.002])}, r"delay must be a number or have the shape \(\)"),
-        (MuJoCoPlant, {"longest_step": 0.0}, "longest_step must be a finite number above 0, not 0"),
+        (MuJoCoPlant, {"timing": Timing(delay=[0.001, 0.002])}, r"delay must be a number or have (the )?shape \(\)"),
+        (MuJoCoPlant, {"longest_step": 0.0}, r"longest_step must be above 0.* \(got 0"),
         (MuJoCoPlant, {"pose": np.zeros((3, 6))}, "one device"),
         (MuJoCoPlant, {"coils": False, "driver_lag": True}, "driver_lag and force_falloff need coils=True"),
-        (MuJoCoPlant, {"force_falloff": 2.0}, "force_falloff must be a finite number at least 0 and at most 1, not 2"),
-        (MuJoCoPlant, {"model": "moon"}, r"model must be one of drop, .*, not 'moon'"),
+        (MuJoCoPlant, {"force_falloff": 2.0}, r"force_falloff must be between 0 and 1.* \(got 2"),
+        (MuJoCoPlant, {"model": "moon"}, r"model must be one of drop, .* \(got 'moon'\)"),
         (Sensor, {"quantum": np.ones((3, 6))}, "quantum must be"),
-        (Sensor, {"noise": -1e-6}, "noise must be finite and at least 0 everywhere, not -1e-06"),
+        (Sensor, {"noise": -1e-6}, r"noise must be finite and at least 0 \(got -1e-06"),
     ]
     for make, options, words in refused:
         with pytest.raises((ParameterError, ModelError), match=words):

@@ -337,7 +337,7 @@ def test_a_plant_that_does_not_tell_its_delay_is_refused_without_it() -> None:
     controller = Controller([], period=0.001)
     with pytest.raises(ParameterError, match="delay is required: the plant has neither timing nor delay"):
         setup_of(Bare(), controller)
-    with pytest.raises(ParameterError, match=r"setup parameters\.gain must be a finite number, not nan"):
+    with pytest.raises(ParameterError, match=r"setup parameters\.gain must be a finite number \(got nan"):
         setup_of(Bare(), controller, delay=0.001, parameters={"gain": math.nan})
     run_metadata = setup_of(Bare(), controller, delay=0.001, name="bare", axis="x")["run"]
     assert (run_metadata["delay"], run_metadata["axis"], run_metadata["name"]) == (0.001, "x", "bare")

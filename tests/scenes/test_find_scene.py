@@ -81,7 +81,7 @@ def test_what_is_no_scene_is_refused_with_those_that_there_are(text: str, meant:
     with pytest.raises(ParameterError) as refused:
         find_scene(text)
     near = f"; did you mean {meant}?" if meant else ""
-    said = f"scene must be one of {', '.join(scene_names())}, or a file such as my_scene.py, not {text!r}{near}"
+    said = f"scene must be one of {', '.join(scene_names())}, or a file such as my_scene.py (got {text!r}){near}"
     assert str(refused.value) == said
 
 
@@ -109,7 +109,7 @@ def test_of_several_scenes_in_a_file_one_is_named(push: Path) -> None:
     said = "my_push.py defines several (Push, Pull); choose one as my_push.py:CLASS"
     assert str(refused.value) == said
     assert [find_scene(f"{push}:{name}").name for name in ("Push", "Pull")] == ["push", "pull"]
-    with pytest.raises(ParameterError, match=r"scene of my_push\.py must be one of Push, Pull, not 'Shove'"):
+    with pytest.raises(ParameterError, match=r"scene of my_push\.py must be one of Push, Pull \(got 'Shove'\)"):
         find_scene(f"{push}:Shove")
 
 
@@ -119,7 +119,7 @@ def test_scenes_that_a_file_imports_are_not_its_own(push: Path) -> None:
     push.write_text("from maglev_mj.scenes.drop import Drop\n")
     with pytest.raises(ParameterError, match=r"my_push\.py defines no Scene"):
         find_scene(str(push))
-    with pytest.raises(ParameterError, match=r"scene of my_push\.py must be one of none, not 'Drop'"):
+    with pytest.raises(ParameterError, match=r"scene of my_push\.py must be one of none \(got 'Drop'\)"):
         find_scene(f"{push}:Drop")
 
 

@@ -98,7 +98,7 @@ def test_only_laws_are_required() -> None:
     found = run_phases(Fall().replace(duration=0.01), 3, plant="exact")
     assert found.furthest.shape == (3, 6)
     assert Empty().start() == Start() and Start().gravity == GRAVITY
-    with pytest.raises(ParameterError, match="axis must be one of x, y, z, rx, ry, rz, not 'w'"):
+    with pytest.raises(ParameterError, match=r"axis must be one of x, y, z, rx, ry, rz \(got 'w'\)"):
         type("Mine", (Scene,), {"shown_axis": "w"})
     with pytest.raises(
         TypeError, match=r"figure must be one of penetration, .*, or decorated with @figure .got 'depth'"
@@ -169,14 +169,14 @@ def test_a_run_is_on_the_scene_s_usual_plant_unless_it_is_told() -> None:
 
     assert (run(Fall()).plant, run(Exact()).plant, run_phases(Exact(), 2).plant) == ("mujoco", "exact", "exact")
     for refused in (lambda: run(Exact(), plant="mujoco"), lambda: run_phases(Exact(), 2, plant="mujoco")):
-        with pytest.raises(ParameterError, match="plant must be one of exact, not 'mujoco'"):
+        with pytest.raises(ParameterError, match=r"plant must be one of exact \(got 'mujoco'\)"):
             refused()
 
 
 def test_phases_outside_their_bounds_are_refused() -> None:
     for phases, words in (
         ([0.5, 1.0], "phases must all be below 1 .got 1"),
-        ([-0.5, 0.0], "phases must be finite and at least 0 everywhere, not -0.5"),
+        ([-0.5, 0.0], r"phases must be finite and at least 0 \(got -0.5"),
         ([], "phases must be an integer or a list of phases"),
         ([[0.5]], "phases must be an integer or a list of phases"),
     ):
@@ -184,7 +184,7 @@ def test_phases_outside_their_bounds_are_refused() -> None:
             with pytest.raises(ParameterError, match=words):
                 call(phases)
     for phase in (-0.1, 1.0, math.nan, "x", None):
-        with pytest.raises(ParameterError, match="phase must be a finite number at least 0 and below 1, not "):
+        with pytest.raises(ParameterError, match=r"phase must be a finite number at least 0 and below 1.* \(got "):
             run(Fall(), plant="exact", phase=phase)  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match=r"phase must be a number on mujoco; use run_phases"):
         run(Fall(), plant="mujoco", phase=[0.0, 0.5])
@@ -239,7 +239,7 @@ def test_series_are_on_a_grid_up_to_the_end() -> None:
     np.testing.assert_allclose(series["position"], 0.0045 - 0.5 * GRAVITY * series["time"] ** 2, rtol=1e-12)
     np.testing.assert_allclose(series["velocity"], -GRAVITY * series["time"], rtol=1e-12)
     for step in (0.0, -1e-3, math.nan):
-        with pytest.raises(ParameterError, match="step must be a finite number above 0"):
+        with pytest.raises(ParameterError, match=r"step must be (a finite number )?above 0"):
             result.series(step)
 
 
@@ -319,7 +319,7 @@ def test_missing_values_count_as_late_or_not_at_all() -> None:
     both = left.percentile(np.column_stack([values, np.full(4, math.nan)]), 50.0)
     assert both[0] == 2.0 and math.isnan(both[1])
     for name in ("batched", "late"):
-        with pytest.raises(ParameterError, match=f"{name} must be True or False, not 1"):
+        with pytest.raises(ParameterError, match=rf"{name} must be True or False \(got 1\)"):
             figure("", "", **{name: 1})(low.function)  # type: ignore[arg-type]
 
 

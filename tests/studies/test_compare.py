@@ -252,7 +252,7 @@ def test_the_command_draws_and_gives_the_numbers_of_the_scenes_own(
 
 def test_laws_that_cannot_be_taken_are_refused_in_one_line(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words, said in (
-        (["--law", f"{own}:Other"], "law of mine.py must be one of Mine, Needy, not 'Other'"),
+        (["--law", f"{own}:Other"], "law of mine.py must be one of Mine, Needy (got 'Other')"),
         (["--law", str(own)], "mine.py defines several (Mine, Needy); choose one as mine.py:CLASS"),
         (["--law", f"{own}:Needy"], "law Needy must have a default for temperature; drop has period, delay, stiffness"),
         ([], "laws must be at least one, without duplicates, not none"),

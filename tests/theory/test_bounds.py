@@ -101,7 +101,7 @@ def test_friction_by_abbott_and_okamura_silences_the_hum_of_a_coarse_sensor(stif
         (
             bounds.abbott_okamura,
             {"dry_friction": -1.0},
-            "dry_friction must be finite and at least 0 everywhere, not -1",
+            r"dry_friction must be finite and at least 0 \(got -1",
         ),
     ],
 )

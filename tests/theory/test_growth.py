@@ -148,9 +148,9 @@ def test_random_delay_acts_as_its_mean_and_not_as_its_worst(mean: float, jitter:
 
 
 def test_bad_resting_walls_are_refused() -> None:
-    with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'moon'"):
+    with pytest.raises(ParameterError, match=r"plant must be one of exact, mujoco \(got 'moon'\)"):
         measure_growth([RestingWall()], "moon")
-    with pytest.raises(ParameterError, match="stiffness must be a finite number above 0"):
+    with pytest.raises(ParameterError, match="stiffness must be above 0"):
         RestingWall(stiffness=0.0)
     with pytest.raises(ParameterError, match="integrator must be one of"):
         measure_growth([RestingWall()], "mujoco", integrator="magic")
