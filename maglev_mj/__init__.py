@@ -1,116 +1,116 @@
 """Virtual magnetically levitated haptic joystick: simulation, sampled laws, real devices.
 
-A table of contents; `help(maglev_mj.NAME)` tells more. Every name is loaded on first use.
+Contents by topic; see `help(maglev_mj.NAME)`. Names are imported on first use.
 
 Laws, rendered by the controller:
 
-    AxisLaw                  base of a law that acts on each axis by itself
+    AxisLaw                  base of laws that act on each axis separately
     Law                      base of any law
     gain                     declares a gain of an `AxisLaw`
-    check_law                tries a law alone and in a batch
-    Wall                     spring and damper, with a braking pulse on entry
-    PredictiveWall           wall that renders its mean force over the next period
-    ObserverWall             wall with the delay as states of an observer
-    Hold                     PD control of pose
-    Bias                     constant wrench, such as the weight
-    StickSlip                friction by the paper's Karnopp law
+    check_law                checks a law on one device and in a batch
+    Wall                     PD wall, with a braking pulse on entry
+    PredictiveWall           wall that applies its predicted mean force over the next period
+    ObserverWall             wall with an observer that models the delay
+    Hold                     PD control of the pose
+    Bias                     constant wrench, e.g. weight compensation
+    StickSlip                stick-slip friction by the paper's Karnopp law
     ImplicitCoulomb          friction without chatter at any rate
-    FiniteDifference         velocity estimate by plain differences
+    FiniteDifference         velocity estimate by finite differences
     LowPass                  velocity estimate by a first-order filter
 
 Control loop:
 
-    Controller               sum of laws, evaluated once a sample
-    drive                    runs controller and plant for a number of samples
-    Timing                   period, delay and phase of the samples
-    Sample                   pose, velocity and time handed to the controller
-    Command                  wrench and pulse handed to the plant
+    Controller               sum of laws, evaluated once per sample
+    drive                    runs a controller on a plant for a number of samples
+    Timing                   sample period, delay and sampling phase
+    Sample                   measured pose and time, input of the controller
+    Command                  wrench and pulse, output of the controller
     AXES                     names of the six axes
 
 Plants and the hand on them:
 
-    ExactPlant               closed-form motion, for one device or N
-    MuJoCoPlant              the whole device in MuJoCo
+    ExactPlant               closed-form motion, for one device or a batch
+    MuJoCoPlant              full device model in MuJoCo
     Sensor                   sensor with a resolution and noise
     SpotSensor               the device's sensor: three beams on three diodes
-    CoilMap                  currents to wrench, and back
+    CoilMap                  conversion of currents to wrench and back
     load_model               compiles a model of the device
     model_path               MJCF file of a model
     Hand                     mass, damping and stiffness of a hand
     HANDS                    published hands, by name
-    SpringHand               hand that pulls to a pose moved at any time
+    SpringHand               hand with a spring to a movable target pose
     Trajectory               minimum-jerk movements between poses
 
 Scenes:
 
     Scene                    base of a scene: subclass it
-    Start                    state at release
+    Start                    initial state
     param                    declares a parameter of a scene
-    Turn                     step of a parameter's key
-    hold                     well-damped hold of the other axes
-    figure                   makes a function of a result a figure
+    Turn                     change of a parameter by a key press
+    hold                     well-damped hold of the remaining axes
+    figure                   declares a function of a result as a figure
     find_scene               class of a scene, by name or file
     run                      runs a scene to its end
     run_phases               runs a scene at many sampling phases
     RunResult                motion and figures of one run
-    Phases                   figures over the phases
-    Session                  a scene in real time
-    real_time                paces a session
+    Phases                   figures over the sampling phases
+    Session                  scene in real time
+    real_time                runs a session at real-time pace
 
 Stability and design:
 
-    stability                verdict on a scene
-    judge                    verdict on a controller
-    linearise                linear model of a controller, to `python-control` too
-    largest_stable_stiffness stiffest wall, by period, delay, mass and hand
-    critical_delay           delay at which a wall becomes unstable
-    design_wall              gains that bear a range of loops
-    WallRequirements         such a range, and a margin
+    stability                stability of a scene
+    judge                    stability of a controller
+    linearise                linear model of a controller, also for `python-control`
+    largest_stable_stiffness critical stiffness by period, delay, mass and hand
+    critical_delay           critical delay of a wall
+    design_wall              gains for a range of masses, delays and hands
+    WallRequirements         that range, and a margin
 
 Studies:
 
     sweep                    runs a scene over a grid of parameters
-    compare                  laws of a wall side by side in one scene
-    device_card              impedances, masses and forces that a device renders
-    run_cells                runs a function of your own over a grid
-    local_workers            processes of this machine
+    compare                  comparison of wall laws in one scene
+    device_card              impedances, masses and forces that a device can render
+    run_cells                runs your own function over a grid
+    local_workers            worker processes on this machine
     dask_workers             workers of a Dask cluster
-    measure_fidelity         cheapest model and step within a tolerance
-    Range                    cases for which that must hold
+    measure_fidelity         cheapest model and integrator step within a tolerance
+    Range                    range of validity for that
 
 Recordings:
 
     record_run               runs a scene into a recording in memory
     write_run                runs a scene into a file
-    open_recording           file that a loop of your own records to
-    Recording                a recording, read or in memory
+    open_recording           recording file for your own control loop
+    Recording                recording, loaded or in memory
     load_samples             its samples as arrays or a data frame
     export                   writes MCAP, CSV, `.npz`, Parquet or WAV
-    rebuild                  makes controller and plant of a recording again
-    verify                   runs a recording again and compares every bit
-    analyse                  walls, energy and friction in a recording
-    identify                 parameters from a recording, with errors
+    rebuild                  rebuilds controller and plant of a recording
+    verify                   re-runs a recording and compares bit for bit
+    analyse                  analyses walls, energy and friction of a recording
+    identify                 estimates parameters from a recording, with standard errors
 
 A device, or its twin:
 
-    RemotePlant              a device as a plant
+    RemotePlant              device as a plant
     open_link                link to an address, UDP or serial
-    HostLimits               limits that the host keeps
-    Calibration              coils, beams and body of a device
+    HostLimits               limits enforced by the host
+    Calibration              coils, beams, mass and inertia of a device
     Twin                     simulated device behind the same protocol
     TwinParameters           its parameters
-    estop                    cuts the currents of a device
-    conform                  tests a device against the protocol
-    AxisMapping              settings of a six-axis input device
+    estop                    emergency stop of a device
+    conform                  protocol conformance test of a device
+    AxisMapping              axis mapping of a six-axis input device
 
 Errors:
 
-    MaglevError              base of all errors
-    ParameterError           a value that is not allowed; also a ValueError
-    PlantError               a plant that cannot go on
-    DivergenceError          a simulation that diverges
+    MaglevError              base class of all errors
+    ParameterError           invalid value; also a ValueError
+    PlantError               plant that cannot continue
+    DivergenceError          diverged simulation
 
-Packages such as `maglev_mj.control` and `maglev_mj.theory` have further names.
+Subpackages such as `maglev_mj.control` and `maglev_mj.theory` have more names.
 """
 
 from maglev_mj.lazy import attach

@@ -1,7 +1,4 @@
-"""Colours by role, distinguishable with common colour vision deficiencies.
-
-After Okabe and Ito's palette.
-"""
+"""Colours by role, from the colour-blind safe palette of Okabe and Ito."""
 
 from __future__ import annotations
 
@@ -23,37 +20,37 @@ STOP: Colour = _INK
 """Metal stops and their force."""
 
 WALL: Colour = _SKY
-"""Untouched wall."""
+"""Wall without contact."""
 
 TOUCHED: Colour = _ORANGE
-"""Touched wall or stop."""
+"""Wall or stop in contact."""
 
 STUCK: Colour = _PURPLE
 """Stick position of friction."""
 
 FIRST: Colour = tuple(0.5 + 0.5 * part for part in _SKY)  # type: ignore[assignment]
-"""First try beside a second one, paler than what is measured."""
+"""First of two trials, a lighter tint of `MEASURED`."""
 
 MEASURED: Colour = _SKY
 """Position and other measured quantities of the flotor."""
 
 GOOD: Colour = _GREEN
-"""Stable, or as intended."""
+"""Stable, or passed."""
 
 BAD: Colour = _VERMILLION
-"""Unstable, stopped, or refused."""
+"""Unstable, stopped, or rejected."""
 
 BOUNDARY: Colour = (0.85, 0.87, 0.90)
-"""Stability boundary, or a wall's edge in a plot."""
+"""Stability boundary, or wall edge in a chart."""
 
 REFERENCE: Colour = (0.35, 0.37, 0.40)
-"""Exact or ideal curve of a chart, and small text."""
+"""Reference curve of a chart, and small text."""
 
 GRID: Colour = (0.89, 0.90, 0.91)
 """Grid of a chart."""
 
 SERIES: tuple[Colour, ...] = (_BLUE, _VERMILLION, _GREEN, _PURPLE, _ORANGE, _SKY, _INK)
-"""Colours of a chart's series, in order."""
+"""Colour cycle of charts."""
 
 
 def hex_of(colour: Colour) -> str:

@@ -1,7 +1,7 @@
-"""Samples, commands, and conversion of rotations.
+"""Samples, commands and rotations.
 
-Pose (..., 6): x y z [m], then a rotation vector [rad]. Twist and wrench: linear part first, in stator
-axes. The leading ``...`` is the batch: () for one device, (N,) for N devices.
+Pose (..., 6): x y z [m], then a rotation vector [rad]. Twist and wrench: linear part first, in stator axes. The leading
+``...`` is the batch: () for one device, (N,) for N devices.
 """
 
 from __future__ import annotations
@@ -15,41 +15,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-"""Names of the six axes.
+"""Names of the six axes: translations along the stator axes, then rotations about them."""
 
-Translations along stator axes, then rotations about them.
-"""
-
-_TURNING = {
+_ROTATIONAL_UNITS = {
     **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
     **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N/mm": "N m/mrad", "kN/m": "kN m/rad", "N s/m": "N m s/rad"},
 }
 
 ZERO = (0.0,) * 6
-"""Six zeros: no wrench, twist or currents.
-
-It is also the pose of a flotor at the centre.
-"""
+"""Six zeros: zero wrench, twist or currents; pose at the centre."""
 
 Array: TypeAlias = NDArray[np.float64]
-"""Array of numbers."""
+"""Array of floats."""
 
 Mask: TypeAlias = NDArray[np.bool_]
-"""Array of truth values."""
+"""Array of booleans."""
 
 Component: TypeAlias = Any
-"""One coordinate of one device or of N devices.
+"""One coordinate: a float for one device, an array (N,) for N devices.
 
-A float, or an array (N,).
-
-Laws and the exact plant compute on components, so that one source serves both: six Python floats cost a tenth
-of six-element numpy calls, and N devices cost six array operations. Laws use only elementwise + - * / and
-comparisons, which IEEE 754 rounds equally in both, so commands agree bit for bit.
+Laws and the exact plant compute on components, so that one implementation serves both: six Python floats cost a tenth
+of six-element NumPy calls, and N devices cost six array operations. Laws use only elementwise + - * / and comparisons,
+which IEEE 754 rounds identically in both, so commands agree bit for bit.
 """
 
-
 Six: TypeAlias = Sequence[Component]
-"""Six components, one for each axis."""
+"""Six components, one per axis."""
 
 
 @dataclass(slots=True, eq=False)
@@ -58,8 +49,8 @@ class Sample:
 
     Attributes:
         tick: Sample number, from 0.
-        time: Time since release [s]; (N,) if the devices' sampling phases differ.
-        position: The six components of the measured pose [m, rad].
+        time: Time since release [s]; (N,) if the sampling phases of the devices differ.
+        position: Six components of the measured pose [m, rad].
 
     Example:
         >>> from maglev_mj import Sample
@@ -80,13 +71,11 @@ class Sample:
 
 @dataclass(slots=True, eq=False)
 class Command:
-    """Answer of the controller: wrench and pulse.
-
-    The wrench is held until the next command takes effect.
+    """Controller output: wrench, held until the next command takes effect, and pulse.
 
     Attributes:
-        force: The six components of the held wrench on the flotor, in stator axes [N, N m].
-        extra: The six components added from the moment the command takes effect; None for no pulse.
+        force: Six components of the held wrench on the flotor, in stator axes [N, N m].
+        extra: Six components added for `pulse_width` once the command takes effect; None for no pulse.
         pulse_width: Duration of the pulse [s].
 
     Example:
@@ -107,36 +96,27 @@ class Command:
 
     @property
     def pulse(self) -> Array:
-        """Wrench added for `pulse_width` [N, N m], (..., 6).
-
-        Zero without a pulse.
-        """
+        """Wrench added for `pulse_width` [N, N m], (..., 6); zero without a pulse."""
         return np.zeros_like(self.wrench) if self.extra is None else join(self.extra)
 
 
 def components(values: Array) -> list[Component]:
-    """Split (..., 6) into six components.
-
-    Floats for one device, contiguous arrays for a batch.
-    """
+    """Split (..., 6) into six components: floats for one device, contiguous arrays for a batch."""
     if values.ndim == 1:
         return values.tolist()  # type: ignore[no-any-return]
     return list(np.ascontiguousarray(np.moveaxis(values, -1, 0)))
 
 
 def clipped(value: Component, limit: Component) -> Component:
-    """Return a component clipped to plus or minus a limit."""
+    """Clip a component to plus or minus a limit."""
     if value.__class__ is float and limit.__class__ is float:
         return min(max(value, -limit), limit)
     return np.clip(value, -limit, limit)
 
 
 def join(parts: Sequence[Component]) -> Array:
-    """Join components into one array (..., 6).
-
-    Some may be plain numbers. It is the inverse of `components`.
-    """
-    if set(map(type, parts)) == {float}:  # one device: a twentieth of the time
+    """Join components, arrays or numbers, into one array (..., 6); inverse of `components`."""
+    if set(map(type, parts)) == {float}:  # one device: 20 times faster
         return np.array(parts)
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
@@ -147,12 +127,9 @@ _Function: TypeAlias = Callable[..., Any]
 def rotation_vector(
     w: Component, x: Component, y: Component, z: Component, sqrt: _Function = math.sqrt, atan2: _Function = math.atan2
 ) -> tuple[Any, Any, Any]:
-    """Convert a unit quaternion to a rotation vector [rad].
+    """Convert a unit quaternion to a rotation vector [rad] with an angle in [0, 2 pi).
 
-    Its angle is in [0, 2 pi).
-
-    For arrays of N quaternions, the last two arguments are numpy's functions. As arguments they are local names, which
-    saves time in the control tick.
+    For arrays, pass NumPy's `sqrt` and `arctan2`; as arguments they are local names, which is faster.
     """
     # the offset avoids 0/0 and is far below the rounding of any rotation that is not zero
     sine = sqrt(x * x + y * y + z * z) + 1e-300
@@ -161,10 +138,7 @@ def rotation_vector(
 
 
 def quaternion(vector: Sequence[float] | Array) -> tuple[float, float, float, float]:
-    """Convert a rotation vector [rad] to a unit quaternion.
-
-    (w, x, y, z).
-    """
+    """Convert a rotation vector [rad] to a unit quaternion (w, x, y, z)."""
     x, y, z = (float(part) for part in vector)
     angle = math.sqrt(x * x + y * y + z * z)
     scale = 0.5 if angle < 1e-12 else math.sin(0.5 * angle) / angle
@@ -172,20 +146,14 @@ def quaternion(vector: Sequence[float] | Array) -> tuple[float, float, float, fl
 
 
 def quaternions(vectors: Array) -> tuple[Array, Array, Array, Array]:
-    """Convert rotation vectors [rad], (..., 3), to unit quaternions.
-
-    (w, x, y, z), (...) each.
-    """
+    """Convert rotation vectors [rad], (..., 3), to unit quaternions (w, x, y, z), (...) each."""
     half = 0.5 * np.linalg.norm(vectors, axis=-1)
     scale = 0.5 * np.sinc(half / np.pi)  # sin(half) / (2 half), 1/2 at zero
     return np.cos(half), scale * vectors[..., 0], scale * vectors[..., 1], scale * vectors[..., 2]
 
 
 def rotation_matrix(vectors: Array) -> Array:
-    """Convert rotation vectors [rad] to rotation matrices.
-
-    From (..., 3) to (..., 3, 3).
-    """
+    """Convert rotation vectors [rad], (..., 3), to rotation matrices, (..., 3, 3)."""
     w, x, y, z = quaternions(vectors)
     rows = (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
@@ -201,7 +169,7 @@ def unit_of(unit: str, axis: str | int, along: bool = True) -> str:
     Args:
         unit: Its unit on a translation.
         axis: Name or index of the axis.
-        along: True if the quantity is along that axis: a force, then a torque. Others keep their unit.
+        along: True if the quantity acts along the axis, such as force or torque; False to keep the unit.
     """
-    turning = along and (AXES.index(axis) if isinstance(axis, str) else axis) >= 3
-    return _TURNING.get(unit, unit) if turning else unit
+    rotational = along and (AXES.index(axis) if isinstance(axis, str) else axis) >= 3
+    return _ROTATIONAL_UNITS.get(unit, unit) if rotational else unit

@@ -1,4 +1,4 @@
-"""Names of packages, loaded on first use."""
+"""Lazy import of names and of MuJoCo."""
 
 from __future__ import annotations
 
@@ -6,64 +6,64 @@ import os
 from importlib import import_module
 from types import ModuleType
 
-TYPE_CHECKING = False  # as in typing, whose import would take longer than all else before a program's first line
+TYPE_CHECKING = False  # importing typing would dominate the start-up time
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
 
 class _LazyModule(ModuleType):
-    """Module that is imported at its first use."""
+    """Module imported on first attribute access."""
 
     def __getattr__(self, name: str) -> Any:
         from maglev_mj.process import interrupts_held
 
-        with interrupts_held():  # its libraries start a program
+        with interrupts_held():  # its libraries start a subprocess
             value = getattr(_engine(self.__name__), name)
-        setattr(self, name, value)  # found at once from then on
+        setattr(self, name, value)  # cache: bypasses __getattr__
         return value
 
 
 def _engine(name: str) -> ModuleType:
     try:
         return import_module(name)
-    except (AttributeError, OSError):  # what MUJOCO_GL names cannot be loaded: that is said where something is drawn
-        chosen = os.environ.get("MUJOCO_GL", "")
+    except (AttributeError, OSError):  # the MUJOCO_GL backend cannot be loaded; rendering reports that
+        backend = os.environ.get("MUJOCO_GL", "")
         os.environ["MUJOCO_GL"] = "off"
         try:
             return import_module(name)
         finally:
-            os.environ["MUJOCO_GL"] = chosen
+            os.environ["MUJOCO_GL"] = backend
 
 
 if TYPE_CHECKING:
     import mujoco as mujoco
 else:
-    mujoco = _LazyModule("mujoco")  # recordings are read, and devices called, without it
+    mujoco = _LazyModule("mujoco")  # recordings and devices work without it
 
 
 def has_engine() -> bool:
-    """Return True if MuJoCo is installed: exact plants, laws and theory need none."""
-    from importlib.util import find_spec  # half as long to load as the package's face
+    """Return True if MuJoCo is installed; exact plants, laws and theory do not need it."""
+    from importlib.util import find_spec  # imported here: slow
 
     return find_spec("mujoco") is not None
 
 
-def loaded(place: str) -> Any:
-    """Return what a text "module:name" names, imported now."""
-    module, _, name = place.partition(":")
+def loaded(reference: str) -> Any:
+    """Import and return the object "module:name"."""
+    module, _, name = reference.partition(":")
     return getattr(import_module(module), name)
 
 
 def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return `__getattr__`, `__dir__` and `__all__` of a package.
+    """Return `__getattr__`, `__dir__` and `__all__` of a package with lazy imports.
 
-    Its names and their modules stand in the stub beside the file, one a line: `from MODULE import NAME as NAME`. A name
-    must not be that of a module of the package: once loaded, the module would replace it.
+    Names are listed in the stub next to the file, one per line: `from MODULE import NAME as NAME`. A name must not
+    equal a module of the package, which would replace it once imported.
 
     Args:
-        package: Its name.
-        file: Its `__file__`.
+        package: `__name__` of the package.
+        file: `__file__` of the package.
     """
     with open(f"{file}i", encoding="utf-8") as stub:
         home = {words[3]: words[1] for words in map(str.split, stub) if words[:1] == ["from"]}

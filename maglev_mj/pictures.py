@@ -1,4 +1,4 @@
-"""Common parts of pictures: figures, legends, columns, files."""
+"""Common parts of charts: figures, legends, columns, files."""
 
 from __future__ import annotations
 
@@ -16,52 +16,49 @@ from maglev_mj.errors import check_one_of
 
 FIRST, SECOND = SERIES[:2]
 SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
-"""Style of shaded areas, such as behind a wall's edge."""
+"""Style of shaded areas, e.g. inside a wall."""
 
 BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False, "fontsize": 9.0}
-"""Style of a legend at the right of its panel."""
+"""Style of a legend to the right of its panel."""
 
 TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10.0}
-"""Style of the title of a panel."""
+"""Style of a panel title."""
 
 HEAD: dict[str, Any] = {"x": 0.01, "ha": "left", "fontsize": 10.0}
-"""Style of the title of a figure."""
+"""Style of a figure title."""
 
 WIDTH = 8.0
-"""Width of every chart [inch].
-
-A page shows no more than 8.6 (830 px), so that letters keep their size.
-"""
+"""Width of every chart [inch]; pages show up to 8.6 (830 px) without scaling."""
 
 FORMATS = "png", "pdf", "svg"
-"""Formats of pictures."""
+"""Chart formats."""
 
 _DASHES = (), (4, 1.5), (5, 1.5, 1, 1.5), (1.5, 1), (7, 1.5), (4, 1, 1, 1, 1, 1), (1, 2.2), (3, 1, 3, 1, 1, 1)
 
 Quantities: TypeAlias = Mapping[str, tuple[Any, str]]
-"""Arrays of values, in which NaN does not count, and unit of each quantity by name."""
+"""Arrays of values (NaN is ignored) and unit of each quantity by name."""
 
 _NOISE = {"mm": 1e-3, "mrad": 1e-3, "mm/s": 0.1, "mrad/s": 0.1, "N": 1e-3, "N m": 1e-5}
-"""Range by unit up to which a quantity is flat, by rounding or a sensor."""
+"""Range by unit up to which a quantity counts as constant."""
 
-_FLAT = 1e-3  # likewise, as a share of the value
-_COLUMNS = 3  # of a grid
-_LARGE, _MANY = 300_000, 1000  # size of an SVG [bytes], and points of a curve, which is then drawn as pixels
-_SHOWN = 100.0  # resolution in a notebook [dots per inch]
-_WORDS = 9.0  # size of a legend's words [pt]
-_UNDER = 36.0  # what stands between a panel and its legend: ticks, their numbers, the axis' name [pt]
+_FLAT = 1e-3  # the same, relative to the value
+_COLUMNS = 3  # per row of a grid
+_LARGE, _MANY = 300_000, 1000  # SVG size [bytes] above which curves of this many points are rasterised
+_NOTEBOOK_DPI = 100.0
+_LEGEND_SIZE = 9.0  # [pt]
+_UNDER = 36.0  # gap between a panel and its legend, for ticks, tick labels and axis label [pt]
 
 
 @dataclass(frozen=True)
 class PictureFolder:
-    """Folder that pictures go to, and their format.
+    """Output folder and format of charts.
 
     Attributes:
-        folder: The folder; it is made with the first file.
+        folder: The folder; created with the first file.
         format: One of `FORMATS`.
 
     Raises:
-        ParameterError: If there is no such format.
+        ParameterError: If the format is unknown.
     """
 
     folder: Path
@@ -71,50 +68,47 @@ class PictureFolder:
         check_one_of("format", FORMATS, self.format)
 
     def path(self, name: str, ending: str | None = None) -> Path:
-        """Return the path of a file, its folder made.
+        """Return the path of a file; create its folder.
 
         Args:
-            name: Of the file, without an ending.
-            ending: Of a file that is no picture.
+            name: File stem.
+            ending: Suffix, if it differs from the format.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         return self.folder / f"{name}.{ending or self.format}"
 
 
 def require() -> None:
-    """Check that pictures can be drawn.
+    """Check that charts can be drawn.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    errors.require(("matplotlib",), "charts", "pictures need matplotlib")
+    errors.require(("matplotlib",), "charts", "charts require matplotlib")
 
 
 def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
-    """Return a figure and its panels, row by row.
-
-    It is `WIDTH` wide, `height` in inches.
-    """
+    """Return a figure, `WIDTH` by `height` inches, and its panels, row by row."""
     require()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    class Shown(Figure):
-        """Figure that a notebook shows, pyplot or not."""
+    class NotebookFigure(Figure):
+        """Figure displayed by a notebook without pyplot."""
 
         def _repr_png_(self) -> bytes:
             file = BytesIO()
-            self.savefig(file, dpi=_SHOWN)
+            self.savefig(file, dpi=_NOTEBOOK_DPI)
             return file.getvalue()
 
-    figure = Shown(figsize=(WIDTH, height), layout="constrained")
+    figure = NotebookFigure(figsize=(WIDTH, height), layout="constrained")
     FigureCanvasAgg(figure)
     axes = list(np.atleast_1d(figure.subplots(rows, columns, **options)).ravel())
     for panel in axes:
         panel.grid(color=GRID, linewidth=0.8)
         panel.set_axisbelow(True)
         panel.tick_params(labelsize=9.0)
-        panel.locator_params(axis="x", nbins=max(12 // columns, 4))  # so that numbers do not touch
+        panel.locator_params(axis="x", nbins=max(12 // columns, 4))  # avoid overlapping tick labels
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
     return figure, axes
@@ -130,16 +124,14 @@ def new_grid(
     always: str = "",
     **options: Any,
 ) -> tuple[Any, dict[str, Any]]:
-    """Return a figure, and a panel by name for each quantity that changes.
-
-    The figure names the others. Rounding alone does not fill a panel.
+    """Return a figure with a panel, by name, for each quantity that varies; the title names the constant ones.
 
     Args:
-        quantities: One or more; if none changes, the first has a panel.
-        along: Label of the abscissa, which all share.
-        high: Most panels below one another, with labels at their ordinates; 0 for titled ones, three in a row.
+        quantities: One or more; if all are constant, the first has a panel.
+        along: Label of the shared x axis.
+        high: Maximum number of panels in a column, with y labels; 0 for titled panels, three in a row.
         row: Height of a row [inch].
-        more: Height of all else [inch].
+        more: Additional height [inch].
         always: Name of a quantity that has a panel in any case.
         options: Options of matplotlib's `Figure.subplots`.
     """
@@ -153,8 +145,8 @@ def new_grid(
         panels = [panel for column in range(columns) for panel in panels[column::columns]]
     lowest = {}
     for name, panel in zip(names, panels):
-        label, room = axis_label(name, quantities[name][1]), 10.0 * least[name]
-        panel.update_datalim([(0.0, ranges[name][0] + end) for end in (-room, room)], updatex=False)
+        label, margin = axis_label(name, quantities[name][1]), 10.0 * least[name]
+        panel.update_datalim([(0.0, ranges[name][0] + end) for end in (-margin, margin)], updatex=False)
         if high:
             panel.set_ylabel(label)
         else:
@@ -171,10 +163,10 @@ def new_grid(
 
 
 def _range(values: Any) -> tuple[float, float]:
-    """Return middle and width of the range of arrays of values."""
-    known = np.concatenate([*map(np.ravel, values)]).astype(np.float64)
-    known = known[np.isfinite(known)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    """Return midpoint and width of the range of arrays of values."""
+    finite = np.concatenate([*map(np.ravel, values)]).astype(np.float64)
+    finite = finite[np.isfinite(finite)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     return 0.5 * (low + high), high - low
 
 
@@ -202,9 +194,9 @@ def axis_label(name: str, unit: str | None) -> str:
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Return colour and dash of a curve, which differ from those of 55 others.
+    """Return colour and dash of a curve, distinct for 56 curves.
 
-    The first eight have dashes of their own, for a print without colour.
+    The first eight have distinct dashes, for print without colour.
 
     Example:
         >>> from maglev_mj.pictures import line_style
@@ -224,13 +216,13 @@ def save(figure: Any, path: Path | None) -> Any: ...
 
 
 def save(figure: Any, path: Path | None) -> Any:
-    """Write the figure in its path's format; return the path.
+    """Write a figure and return the path; without a path, return the figure.
 
-    Long curves of an SVG that would be large are pixels. Without a path, return the figure.
+    Long curves of a large SVG are rasterised.
     """
     if path is None:
         return figure
-    dpi = 150 if path.suffix == ".png" else 110  # of the pixels among curves
+    dpi = 150 if path.suffix == ".png" else 110  # for rasterised curves
     figure.savefig(path, dpi=dpi)
     if path.suffix == ".svg" and path.stat().st_size > _LARGE:
         for line in (line for panel in figure.axes for line in panel.lines if len(line.get_xdata()) > _MANY):
@@ -239,19 +231,17 @@ def save(figure: Any, path: Path | None) -> Any:
     return path
 
 
-def name_curves(place: Any, panels: Sequence[Any] = ()) -> None:
-    """Add a legend under a panel or a figure.
-
-    Under the figure for several panels; none without a name.
+def name_curves(target: Any, panels: Sequence[Any] = ()) -> None:
+    """Add a legend under a panel, or under a figure for several panels; none without labels.
 
     Args:
-        place: The figure, or the panel.
-        panels: Panels whose curves are named in the figure's legend, each name once.
+        target: The figure or panel.
+        panels: Panels whose curves are in the figure's legend, each label once.
     """
     import matplotlib.transforms as moves
 
     entries: dict[str, Any] = {}
-    for panel in panels or (place,):
+    for panel in panels or (target,):
         handles, labels = panel.get_legend_handles_labels()
         entries |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in entries}
     if not entries:
@@ -259,18 +249,18 @@ def name_curves(place: Any, panels: Sequence[Any] = ()) -> None:
     options: dict[str, Any] = {"loc": "outside lower center"}
     width = WIDTH
     if not panels:
-        width = _width(place.get_gridspec().ncols)
-        down = moves.ScaledTranslation(0.0, -_UNDER / 72.0, place.figure.dpi_scale_trans)
-        options = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "bbox_transform": place.transAxes + down}
+        width = _width(target.get_gridspec().ncols)
+        down = moves.ScaledTranslation(0.0, -_UNDER / 72.0, target.figure.dpi_scale_trans)
+        options = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "bbox_transform": target.transAxes + down}
         options["borderaxespad"] = 0.0
     options |= {
         "ncols": _columns(list(entries), width),
         "columnspacing": 1.2,
         "handlelength": 2.4,
         "frameon": False,
-        "fontsize": _WORDS,
+        "fontsize": _LEGEND_SIZE,
     }
-    place.legend(entries.values(), entries.keys(), **options)
+    target.legend(entries.values(), entries.keys(), **options)
 
 
 def _width(columns: int) -> float:
@@ -279,11 +269,8 @@ def _width(columns: int) -> float:
 
 
 def _columns(names: Sequence[str], width: float) -> int:
-    """Return the number of legend columns for a width [inch].
-
-    Columns are of about the same length.
-    """
-    lengths = np.array([len(name) * 0.54 * _WORDS / 72.0 + 0.57 for name in names])  # each with its mark
+    """Return the number of legend columns of about equal length for a width [inch]."""
+    lengths = np.array([len(name) * 0.54 * _LEGEND_SIZE / 72.0 + 0.57 for name in names])  # with its line sample
     counts = range(len(names), 0, -1)
     fitting = (count for count in counts if sum(part.max() for part in np.array_split(lengths, count)) <= width)
     rows = -(-len(names) // next(fitting, 1))
@@ -292,17 +279,17 @@ def _columns(names: Sequence[str], width: float) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """One picture among several.
+    """Panel of curves.
 
     Attributes:
-        title: Above it.
-        labels: What the two axes say.
-        curves: Label, abscissa and ordinate of each.
-        log: Which axes are logarithmic: "", "x", "y" or "xy".
-        level: Where a thin horizontal line is drawn; None for none.
-        top: Upper end of the ordinate; None for what the curves need.
-        marked: Whether points are marked.
-        outside: For each curve, which points leave the device's range: they are drawn hollow. Empty for none.
+        title: Title.
+        labels: Labels of the x and y axes.
+        curves: Label, x and y of each curve.
+        log: Logarithmic axes: "", "x", "y" or "xy".
+        level: y of a thin horizontal line; None for none.
+        top: Upper limit of y; None for automatic.
+        marked: True to mark points.
+        outside: Mask of points outside the device's range, per curve; drawn hollow. Empty for none.
     """
 
     title: str
@@ -316,10 +303,10 @@ class Panel:
 
 
 def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
-    """Draw panels of curves, two side by side.
+    """Draw panels of curves in two columns.
 
     Args:
-        panels: What to draw, row by row.
+        panels: The panels, row by row.
         path: File to write.
 
     Raises:
@@ -327,7 +314,7 @@ def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
     """
     rows = -(-len(panels) // 2)
     names = [[label for label, _, _ in panel.curves] for panel in panels]
-    lines = max(-(-len(some) // _columns(some, _width(2))) for some in names)
+    lines = max(-(-len(labels) // _columns(labels, _width(2))) for labels in names)
     figure, axes = new_figure(rows, 2, rows * (3.3 + 0.19 * lines))
     for axis, panel in zip(axes, panels):
         for index, (label, x, y) in enumerate(panel.curves):
@@ -344,12 +331,12 @@ def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
         axis.set_title(panel.title, **TITLE)
         if any(np.any(hollow) for hollow in panel.outside):
             hollow_point = {"color": REFERENCE, "markersize": 6, "markerfacecolor": "white"}
-            axis.plot([], [], "o", label="hollow: leaves the device's range", **hollow_point)
+            axis.plot([], [], "o", label="hollow: outside the device's range", **hollow_point)
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
     names = [axis.get_legend_handles_labels()[1] for axis in axes]
     longest = max(names, key=len)
-    if all(some == longest[: len(some)] for some in names):  # the same curves in all
+    if all(labels == longest[: len(labels)] for labels in names):  # same curves in all panels
         name_curves(figure, axes)
     else:
         for axis in axes:

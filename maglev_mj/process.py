@@ -1,4 +1,4 @@
-"""Another process, and Ctrl-C while a command runs or starts a program."""
+"""Side processes, and deferral of Ctrl-C."""
 
 from __future__ import annotations
 
@@ -19,22 +19,19 @@ NICE = 5
 """Niceness of processes without deadlines."""
 
 LONGEST_ANSWER = 10.0
-"""Longest time for an answer from another process [s]."""
+"""Timeout for an answer from a side process [s]."""
 
-_PATIENCE = 10.0
+_TIMEOUT = 10.0
 
 
 def be_nice() -> None:
-    """Give way to processes with deadlines, where a system knows niceness."""
+    """Lower the priority of this process, where the system supports niceness."""
     if hasattr(os, "nice"):
         os.nice(NICE)
 
 
 def start_tracker() -> None:
-    """Start the tracker of shared resources, where processes have one.
-
-    Its later start would let interrupts through.
-    """
+    """Start multiprocessing's resource tracker now: a later start would unblock interrupts."""
     if hasattr(os, "fork"):
         from multiprocessing import resource_tracker
 
@@ -45,8 +42,8 @@ class SideProcess:
     """Function in a separate process, with a message pipe.
 
     Args:
-        function: Function called there with its end of the pipe and the arguments; it returns when the pipe is closed.
-        arguments: Arguments that can be pickled.
+        function: Called in the process with its end of the pipe and the arguments; must return when the pipe closes.
+        arguments: Picklable arguments.
 
     Attributes:
         line: This end of the pipe.
@@ -54,29 +51,29 @@ class SideProcess:
     """
 
     def __init__(self, function: Callable[..., object], *arguments: Any) -> None:
-        import multiprocessing  # slow to load, and most commands need none
+        import multiprocessing  # slow import, rarely needed
         from multiprocessing.connection import Connection
         from socket import socketpair
 
         context = multiprocessing.get_context("spawn")
-        # as its Pipe() on POSIX systems; on Windows that is no socket, for which alone there is `select`
-        self.line, far = (Connection(end.detach()) for end in socketpair())
+        # as Pipe() on POSIX; on Windows a Pipe is not a socket, but `select` requires one
+        self.line, remote = (Connection(end.detach()) for end in socketpair())
         self.ended = False
-        self._process = context.Process(target=function, args=(far, *arguments))
+        self._process = context.Process(target=function, args=(remote, *arguments))
         start_tracker()
         try:
-            with interrupts_held():  # its parent closes it
+            with interrupts_held():  # the parent closes the process
                 self._process.start()
-                atexit.register(self.close)  # otherwise a program that ends would wait for it forever
+                atexit.register(self.close)  # otherwise the interpreter would wait for it indefinitely at exit
         except KeyboardInterrupt:
             self.close(0.0)
             raise
         finally:
-            far.close()
+            remote.close()
 
     @property
     def ready(self) -> bool:
-        """True if a message can be sent without waiting."""
+        """True if a message can be sent without blocking."""
         return not self.ended and bool(select((), (self.line,), (), 0.0)[1])
 
     def send(self, message: object) -> None:
@@ -88,20 +85,18 @@ class SideProcess:
             self.ended = True
 
     def received(self) -> Iterator[Any]:
-        """Yield the messages that have arrived."""
+        """Yield the messages received so far, without blocking."""
         try:
-            while not self.ended and select((self.line,), (), (), 0.0)[0]:  # poll() takes four times as long
+            while not self.ended and select((self.line,), (), (), 0.0)[0]:  # poll() is four times slower
                 yield self.line.recv()
         except (EOFError, OSError):
             self.ended = True
 
-    def close(self, patience: float = _PATIENCE) -> None:
-        """Close the pipe, and end the process.
-
-        The process is killed if it does not end by itself. A second call does nothing.
+    def close(self, patience: float = _TIMEOUT) -> None:
+        """Close the pipe and wait for the process; kill it after the timeout. Idempotent.
 
         Args:
-            patience: Time to wait for its end [s].
+            patience: Timeout [s].
         """
         atexit.unregister(self.close)
         self.ended = True
@@ -109,49 +104,49 @@ class SideProcess:
         self._process.join(patience)
         if self._process.is_alive():
             self._process.kill()
-            self._process.join(_PATIENCE)
+            self._process.join(_TIMEOUT)
 
 
 class SideAnswers(SideProcess):
-    """Answers of a function in a separate process, to the newest question only.
+    """Function evaluated in a separate process, for the newest question only.
 
-    Neither question nor answer is waited for. The process gets a question once it has answered the one before.
+    Non-blocking in both directions; one question is in progress at a time.
 
     Args:
-        function: Function of a question's parts, called there; it, parts and answers can be pickled.
-        unknown: What is not known without an answer, for the error.
+        function: Picklable function of a question's parts; parts and answers must be picklable.
+        unknown: Beginning of the error message if there is no answer.
     """
 
     _question: tuple[Any, ...] | None = None
-    _until, _busy = math.inf, True  # until its modules are loaded, which its first message says
+    _until, _busy = math.inf, True  # busy until the first message: imports done
 
     def __init__(self, function: Callable[..., Any], unknown: str) -> None:
         super().__init__(_answer, function)
         self._unknown = unknown
 
     def ask(self, *question: Any) -> None:
-        """Take a question for the next `answer` to send; one before gets no answer any more."""
+        """Set the question that the next `answer` sends; earlier ones are dropped."""
         self._question, self._until = question, time.monotonic() + LONGEST_ANSWER
 
     def answer(self) -> Any:
-        """Return the answer to the newest question, once; None until then.
+        """Return the answer to the newest question, once; None if there is none yet.
 
         Raises:
-            MaglevError: If the function fails, takes over 10 s, or its process has ended.
+            MaglevError: If the function fails or takes over 10 s, or the process has ended.
         """
         answer: Any = None
-        for found in self.received():
+        for message in self.received():
             self._busy = False
-            if self._question is None and self._until < math.inf:  # otherwise of an older question
-                answer = found
+            if self._question is None and self._until < math.inf:  # else it answers an older question
+                answer = message
         if self._question is not None and not self._busy:
             self.send(self._question)
             self._question, self._busy = None, True
         if self._until < math.inf and answer is None:
             if self.ended:
-                answer = MaglevError(f"{self._unknown}: the process that computes it has ended")
+                answer = MaglevError(f"{self._unknown}: its process has ended")
             elif time.monotonic() > self._until:
-                answer = MaglevError(f"{self._unknown}: it takes over {LONGEST_ANSWER:g} s")
+                answer = MaglevError(f"{self._unknown}: timeout after {LONGEST_ANSWER:g} s")
         if answer is not None:
             self._question, self._until = None, math.inf
         if isinstance(answer, MaglevError):
@@ -160,7 +155,7 @@ class SideAnswers(SideProcess):
 
 
 def _answer(line: Any, function: Callable[..., Any]) -> None:
-    """Answer questions until the line ends, in an own process."""
+    """Answer questions until the pipe closes; runs in the side process."""
     be_nice()
     answer: Any = None
     with suppress(OSError):
@@ -170,22 +165,20 @@ def _answer(line: Any, function: Callable[..., Any]) -> None:
                 answer = function(*line.recv())
             except EOFError:
                 return
-            except Exception as error:  # also of a class that this process does not find
+            except Exception as error:  # also of classes that the parent cannot unpickle
                 answer = MaglevError(str(error) or repr(error))
 
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Hold Ctrl-C back during the context.
+    """Defer Ctrl-C to the end of the context; processes started meanwhile never receive it.
 
-    Processes started meanwhile never receive it; this process receives it afterwards.
-
-    A terminal sends Ctrl-C to every process, also to one that is still importing and has no handler of its own.
+    A terminal sends Ctrl-C to every process of the group, also to one that is still importing without a handler.
     """
-    late = list[int]()
-    here = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is not None
-    # other threads of this process may take it where this one blocks it
-    before = signal.signal(signal.SIGINT, lambda number, _: late.append(number)) if here else None
+    pending = list[int]()
+    is_main = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is not None
+    # another thread may receive the signal that this one blocks
+    before = signal.signal(signal.SIGINT, lambda number, _: pending.append(number)) if is_main else None
     blocks = hasattr(signal, "pthread_sigmask")
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if blocks else set()
     try:
@@ -193,7 +186,7 @@ def interrupts_held() -> Iterator[None]:
     finally:
         if blocks:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        if here:
+        if is_main:
             signal.signal(signal.SIGINT, before)
-        if late:
-            signal.raise_signal(late[0])
+        if pending:
+            signal.raise_signal(pending[0])

@@ -1,4 +1,4 @@
-"""Results as table, text, HTML, JSON, data frame and picture."""
+"""Results as table, text, HTML, JSON, data frame and chart."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-_MOST_ROWS, _MOST_COLUMNS = 8, 9
-_LONGEST = 2000  # of a representation [bytes]
-_IN, _GAPS, _NARROWEST = "  ", ("  ", " "), 24
+_MAX_ROWS, _MAX_COLUMNS = 8, 9
+_MAX_REPR = 2000  # [bytes]
+_INDENT, _GAPS, _NARROWEST = "  ", ("  ", " "), 24
 _IN_NUMBERS = re.compile(r"\bto\b|(?<=\d)e(?=[-+]?\d)")
 
 
 def number_text(value: float, digits: int = 4, decimals: int | None = None) -> str:
-    """Return a number as text; a dash if it is not finite.
+    """Return a number as text; "-" if it is not finite.
 
     Args:
         value: The number.
-        digits: Significant digits; whole numbers up to 10 000 000 are written in full.
-        decimals: Largest number of decimals, which then all stand there; None to leave out zeros at the end.
+        digits: Significant digits; integers below 10 000 000 are written in full.
+        decimals: Maximum number of decimals, padded with zeros; None to omit trailing zeros.
     """
     if not math.isfinite(value):
         return "-"
@@ -45,11 +45,11 @@ class Table(NamedTuple):
     """Rows under a title, for a terminal and a notebook.
 
     Attributes:
-        title: Description of the rows; empty for none.
-        head: Name of each column, its unit in brackets.
+        title: Title; empty for none.
+        head: Column names with units in brackets.
         rows: Texts and numbers.
-        note: Remarks below the rows, a line each; empty for none.
-        below: Further tables under this one.
+        note: Notes below the rows, one per line; empty for none.
+        below: Tables to append.
     """
 
     title: str
@@ -61,25 +61,25 @@ class Table(NamedTuple):
     def __str__(self) -> str:
         """Return the table for a terminal, at most 80 characters wide.
 
-        Texts are to the left and numbers to the right. Columns that do not fit, even closer together, go on below; the
-        last text is wrapped.
+        Texts are left-aligned, numbers right-aligned. Columns that do not fit continue below; the last text column is
+        wrapped.
         """
-        title = wrapped(printable(self.title), "", _IN) if self.title else []
+        title = wrapped(printable(self.title), "", _INDENT) if self.title else []
         columns = [list(map(_text, column)) for column in zip(self.head, *self.rows)] if self.rows else []
         left = [any(map(_has_words, column[1:])) for column in columns]
         columns = _narrowed(columns, bool(left and left[-1]))
         first = next((index for index, words in enumerate(left) if not words), len(columns))
         last = next((index for index in range(len(columns), first, -1) if not left[index - 1]), first)
         widths = [max(map(len, column)) for column in columns]
-        widths[-1:] = [min(widths[-1], _NARROWEST) if left[-1] else widths[-1]] if columns else []  # it is wrapped
+        widths[-1:] = [min(widths[-1], _NARROWEST) if left[-1] else widths[-1]] if columns else []  # wrapped
         around = [index for index in range(len(columns)) if not max(first, 1) <= index < last]
         groups = {gap: _fitting(range(max(first, 1), last), around, widths, gap) for gap in _GAPS}
         gap = min(_GAPS, key=lambda gap: len(groups[gap]))
         block: list[str] = []
-        for some in groups[gap]:
-            shown = [*around[: max(first, 1)], *some, *around[max(first, 1) :]]
+        for group in groups[gap]:
+            shown = [*around[: max(first, 1)], *group, *around[max(first, 1) :]]
             block += _block([columns[index] for index in shown], [left[index] for index in shown], gap)
-        notes = [line for remark in self.note.splitlines() for line in wrapped(printable(remark), further=2 * _IN)]
+        notes = [line for remark in self.note.splitlines() for line in wrapped(printable(remark), further=2 * _INDENT)]
         parts = ["\n".join(lines) for lines in (title, block, notes) if lines]
         return "\n\n".join([*parts, *map(str, self.below)])
 
@@ -94,13 +94,12 @@ class Table(NamedTuple):
 
 
 class Result:
-    """Dataclass of a result, from whose fields and columns all its forms follow.
+    """Base class of result dataclasses.
 
-    A subclass gives `columns` and `units`; `table` for a table other than the first rows of the columns; `plot` if it
-    has a picture.
+    A subclass defines `columns` and `units`, optionally `table` (default: first rows of the columns) and `plot`.
 
     Class attributes:
-        derived: Names of properties that its JSON has besides the fields.
+        derived: Names of properties to include in the JSON.
     """
 
     derived: ClassVar[Sequence[str]] = ()
@@ -111,31 +110,31 @@ class Result:
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Unit of each column; empty or left out for none."""
+        """Unit of each column; empty or missing for none."""
         raise NotImplementedError
 
     def table(self) -> Table:
-        """Return the table that a terminal and a notebook show."""
+        """Return the table displayed in a terminal and a notebook."""
         columns, units = self.columns(), self.units
-        shown = list(columns)[:_MOST_COLUMNS]
-        rows = list(zip(*(columns[name][:_MOST_ROWS].tolist() for name in shown)))
+        shown = list(columns)[:_MAX_COLUMNS]
+        rows = list(zip(*(columns[name][:_MAX_ROWS].tolist() for name in shown)))
         head = [with_unit(name, units.get(name)) for name in shown]
-        left = {"rows": len(columns[shown[0]]) - len(rows), "columns": len(columns) - len(shown)}
-        note = " and ".join(f"{count} more {name}" for name, count in left.items() if count)
+        hidden = {"rows": len(columns[shown[0]]) - len(rows), "columns": len(columns) - len(shown)}
+        note = " and ".join(f"{count} more {name}" for name, count in hidden.items() if count)
         return Table(type(self).__name__.lower(), head, rows, note)
 
     def as_json(self) -> dict[str, Any]:
-        """Return every field but those kept from its representation, ready for JSON."""
-        names = [one.name for one in fields(self) if one.repr]  # type: ignore[arg-type]
+        """Return all fields with `repr`, ready for JSON."""
+        names = [item.name for item in fields(self) if item.repr]  # type: ignore[arg-type]
         return {name: plain(getattr(self, name)) for name in (*names, *self.derived)}
 
     def to_pandas(self) -> DataFrame:
-        """Return the columns as a data frame, their units in its `attrs["units"]`.
+        """Return the columns as a data frame, with units in `attrs["units"]`.
 
         Raises:
             MissingPackageError: If pandas is not installed.
         """
-        require(("pandas",), "pandas", "data frames need pandas")
+        require(("pandas",), "pandas", "data frames require pandas")
         from pandas import DataFrame
 
         frame = DataFrame(self.columns())
@@ -143,36 +142,36 @@ class Result:
         return frame
 
     def plot(self, path: Path | None = None) -> Any:
-        """Return a picture, a matplotlib figure, or the path that it was written to.
+        """Draw a chart; return the matplotlib figure, or the path of the file.
 
         Args:
             path: File to write; None to return the figure.
 
         Raises:
             MissingPackageError: If matplotlib is not installed.
-            NotImplementedError: If the result has no picture.
+            NotImplementedError: If the result has no chart.
         """
-        raise NotImplementedError(f"{type(self).__name__} has no picture")
+        raise NotImplementedError(f"{type(self).__name__} has no chart")
 
     def __repr__(self) -> str:
         try:
             text = str(self.table())
         except MaglevError as error:
             text = f"{type(self).__name__.lower()}: {error}"
-        if len(text.encode()) <= _LONGEST:
+        if len(text.encode()) <= _MAX_REPR:
             return text
-        return text.encode()[: _LONGEST - 3].decode(errors="ignore") + "…"
+        return text.encode()[: _MAX_REPR - 3].decode(errors="ignore") + "…"
 
     def _repr_html_(self) -> str:
         return self.table()._repr_html_()
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        cls.__repr__ = Result.__repr__  # type: ignore[method-assign]  # or a dataclass would make one of all its fields
+        cls.__repr__ = Result.__repr__  # type: ignore[method-assign]  # replaces the repr generated by dataclass
 
 
 def plain(value: Any) -> Any:
-    """Return a value ready for JSON, None for a number that is not finite."""
+    """Convert a value for JSON; a number that is not finite becomes None."""
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
@@ -186,14 +185,14 @@ def plain(value: Any) -> Any:
     if hasattr(value, "_asdict"):
         value = value._asdict()
     elif is_dataclass(value):
-        value = {one.name: getattr(value, one.name) for one in fields(value)}
+        value = {item.name: getattr(value, item.name) for item in fields(value)}
     if isinstance(value, Mapping):
-        return {name: plain(one) for name, one in value.items()}
-    return [plain(one) for one in value]
+        return {name: plain(item) for name, item in value.items()}
+    return [plain(item) for item in value]
 
 
 def with_unit(name: str, unit: str | None) -> str:
-    """Return the name of a column with its unit in brackets."""
+    """Return a column name with its unit in brackets."""
     return f"{name} [{unit}]" if unit else name
 
 
@@ -206,25 +205,25 @@ def _text(value: Any) -> str:
 
 
 def _has_words(text: str) -> bool:
-    """Return True for a cell of words, which stands to the left."""
+    """Return True for a text cell, which is left-aligned."""
     return any(map(str.isalpha, _IN_NUMBERS.sub("", text)))
 
 
 def _narrowed(columns: list[list[str]], wraps: bool) -> list[list[str]]:
-    """Return columns with their units below their names if they do not fit the width otherwise."""
+    """Move units below the column names if the table is too wide otherwise."""
     widths = [max(map(len, column)) + 1 for column in columns]
     widths[-1:] = [min(widths[-1], _NARROWEST) if wraps else widths[-1]] if columns else []
     heads = [column[0].partition(" [") for column in columns]
-    if len(_IN) + sum(widths) <= WIDTH or not any(mark for _, mark, _ in heads):
+    if len(_INDENT) + sum(widths) <= WIDTH or not any(mark for _, mark, _ in heads):
         return columns
     return [[name, mark.strip() + unit, *column[1:]] for (name, mark, unit), column in zip(heads, columns)]
 
 
 def _fitting(indices: Sequence[int], around: Sequence[int], widths: Sequence[int], gap: str) -> list[list[int]]:
-    """Return columns in groups that fit the width beside those around them."""
+    """Group columns so that each group fits the width next to the fixed columns."""
     groups: list[list[int]] = [[]]
     for index in indices:
-        used = len(_IN) + sum(widths[one] + len(gap) for one in [*around, *groups[-1]])
+        used = len(_INDENT) + sum(widths[column] + len(gap) for column in [*around, *groups[-1]])
         if groups[-1] and used + widths[index] > WIDTH:
             groups.append([])
         groups[-1].append(index)
@@ -232,13 +231,13 @@ def _fitting(indices: Sequence[int], around: Sequence[int], widths: Sequence[int
 
 
 def _block(columns: Sequence[Sequence[str]], left: Sequence[bool], gap: str) -> list[str]:
-    """Return the lines of columns side by side, the last of words wrapped."""
+    """Return the lines of adjacent columns; a last text column is wrapped."""
     widths = [max(map(len, column)) for column in columns]
-    begin = len(_IN) + sum(width + len(gap) for width in widths[:-1])
+    begin = len(_INDENT) + sum(width + len(gap) for width in widths[:-1])
     lines = []
     for *row, final in zip(*columns):
         texts = wrap(final, max(WIDTH - begin, _NARROWEST), break_on_hyphens=False) if left[-1] else [final]
         cells = [f"{text:{'<' if words else '>'}{width}}" for text, words, width in zip(row, left, widths)]
         cells.append(f"{texts[0] if texts else '':{'<' if left[-1] else '>'}{widths[-1]}}")
-        lines += [(_IN + gap.join(cells)).rstrip(), *(" " * begin + text for text in texts[1:])]
+        lines += [(_INDENT + gap.join(cells)).rstrip(), *(" " * begin + text for text in texts[1:])]
     return [line for line in lines if line]

@@ -1,9 +1,4 @@
-"""Table 1 of Salcudean and Vlaar (1997) as data.
-
-Each figure has its unit and source.
-
-ASSUMED marks figures that are not in the paper.
-"""
+"""Table 1 of Salcudean and Vlaar (1997) as data, with unit and source; ASSUMED marks values not in the paper."""
 
 from __future__ import annotations
 
@@ -11,10 +6,7 @@ import math
 from dataclasses import dataclass
 
 GRAVITY = 9.81
-"""Standard acceleration of free fall [m/s²], three digits.
-
-The paper does not print the value it used.
-"""
+"""Gravitational acceleration [m/s²], standard value to three digits; the paper does not state its value."""
 
 
 @dataclass(frozen=True)
@@ -66,16 +58,13 @@ INERTIA = (*[Spec.moving_mass.value] * 3, *[Spec.tilt_inertia.value] * 2, Spec.s
 """Mass and moments of inertia [kg, kg m²], six."""
 
 ESCAPE = 10.0 * Spec.translation_range.value
-"""Divergence bound: distance from the centre [m]."""
+"""Distance from the centre at which a simulation counts as diverged [m]."""
 
 RESOLUTION = (*[Spec.translation_resolution.value] * 3, *[Spec.rotation_resolution.value] * 3)
-"""Pose sensor resolution on the six axes [m, rad]."""
+"""Sensor resolution on the six axes [m, rad]."""
 
 DRIVER_TIME_CONSTANT = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
-"""Time constant of the current drivers' lag [s]."""
+"""Time constant of the drivers' first-order lag [s]."""
 
 RANGE = (*[Spec.translation_range.value] * 3, *[math.radians(Spec.rotation_range.value)] * 3)
-"""Motion range of the six axes [m, rad].
-
-It is on either side of the centre.
-"""
+"""Range of motion of the six axes, to either side of the centre [m, rad]."""

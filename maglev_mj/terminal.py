@@ -1,7 +1,4 @@
-"""Text output on a terminal.
-
-Control characters in text of files and other programs are escaped.
-"""
+"""Text output on a terminal; control characters from files and other programs are escaped."""
 
 from __future__ import annotations
 
@@ -10,21 +7,18 @@ from textwrap import wrap
 from typing import TextIO
 
 WIDTH = 80
-"""Largest number of columns in a table."""
+"""Maximum width of a table [characters]."""
 
 
 def printable(text: str) -> str:
-    """Return a text with its control characters escaped.
-
-    Line ends are escaped too; a terminal would obey them.
-    """
+    """Escape the control characters of a text, line ends included."""
     if text.isprintable():
         return text
-    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def say(line: str, file: TextIO | None = None) -> None:
-    """Print one line, with control characters escaped.
+    """Print one line with control characters escaped.
 
     Args:
         line: The line.
@@ -34,14 +28,12 @@ def say(line: str, file: TextIO | None = None) -> None:
 
 
 def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[str]:
-    """Return a text as lines of at most 80 characters.
-
-    A number stays on one line with its unit.
+    """Wrap a text to 80 characters, without separating a number from its unit.
 
     Args:
         text: One paragraph.
         indent: Indentation of the first line.
-        further: Indentation of the others; None for the same.
+        further: Indentation of the other lines; None for the same.
     """
     joined = re.sub(r"(?<=\d) (?=[^\W\d])", "\0", text)
     lines = wrap(
@@ -49,7 +41,7 @@ def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[s
         WIDTH,
         initial_indent=indent,
         subsequent_indent=indent if further is None else further,
-        break_long_words=False,  # a file's name
+        break_long_words=False,  # keep file names intact
         break_on_hyphens=False,
     )
     return [line.replace("\0", " ") for line in lines]

@@ -1,7 +1,4 @@
-"""Versions of the code behind a result.
-
-Versions of packages, and a digest of the sources.
-"""
+"""Versions of packages and a digest of the sources, stored with each result."""
 
 from __future__ import annotations
 
@@ -24,38 +21,30 @@ Versions: TypeAlias = Mapping[str, str]
 _PACKAGE = Path(__file__).resolve().parent
 _ROOT = _PACKAGE.parent
 MODELS = _PACKAGE / "model" if (_PACKAGE / "model").is_dir() else _ROOT / "model"
-"""Folder of the MJCF files.
-
-It is inside the installed package, or at the top of the repository.
-"""
+"""Folder of the MJCF files: in the installed package, or at the top of a clone."""
 
 TEXT = "__text__"
-"""Attribute of a user's module with its executed text."""
+"""Attribute of a user's module that holds its executed source text."""
 
 
 def versions() -> dict[str, str]:
-    """Return the versions behind a result, ready for JSON.
-
-    They are read once per process, in about 20 ms.
+    """Return the versions of the code, ready for JSON; cached after about 20 ms.
 
     Returns:
         maglev_mj, python, mujoco and numpy: their versions; "none" for mujoco if it is not installed.
-        sources: First 16 digits of the SHA-256 of package and models: the same in a checkout and in its wheel.
+        sources: First 16 digits of the SHA-256 of package and models; equal for a clone and its wheel.
     """
     return dict(_versions())
 
 
-def versions_read(found: object) -> Versions | None:
-    """Return versions read from a file, or None.
-
-    None for anything else, such as text with terminal control characters.
-    """
-    plain = isinstance(found, dict) and all(isinstance(one, str) and one.isprintable() for one in found.values())
-    return found if plain else None  # type: ignore[return-value]
+def versions_read(value: object) -> Versions | None:
+    """Validate versions read from a file; return None if they are not printable strings by name."""
+    plain = isinstance(value, dict) and all(isinstance(x, str) and x.isprintable() for x in value.values())
+    return value if plain else None  # type: ignore[return-value]
 
 
 def differences(theirs: Versions, ours: Versions) -> str:
-    """Return the differing versions as text, or ""."""
+    """Return the differing versions as text; "" if all are equal."""
     if not theirs:
         return "no versions"
     names = [name for name in ours if theirs.get(name) != ours[name]]
@@ -68,11 +57,9 @@ def hash_of(text: str) -> str:
 
 
 def file_of(thing: Any) -> tuple[Path, str] | None:
-    """Return path and text of a class's or function's file.
+    """Return path and source text of a top-level class or function; None if it has no file.
 
-    It must be at the top level; None if there is no such file.
-
-    The text is the executed one, if known.
+    The text is the executed one, if available.
     """
     module, name = sys.modules.get(thing.__module__), thing.__qualname__
     path = getattr(module, "__file__", None)
@@ -87,10 +74,7 @@ def file_of(thing: Any) -> tuple[Path, str] | None:
 
 @lru_cache(maxsize=64)
 def _read(path: str) -> str:
-    """Return a file's text as of its first reading.
-
-    It is nearest to the text that was executed.
-    """
+    """Return a file's text, cached at the first call: closest to the executed text."""
     return Path(path).read_text(encoding="utf-8")
 
 
@@ -107,7 +91,7 @@ def _versions() -> Versions:
 
 def _digest() -> str:
     texts = [
-        f"{path.relative_to(folder).as_posix()}\n{path.read_text(encoding='utf-8')}"  # the same with CRLF
+        f"{path.relative_to(folder).as_posix()}\n{path.read_text(encoding='utf-8')}"  # independent of line endings
         for folder, files in ((_PACKAGE, "*.py"), (MODELS, "*.xml"))
         for path in sorted(folder.rglob(files), key=Path.as_posix)
     ]

@@ -1,1 +1,1 @@
-"""Other programs and input devices."""
+"""Gymnasium environments, input devices and teleoperation."""

@@ -1,6 +1,6 @@
-"""Gymnasium environments: an agent's force moves the flotor of a scene to a target.
+"""Gymnasium environments: an agent moves the flotor of a scene to a target.
 
-Importing this module registers ``maglev_mj/Joystick-v0`` and, for any scene, ``maglev_mj/Scene-v0``, with gymnasium.
+Importing this module registers ``maglev_mj/Joystick-v0`` and ``maglev_mj/Scene-v0`` (any scene) with gymnasium.
 """
 
 from __future__ import annotations
@@ -21,13 +21,10 @@ from maglev_mj.scenes.run import checked_plant
 from maglev_mj.spec import INERTIA, RANGE
 
 FORCE = 20.0
-"""Largest force of an agent on a translation [N]."""
+"""Maximum force of an agent on a translation [N]."""
 
 LIMITS = tuple(FORCE * inertia * reach / (INERTIA[0] * RANGE[0]) for inertia, reach in zip(INERTIA, RANGE))
-"""Largest wrench of an agent on the six axes [N, N m].
-
-It crosses the range of each axis in the same time.
-"""
+"""Maximum wrench of an agent on the six axes [N, N m], scaled to cross the range of each axis in the same time."""
 
 _DISTURBANCE, _TARGET = 0.2, 0.6
 _FAR = (1e15, 1e15)
@@ -36,26 +33,26 @@ _Info: TypeAlias = dict[str, Any]
 
 
 class TargetTask:
-    """Task of one device or N devices: move the flotor to a target in a scene.
+    """Task for one device or a batch: move the flotor of a scene to a target.
 
-    The agent's wrench is added to that of the scene's laws, and takes effect after the scene's delay. A constant
-    disturbance of at most a fifth of the agent's limit acts with it. Motion is that of the exact plant, without stops.
+    The agent's wrench is added to that of the scene's laws and takes effect after the scene's delay. A constant
+    disturbance of up to 0.2 of the agent's limit is added. The plant is the exact plant, without metal stops.
 
     Args:
         scene: See `maglev_mj.run`.
-        axes: Names from AXES along which the agent acts; the scene's shown axis by default.
+        axes: Names from AXES on which the agent acts; the scene's main axis by default.
         batch: () for one device, (N,) for N devices.
         parameters: Parameters of the scene.
 
     Attributes:
-        action_space: Wrench of the agent as a share of `LIMITS`, in [-1, 1], one number an axis.
-        observation_space: Position, position one sample before, and target [m, rad], one number an axis each,
-            clipped at twice the motion range.
-        target: Targets of the episode [m, rad], (..., axes), within 0.6 of the range.
-        steps: Samples of an episode, to the end of the scene's run.
+        action_space: Wrench of the agent relative to `LIMITS`, in [-1, 1], one number per axis.
+        observation_space: Position, previous position and target [m, rad], one number per axis each, clipped at twice
+            the range of motion.
+        target: Target of the episode [m, rad], (..., axes), within 0.6 of the range.
+        steps: Samples per episode, the duration of the scene.
 
     Raises:
-        ParameterError: If there is no such scene, parameter or axis, or the scene does not run on the exact plant.
+        ParameterError: If there is no such scene, parameter or axis, or the scene does not support the exact plant.
     """
 
     def __init__(
@@ -82,31 +79,31 @@ class TargetTask:
         self._plant = self.scene.plant("exact", phase=phase, timing=self.scene.timing(), escape=_FAR)
         self._controller = self.scene.controller()
         self._sample = self._plant.read()
-        self._position = self._seen()
+        self._position = self._clipped_position()
         return self._observed(self._position)
 
     def step(self, action: Array) -> tuple[Array, Array, bool]:
         """Apply an action (..., axes) for one sample.
 
         Returns:
-            Observation (..., 3 axes), reward (...,), and True at the end of the episode. The reward is 1 on the
-            target, and 0 from a mean distance of the motion range on.
+            Observation (..., 3 axes), reward (...,), and True at the end of the episode. The reward is 1 at the
+            target, and falls linearly to 0 at a mean distance of the range of motion.
 
         Raises:
-            DivergenceError: If the scene's laws are so unstable that numbers overflow.
+            DivergenceError: If unstable laws make numbers overflow.
         """
         command, wrench = self._controller.step(self._sample), list(ZERO)
         for index, part in zip(self._axes, components(self._limit * (np.asarray(action) + self._disturbance))):
             wrench[index] = part
-        command.force = [one + other for one, other in zip(command.force, wrench)]
+        command.force = [law + agent for law, agent in zip(command.force, wrench)]
         self._plant.write(command)
         self._sample, before = self._plant.read(), self._position
-        self._position = self._seen()
-        off = np.abs(self.target - self._position) / self._reach
-        reward = np.maximum(1.0 - off.mean(axis=-1), 0.0)
+        self._position = self._clipped_position()
+        distance = np.abs(self.target - self._position) / self._reach
+        reward = np.maximum(1.0 - distance.mean(axis=-1), 0.0)
         return self._observed(before), reward, self._sample.tick >= self.steps
 
-    def _seen(self) -> Array:
+    def _clipped_position(self) -> Array:
         """Return the clipped position along the agent's axes, (..., axes)."""
         position = np.broadcast_to(join(self._sample.position), (*self._batch, 6))[..., self._axes]
         return np.clip(position, -2.0 * self._reach, 2.0 * self._reach)
@@ -116,14 +113,14 @@ class TargetTask:
 
 
 class TargetEnv(gymnasium.Env[Array, Array]):
-    """One device as an environment; see `TargetTask` for arguments, spaces and reward.
+    """Environment of one device; see `TargetTask` for arguments, spaces and reward.
 
-    An episode is truncated at its end and never terminates, as those of dm_control.
+    Episodes are truncated, never terminated, as in dm_control.
 
     Args:
         scene: See `TargetTask`.
         axes: See `TargetTask`.
-        render_mode: Ignored, as nothing is drawn. Some training programs always pass one.
+        render_mode: Ignored; some training programs always pass one.
         parameters: Parameters of the scene.
 
     Example:
@@ -144,7 +141,7 @@ class TargetEnv(gymnasium.Env[Array, Array]):
         self.action_space, self.observation_space = self.task.action_space, self.task.observation_space
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Array, _Info]:
-        """Begin an episode; the seed draws target and disturbance."""
+        """Start an episode; the seed determines target and disturbance."""
         super().reset(seed=seed)
         return self.task.reset(self.np_random), {}
 
@@ -155,7 +152,7 @@ class TargetEnv(gymnasium.Env[Array, Array]):
 
 
 class TargetVectorEnv(VectorEnv[Array, Array, Array]):
-    """N devices as one batch, whose episodes end together; the step after begins the next.
+    """Environment of N devices in one batch; episodes end together, and the following step starts the next.
 
     Args:
         num_envs: Number of devices.
@@ -177,7 +174,7 @@ class TargetVectorEnv(VectorEnv[Array, Array, Array]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Array, _Info]:
-        """Begin an episode of all; one seed draws targets and disturbances."""
+        """Start an episode of all devices; one seed determines targets and disturbances."""
         super().reset(seed=seed)  # type: ignore[arg-type]
         self._over = False
         return self.task.reset(self.np_random), {}
@@ -191,5 +188,5 @@ class TargetVectorEnv(VectorEnv[Array, Array, Array]):
         return observation, reward, never, np.full(self.num_envs, self._over), {}
 
 
-for _name in ("Joystick", "Scene"):  # the joystick is the scene by default
+for _name in ("Joystick", "Scene"):  # the default scene is the joystick
     gymnasium.register(f"maglev_mj/{_name}-v0", entry_point=TargetEnv, vector_entry_point=TargetVectorEnv)

@@ -294,9 +294,9 @@ def test_maps_have_a_row_for_each_wall() -> None:
 def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     one = results()["result"]
-    with pytest.raises(MissingPackageError, match=r"data frames need pandas: .* -m pip install 'pandas>="):
+    with pytest.raises(MissingPackageError, match=r"data frames require pandas: .* -m pip install 'pandas>="):
         one.to_pandas()
-    with pytest.raises(MissingPackageError, match=r"pictures need matplotlib: .* -m pip install 'matplotlib>="):
+    with pytest.raises(MissingPackageError, match=r"charts require matplotlib: .* -m pip install 'matplotlib>="):
         one.plot()
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(MissingPackageError, match="a data set needs xarray: pip install xarray"):

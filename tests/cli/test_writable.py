@@ -74,7 +74,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
     name, what = option.removeprefix("--"), "file" if kind == "FILE" else "folder"
     path = closed / "new.maglev"
     told = refused(words_of(command, option, path), capsys)
-    assert told.endswith(f": {name} must be a {what} that may be written, not {str(path)!r}\n")
+    assert told.endswith(f": {name} must be a writable {what} (got {str(path)!r})\n")
     held = tmp_path / "held"
     held.write_text("")
     told = refused(words_of(command, option, held / "new.maglev" if what == "file" else held / "below"), capsys)
@@ -93,12 +93,12 @@ def test_a_default_output_is_checked_too(
 ) -> None:
     recording = closed / "flight.maglev"
     told = refused(["export", str(recording), "--to", "csv"], capsys)
-    assert told == f"maglev-mj export: out must be a file that may be written, not '{closed}/flight.csv'\n"
+    assert told == f"maglev-mj export: out must be a writable file (got '{closed}/flight.csv')\n"
     monkeypatch.chdir(closed)
     told = refused(["sweep", "drop", "--vary", "height=0.001,0.002"], capsys)
-    assert re.fullmatch(r"maglev-mj sweep: record must be a folder that may be written, not 'drop-sweep-\w{8}'\n", told)
+    assert re.fullmatch(r"maglev-mj sweep: record must be a writable folder \(got 'drop-sweep-\w{8}'\)\n", told)
     told = refused(["drop", "--out", "."], capsys)
-    assert told == "maglev-mj drop: out must be a folder that may be written, not '.'\n"
+    assert told == "maglev-mj drop: out must be a writable folder (got '.')\n"
 
 
 def test_a_session_starts_in_a_folder_that_takes_no_files(closed: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -233,7 +233,7 @@ def test_a_token_is_generated_by_default(capsys: pytest.CaptureFixture[str]) -> 
         door, listener, _ = front.args
         listener.close()
         tokens.append(door.token)
-        assert f"the page is at http://127.0.0.1:{door.port}/?token={door.token}\n" in capsys.readouterr().out
+        assert f"web page: http://127.0.0.1:{door.port}/?token={door.token}\n" in capsys.readouterr().out
     assert tokens[0] != tokens[1] and min(map(len, tokens)) >= 32
 
 
@@ -596,7 +596,7 @@ def until(page: Page, done: Any) -> None:
 def test_ctrl_c_ends_a_page_with_its_report() -> None:
     """Which is how it ends, and no failure."""
     with started("view", "--web", "--no-open", "--port", "0") as program:
-        url = program.wait_for(r"the page is at (http://127\.0\.0\.1:\d+)\S*\s")
+        url = program.wait_for(r"web page: (http://127\.0\.0\.1:\d+)\S*\s")
 
         def answered() -> bool:
             with contextlib.suppress(OSError):
