@@ -115,7 +115,7 @@ def test_bad_input_is_refused() -> None:
         (lambda: karnopp([0.2, 0.1], targets=[(0.0, 0.003)], **FIGURE_8), "ascending"),
         (
             lambda: karnopp([0.1], targets=[(0.0, 0.003)], **FIGURE_8 | {"spring": 0.0}),
-            "spring must be a finite number",
+            "spring must be above 0",
         ),
         (lambda: LowPass(0.0), "cutoff must be"),
         (lambda: AdaptiveWindow(longest=0), "longest must be"),

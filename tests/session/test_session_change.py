@@ -53,7 +53,7 @@ def test_changes_in_quick_succession_act_together() -> None:
     [
         ({"stiffnes": 1.0}, "must be among period, delay, .*stiffness.*, not stiffnes"),
         ({"stiffness": -1.0}, "stiffness must be"),
-        ({"time_scale": 0.0}, "time_scale must be .* at least 0.001 and at most 1, not 0.0"),
+        ({"time_scale": 0.0}, "time_scale must be between 0.001 and 1.*got 0.0"),
         ({"hand_stiffness": -1.0, "damping": 20.0}, "hand_stiffness must be"),
         ({"delay": -1.0, "time_scale": 0.1}, "delay must be"),
     ],
@@ -73,7 +73,7 @@ def test_a_change_that_is_refused_changes_nothing(given: dict[str, Any], said: s
         ({"period": 0.001}, "period is set by the device or the local user; other programs cannot change it"),
         ({"delay": 0.0}, "delay is set by the device or the local user; other programs cannot change it"),
         ({"stifness": 5.0, "scene": 1}, "parameters must be among wall, pulse, .*, walls, not scene, stifness"),
-        ({"damping": 10**400}, r"damping must be between 0 and 10000.* \(got 1000"),
+        ({"damping": 10**400}, r"damping must be a finite number between 0 and 10000.* \(got 1000"),
         ({"walls": b"z"}, r"a wall must be \[axis, normal, edge\] \(got 122"),
     ],
 )
