@@ -92,7 +92,7 @@ class DivergenceError(PlantError):
     partial: Any = None
 
 
-def not_one_of(name: str, allowed: Iterable[str], given: object, also: str = "") -> str:
+def choice_message(name: str, allowed: Iterable[str], given: object, also: str = "") -> str:
     """Return the error message for a value that is not among the choices.
 
     Args:
@@ -122,13 +122,13 @@ def check_instance(name: str, value: object, kind: Any, allowed: str) -> None:
 
 
 def check_one_of(name: str, allowed: Collection[str], given: object, also: str = "") -> None:
-    """Check that a value is one of the choices; see `not_one_of`.
+    """Check that a value is one of the choices; see `choice_message`.
 
     Raises:
         ParameterError: If it is not.
     """
     if given not in allowed:
-        raise ParameterError(not_one_of(name, allowed, given, also))
+        raise ParameterError(choice_message(name, allowed, given, also))
 
 
 def file_path(value: Path | str) -> Path:

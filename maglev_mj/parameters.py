@@ -31,7 +31,7 @@ from typing import (
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import MaglevError, ParameterError, check_one_of, not_one_of
+from maglev_mj.errors import MaglevError, ParameterError, check_one_of, choice_message
 from maglev_mj.frames import AXES, Array, Component
 
 _NOT_NUMBERS = bool, np.bool_, str, bytes
@@ -336,7 +336,7 @@ class Parameter:
             return flag(self.name, value)
         if self.kind is str:
             if not isinstance(value, str) or (self.choices and value not in self.choices):
-                message = not_one_of(self.name, self.choices, value)
+                message = choice_message(self.name, self.choices, value)
                 raise ParameterError(message if self.choices else f"{self.name} must be a string (got {value!r})")
             return value
         result = number(self.name, value, **self.bounds, unit="" if self.along else self.unit)
@@ -495,7 +495,7 @@ class Parameters:
             ParameterError: If there is no such parameter.
         """
         if name not in cls._declared:
-            raise ParameterError(not_one_of("parameter", cls._declared, name))
+            raise ParameterError(choice_message("parameter", cls._declared, name))
         return cls._declared[name]
 
     @classmethod

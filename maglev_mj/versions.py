@@ -37,7 +37,7 @@ def versions() -> dict[str, str]:
     return dict(_versions())
 
 
-def versions_read(value: object) -> Versions | None:
+def validated_versions(value: object) -> Versions | None:
     """Validate versions read from a file; return None if they are not printable strings by name."""
     plain = isinstance(value, dict) and all(isinstance(x, str) and x.isprintable() for x in value.values())
     return value if plain else None  # type: ignore[return-value]

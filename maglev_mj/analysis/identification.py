@@ -36,11 +36,11 @@ from maglev_mj.control.timeline import recorded_switches, split_delay
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.recording import RunMetadata, Segment
-from maglev_mj.recording.recording import READ_SEGMENT
+from maglev_mj.recording.recording import SEGMENT_TYPE
 from maglev_mj.recording.sample import Face
 from maglev_mj.result import Table, plain
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.theory.closed_loop import MOST_PERIODS
+from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS
 
 _MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
 _MOST_DELAY = 0.1
@@ -248,7 +248,7 @@ def identify(segment: Segment, metadata: RunMetadata | None = None, *, anchors: 
         >>> bool(wall.stiffness.low < 5000.0 < wall.stiffness.high), bool(0.49 < wall.share.value < 0.5)
         (True, True)
     """
-    check_instance("segment", segment, Segment, READ_SEGMENT)
+    check_instance("segment", segment, Segment, SEGMENT_TYPE)
     if metadata is not None:
         segment = replace(segment, setup={**segment.setup, "run": metadata.as_json()})
     axes: dict[str, AxisEstimates] = {}
@@ -349,7 +349,7 @@ class _Axis:
         width = segment.applied_pulse_width
         switch, levels = recorded_switches(segment.time, held, pulse, width, period=self.period, delay=0.0)
         before = np.append(np.zeros(parts.shape[1]), self.metadata.before[axis])
-        hand = segment.known_hand[:-1, axis] * self.metadata.hand_acts_on_flotor
+        hand = segment.recorded_hand_wrench[:-1, axis] * self.metadata.hand_acts_on_flotor
         prompt = unit_integrals(np.diff(segment.time)) * np.column_stack([hand, np.ones(len(hand))])[:, None]
         if self.held:
             prompt = np.concatenate([prompt, self._impedance], axis=2)
@@ -500,8 +500,8 @@ class _Axis:
         # the boundary at the identified damping and delay, and one standard error to either side of each
         offsets = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * errors
         dampings, delays = np.maximum(np.array([damping, delay]) + offsets, 0.0).T
-        if delays.max() > MOST_PERIODS * self.period:
-            return Estimate(why=f"delay above {MOST_PERIODS} periods, the limit of the theory")
+        if delays.max() > MAX_DELAY_PERIODS * self.period:
+            return Estimate(why=f"delay above {MAX_DELAY_PERIODS} periods, the limit of the theory")
         most = largest_stable_stiffness(dampings, delay=delays, period=self.period, mass=mass)
         if not most.min() > 0.0:
             return Estimate(why="no wall is stable at this damping and delay")

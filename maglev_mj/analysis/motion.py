@@ -98,7 +98,7 @@ def reconstruct(segment: Segment) -> Motion:
     pieces = _pieces(segment, time)
     steady = np.tile(metadata.load, (len(time) - 1, 1))
     if metadata.hand_acts_on_flotor:
-        steady += segment.known_hand[:-1]
+        steady += segment.recorded_hand_wrench[:-1]
     _, twist, end = _through(segment.position, pieces, steady, metadata.inertia)
     period = np.diff(time)[:, None]
     jump = twist[1:, 0] - end[:-1]

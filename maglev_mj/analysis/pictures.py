@@ -135,7 +135,7 @@ def _over_time(report: SegmentReport, axis: int, window: tuple[float, float], *,
 def _describe(report: SegmentReport) -> str:
     wall = "" if report.wall is None else f"; wall: {report.wall}"
     compared = "" if report.comparison is None else f"\n{report.comparison.sentence}"
-    return f"{report.run_named}{wall}{compared}"
+    return f"{report.run_title}{wall}{compared}"
 
 
 def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:

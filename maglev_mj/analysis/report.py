@@ -20,7 +20,7 @@ from maglev_mj.pictures import save
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Segment
-from maglev_mj.recording.recording import READ_SEGMENT
+from maglev_mj.recording.recording import SEGMENT_TYPE
 from maglev_mj.recording.setup import scripted
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes import Scene
@@ -158,7 +158,7 @@ class SegmentReport(Result):
         return columns
 
     @property
-    def run_named(self) -> str:
+    def run_title(self) -> str:
         """Name, rate and delay of the run in a few words."""
         run = self.metadata
         return f"{run.name}, {1.0 / run.period:g} Hz, delay {run.delay * 1e3:g} ms"
@@ -174,7 +174,7 @@ class SegmentReport(Result):
         if comparison is not None:
             below.append(comparison.table())
         span = f"{figures.samples} samples, {figures.start:.4g} to {figures.end:.4g} s, {figures.missed} lost"
-        return Table(f"{self.run_named}: {span}", [], [], below=[*below, self.identified.table()])
+        return Table(f"{self.run_title}: {span}", [], [], below=[*below, self.identified.table()])
 
     def plot(self, path: Path | None = None, axis: str | None = None) -> Any:
         """Draw recording and simulation of the run on an axis; see `Result.plot`.
@@ -259,7 +259,7 @@ def analyse(
         (6000, 80)
     """
     flag("simulated", simulated)
-    check_instance("segment", segment, Segment, READ_SEGMENT)
+    check_instance("segment", segment, Segment, SEGMENT_TYPE)
     whole = reconstruct(segment)
     first, last = _rows(whole, begin, end)
     comparison = other = None
@@ -325,7 +325,7 @@ def simulate(segment: Segment, motion: Motion, rebuild: Rebuild, scene: type[Sce
     """
     run = segment.whole
     rows = np.round(segment.tick - run.tick[0]).astype(np.intp)
-    plant, controller = rebuild(run.setup, RecordedHand(run.known_hand))
+    plant, controller = rebuild(run.setup, RecordedHand(run.recorded_hand_wrench))
     if plant is None:
         device = recorded_scene(segment.setup["scene"], segment.setup["parameters"], scene)
         start = {"pose": motion.trace.pose[motion.starts[0]], "twist": motion.trace.twist[motion.starts[0]]}

@@ -18,7 +18,7 @@ from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import number
 
-AGAIN = 0.02
+RETRY_INTERVAL = 0.02
 """Repeat interval of an unanswered request [s]."""
 
 _HELLO_INTERVAL, _ESTOP_INTERVAL = 0.1, 0.005
@@ -189,7 +189,7 @@ class AnswerTiming(NamedTuple):
         last_delay: Delay of the previous sample's answer, by the device's clock [s]; NaN if the command in force
             answers another sample.
         newest_delay: Delay of the newest answer that has arrived [s]; NaN without a new one.
-        lateness: `newest_delay`, or without a new answer the lower bound of the next answer's delay [s].
+        delay_bound: `newest_delay`, or without a new answer the lower bound of the next answer's delay [s].
         transport: Arrival time by the host's clock minus sample time by the device's [ns]; includes the offset of the
             two clocks.
     """
@@ -197,7 +197,7 @@ class AnswerTiming(NamedTuple):
     answered_tick: int
     last_delay: float
     newest_delay: float
-    lateness: float
+    delay_bound: float
     transport: int
 
 
@@ -303,8 +303,8 @@ class Connection:
         newest = behind * period - report.age * 1e-6 + delay if fresh else math.nan
         last = newest if samples.elapsed == behind == 1 else math.nan
         # lower bound for the next answer
-        lateness = newest if fresh else (behind - 1) * period + delay
-        self.answers = AnswerTiming(samples.tick - behind, last, newest, lateness, self.arrival - frame.time)
+        delay_bound = newest if fresh else (behind - 1) * period + delay
+        self.answers = AnswerTiming(samples.tick - behind, last, newest, delay_bound, self.arrival - frame.time)
 
     def control(
         self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO
@@ -317,7 +317,7 @@ class Connection:
             return None
         self._request += 1
         body = wire.Control(self._request, operation, faults, tuple(hover))
-        for data in _requested(self._link, self.codec, self._session, body, AGAIN, self.patience):
+        for data in _requested(self._link, self.codec, self._session, body, RETRY_INTERVAL, self.patience):
             frame = self._trusted(data)
             if frame is not None and isinstance(frame.body, wire.ControlAck) and frame.body.request == self._request:
                 self.settled = frame.time

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj import session
-from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
+from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
 from maglev_mj.bridge.landing import LandingReport, StopSwitch
 from maglev_mj.bridge.preflight import LoopTiming
 from maglev_mj.bridge.remote import RemotePlant
@@ -67,7 +67,7 @@ class Flight:
         publishers: Publishers to viewers and other programs; not closed.
         warn: Called once with the reason if the recording ends.
         step_force: Largest force step caused by new settings [N]; see `check_step`.
-        bears: Critical delay of the scene [s]; see `preflight` and `late_delay`.
+        critical_delay: Critical delay of the scene [s]; see `preflight` and `delay_limit`.
         judge: `judge_change` in a separate process, started before the thread becomes real-time; None to accept new
             settings unchecked.
 
@@ -90,7 +90,7 @@ class Flight:
         publishers: Sequence[Publisher] = (),
         warn: Callable[[str], object] | None = None,
         step_force: float = STEP_FORCE,
-        bears: float = math.inf,
+        critical_delay: float = math.inf,
         judge: SideAnswers | None = None,
     ) -> None:
         if scene.period != plant.period:
@@ -110,8 +110,11 @@ class Flight:
         self._inertia = [*[plant.calibration.mass] * 3, *plant.calibration.inertia]
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_ANSWERS)
-        self._warn, self._check_due = warn, session.Due(1.0)
-        self._delay_guard, self._power_guard = DelayGuard(late_delay(bears, plant.period)), PowerGuard(plant.period)
+        self._warn, self._check_due = warn, session.FrameClock(1.0)
+        self._delay_guard, self._power_guard = (
+            DelayGuard(delay_limit(critical_delay, plant.period)),
+            PowerGuard(plant.period),
+        )
         self.reason, self._judge = "", judge
         if file is not None:
             file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
@@ -144,7 +147,7 @@ class Flight:
 
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
         plant = self._plant
-        plant.takeoff(watch=self._watch, tries=True)
+        plant.takeoff(watch=self._watch, check_coils=True)
         self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
@@ -199,7 +202,7 @@ class Flight:
         def observe(sample: Sample, applied: Command) -> None:
             timing.add(plant)
             self._force = applied.force
-            delay = max(plant.answers.lateness, plant.delay + timing.newest_age)
+            delay = max(plant.answers.delay_bound, plant.delay + timing.newest_age)
             laws = [total - weight for total, weight in zip(applied.force, carried)]
             self.reason = check_delay(delay) or check_power(sample.position, laws)
             if self._warn is not None and self._file is not None:
@@ -241,7 +244,7 @@ class Flight:
             return
         self._position = sample.position
         try:
-            with session.own_code_refused():
+            with session.user_errors_rejected():
                 next(self._steps, None)
         except MaglevError as error:
             self._note = str(error)
@@ -258,7 +261,7 @@ class Flight:
             critical, note = answer
             if critical is None:
                 raise ParameterError(note)
-            limit = late_delay(critical, self._plant.period)
+            limit = delay_limit(critical, self._plant.period)
         controller = session.device_controller(scene)
         yield  # creating it takes half a period at 1 kHz: check it one sample later
         session.check_step(self._controller, controller, self._position, self._step_force)

@@ -18,7 +18,7 @@ from maglev_mj.bridge.wire import Fault, Flag, State, StateReport
 from maglev_mj.errors import SensingError
 from maglev_mj.frames import ZERO
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory.closed_loop import MOST_PERIODS
+from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS
 
 _DELAY_SHARE = 0.8
 """Delay limit as a share of the critical delay: near the critical delay a loop rings long after a tap."""
@@ -177,7 +177,7 @@ class _Temperatures:
     def __call__(self, sample: DeviceSample) -> Alarm | None:
         if not sample.active or max(*sample.report.temperatures, *sample.modelled) < WARNING_RISE:
             return None
-        rises = larger(sample.report.temperatures, sample.modelled)
+        rises = larger_rises(sample.report.temperatures, sample.modelled)
         if (warmest := max(rises)) >= 1.0:
             return Alarm(Fault.COIL_OVERTEMP, f"coil {rises.index(warmest)} reached its temperature limit")
         if not self._warned:
@@ -186,7 +186,7 @@ class _Temperatures:
         return None
 
 
-def larger(reported: Sequence[float], modelled: Sequence[float]) -> list[float]:
+def larger_rises(reported: Sequence[float], modelled: Sequence[float]) -> list[float]:
     """Return the larger of reported and modelled temperature rises, six."""
     return [max(pair) for pair in zip(reported, modelled)]
 
@@ -204,15 +204,15 @@ def _listed(values: Sequence[float], form: str) -> str:
     return ", ".join(f"{value:{form}}" for value in values)
 
 
-def late_delay(bears: float, period: float) -> float:
+def delay_limit(critical_delay: float, period: float) -> float:
     """Return the delay limit of the `DelayGuard` [s].
 
     Args:
-        bears: Critical delay of the laws [s], as of `delay_margins`; NaN or infinity if not computed.
+        critical_delay: Critical delay of the laws [s], as of `delay_margins`; NaN or infinity if not computed.
         period: Sample period [s].
     """
-    longest = min(_LONGEST, MOST_PERIODS * period)
-    critical = bears if bears < longest else longest  # also for NaN
+    longest = min(_LONGEST, MAX_DELAY_PERIODS * period)
+    critical = critical_delay if critical_delay < longest else longest  # also for NaN
     return max(_DELAY_SHARE * critical, min(critical, _FULL_SHARE))
 
 
@@ -223,7 +223,7 @@ class DelayGuard:
     above 1.25 times the limit, or 3 of 5 above three times the limit.
 
     Args:
-        limit: Delay limit, from a sample to its answer's effect [s]; see `late_delay`.
+        limit: Delay limit, from a sample to its answer's effect [s]; see `delay_limit`.
 
     Attributes:
         limit: The delay limit [s]; may be changed.

@@ -14,7 +14,7 @@ from maglev_mj.bridge import safety
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, LastCycles
-from maglev_mj.bridge.flight_guards import DeviceSample, device_guards, larger
+from maglev_mj.bridge.flight_guards import DeviceSample, device_guards, larger_rises
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
@@ -153,7 +153,7 @@ class GuardedPlant:
         active, samples, hand = self.state is _ACTIVE, self.samples, self._hand
         pose, error, since = self._locate(report.spots)
         if active and error is None:
-            answers, hand.tries = self._connection.answers, self.guided
+            answers, hand.check_coils = self._connection.answers, self.guided
             hand.sampled(samples.tick, samples.elapsed, self._located, answers.answered_tick, answers.newest_delay)
         previous = before.body if before is not None else None
         guided, modelled = self.guided or not active, self._output.thermal.rises
@@ -222,7 +222,7 @@ class GuardedPlant:
     @property
     def temperatures(self) -> list[float]:
         """Temperature rises of the coils, reported or modelled; 1 trips."""
-        return larger(ZERO if self._frame is None else self.report.temperatures, self._output.thermal.rises)
+        return larger_rises(ZERO if self._frame is None else self.report.temperatures, self._output.thermal.rises)
 
     def arm(self, hover: Sequence[float] | None = None) -> None:
         """Switch the currents on; PlantError if the device refuses.

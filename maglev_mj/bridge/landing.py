@@ -25,7 +25,7 @@ from maglev_mj.scenes.find import line_of
 LANDING_TIME = 2.0
 """Time after which an unfinished landing is cut [s]."""
 
-TOLERATED = 0.02
+LANDING_DELAY = 0.02
 """Design delay of the hold of an early landing [s]; it is stable up to 59 ms at 200 Hz, 53 ms at 1 kHz."""
 
 _DROP_SPEED, _FAST_TIME = 0.3, 0.1
@@ -152,15 +152,15 @@ class Leader:
         self._controller = Controller([Bias(weight), hold], period=period)
         self.aim(straight(ZERO, ZERO, 1.0))
 
-    def aim(self, path: Trajectory, astray: Callable[[Sequence[float]], object] | None = None) -> None:
+    def aim(self, path: Trajectory, off_path: Callable[[Sequence[float]], object] | None = None) -> None:
         """Start a path at the next sample.
 
         Args:
             path: The path; time 0 is the next sample.
-            astray: Called with the pose if the flotor does not follow.
+            off_path: Called with the pose if the flotor does not follow.
         """
         self._path = path
-        self._astray, self._first = astray, -1
+        self._astray, self._first = off_path, -1
         self.motion = Motion(self.period)
         self._controller.reset()
 

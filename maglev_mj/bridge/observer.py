@@ -53,8 +53,8 @@ class HandObserver:
     Attributes:
         currents: Currents that should flow at the last sample [A], six; None if the newest answer is not reported, or
             an overtaken one may be in effect.
-        coils: Estimator of the coil gains; updated while `tries` is True.
-        tries: True in takeoff.
+        coils: Estimator of the coil gains; updated while `check_coils` is True.
+        check_coils: True in takeoff.
     """
 
     def __init__(self, calibration: Calibration, period: float) -> None:
@@ -63,7 +63,7 @@ class HandObserver:
         self._calibration = calibration
         self._body = [inertia / period**2 for inertia in (*[calibration.mass] * 3, *calibration.inertia.tolist())]
         self._weight = [*(calibration.mass * calibration.gravity).tolist(), 0.0, 0.0, 0.0]
-        self.tries = False
+        self.check_coils = False
         self.reset()
 
     def reset(self) -> None:
@@ -128,7 +128,7 @@ class HandObserver:
             self._low = None
         self._pending.append((tick, position, intervals))
         self.currents = timeline.now()[1] if certain else None
-        if self.tries:
+        if self.check_coils:
             self._process()
 
     @property
@@ -155,7 +155,7 @@ class HandObserver:
             self._count += 1
             if self._count < 3:
                 continue
-            if self.tries:
+            if self.check_coils:
                 self.coils.add(now, _mean([(share, currents) for share, (_, currents) in acting]))
             explained = _mean([(share, wrench) for share, (wrench, _) in acting])
             raw = [

@@ -18,7 +18,7 @@ from maglev_mj.parameters import number
 from maglev_mj.plants.hand import HANDS
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes import Scene
-from maglev_mj.session import device_controller, own_code_refused
+from maglev_mj.session import device_controller, user_errors_rejected
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.verdict import delay_margins, judge, stated_gains
 
@@ -26,7 +26,7 @@ _ANSWERS = 64
 _WINDOW = 2_000_000_000  # [ns] of the minimum transport time: clocks drift by up to 100 µs/s
 
 MARGIN = 1.5
-"""Required margin of a scene over the usual link delay."""
+"""Required margin of a scene over the 95th percentile of the link delay."""
 
 _CLOCK = 0.02
 """Tolerance of the device clock's rate."""
@@ -95,7 +95,7 @@ class LoopTiming:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LineReport(Result):
+class LinkReport(Result):
     """Latencies of link and host, measured without currents.
 
     Attributes:
@@ -122,7 +122,7 @@ class LineReport(Result):
     units: ClassVar = {"delay": "s", "answer": "s"}
 
     @property
-    def usual(self) -> float:
+    def delay_95(self) -> float:
         """95th percentile of the loop delay [s]; the device's own delay without any answer.
 
         Not the maximum: single late answers do not destabilise a loop.
@@ -130,14 +130,14 @@ class LineReport(Result):
         return float(np.percentile(self.delay, 95.0)) if self.delay.size else self.device_delay
 
     @property
-    def planned(self) -> float:
+    def required_delay(self) -> float:
         """Delay at which a scene must be stable [s]: the device's, plus 1.5 times that of link and host."""
-        return self.device_delay + MARGIN * max(self.usual - self.device_delay, 0.0)
+        return self.device_delay + MARGIN * max(self.delay_95 - self.device_delay, 0.0)
 
     @property
     def anyway(self) -> float:
         """Critical delay assumed for a scene that is flown although the check failed [s]."""
-        return 2.0 * self.planned
+        return 2.0 * self.required_delay
 
     @property
     def success(self) -> float:
@@ -169,7 +169,7 @@ class LineReport(Result):
         return Table("", ("latency [ms]", "median", "95 %", "99 %", "max"), rows, note.replace("%", " %"))
 
 
-def measure_line(plant: RemotePlant, duration: float = 1.0) -> LineReport:
+def measure_link(plant: RemotePlant, duration: float = 1.0) -> LinkReport:
     """Measure the latencies of link and host by answering an inactive device with zero currents.
 
     Args:
@@ -194,7 +194,7 @@ def measure_line(plant: RemotePlant, duration: float = 1.0) -> LineReport:
             late += delay - plant.delay > stale
         plant.drive(ZERO)
         answers.append(plant.answer_latency)
-    return LineReport(
+    return LinkReport(
         device_delay=plant.delay,
         delay=np.array(delays[1:]),
         answer=np.array(answers[1:][: len(delays) - 1]),
@@ -219,22 +219,22 @@ class Preflight(NamedTuple):
     """Outcome of the preflight check.
 
     Attributes:
-        scene: The scene to fly, unchanged or with wall stiffness reduced until it is stable at `report.planned`.
+        scene: The scene to fly, unchanged or with wall stiffness reduced until it is stable at `report.required_delay`.
         report: Latencies of link and host.
-        bears: Critical delay of the scene [s], the smallest over no hand and each published hand.
+        critical_delay: Critical delay of the scene [s], the smallest over no hand and each published hand.
         problem: Reason not to fly, as one line; "" if it may.
-        softened: Message about reduced wall stiffness; "" without.
+        reduction: Message about reduced wall stiffness; "" without.
     """
 
     scene: Scene
-    report: LineReport
-    bears: float
+    report: LinkReport
+    critical_delay: float
     problem: str
-    softened: str
+    reduction: str
 
 
 def preflight(
-    plant: RemotePlant, scene: Scene, *, as_written: bool = False, report: LineReport | None = None
+    plant: RemotePlant, scene: Scene, *, as_written: bool = False, report: LinkReport | None = None
 ) -> Preflight:
     """Measure the loop delay, and check that a scene is stable with it.
 
@@ -242,29 +242,33 @@ def preflight(
         plant: The device, not armed.
         scene: Scene to be rendered.
         as_written: True to leave the scene unchanged. Else, in a scene with `stiffness` and `damping` whose laws state
-            their gains, wall stiffness is reduced to the largest that is stable at `LineReport.planned`.
+            their gains, wall stiffness is reduced to the largest that is stable at `LinkReport.required_delay`.
         report: Latencies measured with the flight's scheduling; by default measured for 1 s.
 
     Raises:
         PlantError: If the device is not inactive.
         MaglevError: If a law fails.
     """
-    report = report or measure_line(plant)
+    report = report or measure_link(plant)
     scene = scene.replace(period=plant.period, delay=plant.delay)
     inertia = np.array([*[plant.calibration.mass] * 3, *plant.calibration.inertia])
-    bears, softened = _critical_delay(scene, inertia), ""
-    if bears < report.planned and not as_written and (reduced := _reduced(scene, report.planned, inertia)) is not None:
+    critical_delay, reduction = _critical_delay(scene, inertia), ""
+    if (
+        critical_delay < report.required_delay
+        and not as_written
+        and (reduced := _reduced(scene, report.required_delay, inertia)) is not None
+    ):
         before, after = (f"{x.stiffness:.0f}" for x in (scene, reduced))  # type: ignore[attr-defined]
-        scene, original, bears = reduced, bears, _critical_delay(reduced, inertia)
-        softened = (
-            f"wall stiffness reduced from {before} to {after} N/m: measured loop delay {report.usual * 1e3:.2f} ms, "
-            f"stable up to {original * 1e3:.2f} ms before and {bears * 1e3:.2f} ms now"
+        scene, original, critical_delay = reduced, critical_delay, _critical_delay(reduced, inertia)
+        reduction = (
+            f"wall stiffness reduced from {before} to {after} N/m: measured loop delay {report.delay_95 * 1e3:.2f} ms, "
+            f"stable up to {original * 1e3:.2f} ms before and {critical_delay * 1e3:.2f} ms now"
         )
-    return Preflight(scene, report, bears, _problem(scene, report, bears), softened)
+    return Preflight(scene, report, critical_delay, _problem(scene, report, critical_delay), reduction)
 
 
 def judge_change(
-    scene: Scene, inertia: Sequence[float], delays: Sequence[float], *, report: LineReport, anyway: bool
+    scene: Scene, inertia: Sequence[float], delays: Sequence[float], *, report: LinkReport, anyway: bool
 ) -> tuple[float | None, str]:
     """Check new settings in flight, as `preflight` checks a scene.
 
@@ -281,13 +285,13 @@ def judge_change(
     Raises:
         MaglevError: If a law fails.
     """
-    with own_code_refused():
-        bears = _critical_delay(scene, np.array(inertia))
+    with user_errors_rejected():
+        critical_delay = _critical_delay(scene, np.array(inertia))
     newest = replace(report, delay=np.array(delays), samples=len(delays), late=0)
-    problem = _problem(scene, max(report, newest, key=lambda report: report.usual), bears)
+    problem = _problem(scene, max(report, newest, key=lambda report: report.delay_95), critical_delay)
     if problem and anyway:
         return report.anyway, f"warning: {problem}"
-    return None if problem else bears, problem
+    return None if problem else critical_delay, problem
 
 
 def _critical_delay(scene: Scene, inertia: Array) -> float:
@@ -295,7 +299,7 @@ def _critical_delay(scene: Scene, inertia: Array) -> float:
     return float(np.min([*margins.values()]))
 
 
-def _problem(scene: Scene, report: LineReport, bears: float) -> str:
+def _problem(scene: Scene, report: LinkReport, critical_delay: float) -> str:
     """Return the reason not to fly with its remedy, or ""."""
     if abs(report.clock - 1.0) > _CLOCK:
         return (
@@ -307,19 +311,19 @@ def _problem(scene: Scene, report: LineReport, bears: float) -> str:
             f"only {100.0 * report.success:.0f} % of {report.samples} samples were answered in time, at least "
             f"{100.0 * _ANSWERED:.0f} % required: keep a processor free or use a faster link"
         )
-    if math.isnan(bears):
+    if math.isnan(critical_delay):
         return f"critical delay of {scene.name} not computed: its laws have too long a memory, or a discontinuous force"
-    if bears == 0.0:
+    if critical_delay == 0.0:
         return f"{scene.name} is unstable even without delay: reduce its stiffness or increase its damping"
-    if bears < report.usual:
+    if critical_delay < report.delay_95:
         return (
-            f"{scene.name} is stable up to a loop delay of {bears * 1e3:.2f} ms, but 5 % of the answers exceed "
-            f"{report.usual * 1e3:.2f} ms: reduce its stiffness, keep a processor free or use a faster link"
+            f"{scene.name} is stable up to a loop delay of {critical_delay * 1e3:.2f} ms, but 5 % of the answers "
+            f"exceed {report.delay_95 * 1e3:.2f} ms: reduce its stiffness, keep a processor free or use a faster link"
         )
     return ""
 
 
-def _reduced(scene: Scene, planned: float, inertia: Array) -> Scene | None:
+def _reduced(scene: Scene, required_delay: float, inertia: Array) -> Scene | None:
     """Return the scene with the largest wall stiffness that is stable at a delay; None without any."""
     live = {x.name for x in scene.parameters() if x.live}
     if not {"stiffness", "damping"} <= live or stated_gains(device_controller(scene)) is None:
@@ -339,19 +343,19 @@ def _reduced(scene: Scene, planned: float, inertia: Array) -> Scene | None:
     low, high, best = 0.0, 1.0, None
     for _ in range(_HALVINGS):
         share = 0.5 * (low + high)
-        if (reduced := stable_scene(share, _HAND_MARGIN * planned)) is None:
+        if (reduced := stable_scene(share, _HAND_MARGIN * required_delay)) is None:
             high = share
         else:
             low, best = share, reduced
-    return best if best is not None and _critical_delay(best, inertia) >= planned else None
+    return best if best is not None and _critical_delay(best, inertia) >= required_delay else None
 
 
-def stiffest_walls(report: LineReport, plant: RemotePlant) -> dict[str, tuple[float, float]]:
-    """Return the stiffest wall that is stable at the planned delay, by hand: stiffness and damping [N/m, N s/m]."""
+def stiffest_walls(report: LinkReport, plant: RemotePlant) -> dict[str, tuple[float, float]]:
+    """Return the stiffest wall that is stable at the required delay, by hand: stiffness and damping [N/m, N s/m]."""
     walls = {}
     for hand in HANDS:
         wall = largest_stable_stiffness(
-            period=plant.period, delay=report.planned, mass=plant.calibration.mass, hand=hand
+            period=plant.period, delay=report.required_delay, mass=plant.calibration.mass, hand=hand
         )
         walls[hand] = float(wall.stiffness), float(wall.damping)
     return walls

@@ -9,7 +9,7 @@ from typing import NoReturn, TypeAlias
 
 from maglev_mj.bridge.flight_guards import shown
 from maglev_mj.bridge.guarded import GuardedPlant
-from maglev_mj.bridge.landing import TOLERATED, LandingReport, Leader, Motion, Swing, straight
+from maglev_mj.bridge.landing import LANDING_DELAY, LandingReport, Leader, Motion, Swing, straight
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import PlantError, SensingError
@@ -65,9 +65,9 @@ class RemotePlant(GuardedPlant):
     rest: Sequence[float] = ZERO
 
     def _prepare(self) -> None:
-        self._leader, self._tolerant = (Leader(self.calibration, self.period, x) for x in (self.delay, TOLERATED))
+        self._leader, self._tolerant = (Leader(self.calibration, self.period, x) for x in (self.delay, LANDING_DELAY))
 
-    def takeoff(self, duration: float = 0.6, *, watch: _Watch | None = None, tries: bool = False) -> None:
+    def takeoff(self, duration: float = 0.6, *, watch: _Watch | None = None, check_coils: bool = False) -> None:
         """Check that the flotor is at rest, arm, and move it to the centre.
 
         At rest: up to 5 mm/s and 0.1 rad/s over 0.1 s. Slow work is done before the currents flow.
@@ -75,14 +75,14 @@ class RemotePlant(GuardedPlant):
         Args:
             duration: Duration of the motion [s].
             watch: Called after each sample of the motion; True ends it early.
-            tries: True to check each coil: moves by 0.7 mm and 7 mrad around the centre, 0.45 s longer.
+            check_coils: True to check each coil: moves by 0.7 mm and 7 mrad around the centre, 0.45 s longer.
 
         Raises:
             DeviceFault: If the flotor does not follow, or another fault occurs.
             PlantError: If the flotor moves, is not on its lower stop or its pose is not measured (not armed), or if a
                 coil that was checked is not as calibrated (landed).
         """
-        flag("tries", tries)
+        flag("check_coils", check_coils)
         self.require_inactive()
         leader, loop = self._leader, ControlLoop(self, self._leader)
         gc.collect()
@@ -103,14 +103,14 @@ class RemotePlant(GuardedPlant):
 
         leader.aim(straight(rest, rest, duration))
         loop.cycle(2)  # warm-up of slow first calls; the device ignores these answers
-        poses = [rest, ZERO, *(_TRIES if tries else ())]
+        poses = [rest, ZERO, *(_TRIES if check_coils else ())]
         times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
         leader.aim(Trajectory(times, poses), off_path)
         self.arm()
         self.rest, self.guided = rest, True
         try:
             ended = self._lead(loop, times[-1], watch)
-            fault = self.coils.fault() if tries and not ended else ""
+            fault = self.coils.fault() if check_coils and not ended else ""
         finally:
             self.guided = False
         if fault:

@@ -365,7 +365,7 @@ class OutputLimiter:
 
     def __init__(self, coils: CoilMap, limits: Limits, wrench_limit: Sequence[float] | None, period: float) -> None:
         self._limit = wrench_limit
-        self._inverse_turned, self._current, self._period = coils.inverse_turned, limits.current_limit, period
+        self._inverse_turned, self._current, self._period = coils.inverse_at_angle, limits.current_limit, period
         self.thermal = ThermalModel(limits)
         self._timeline = Timeline(Timing(period=period, delay=0.0), ZERO)
 

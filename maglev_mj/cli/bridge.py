@@ -21,7 +21,7 @@ from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import LANDING_TIME, StopSwitch
 from maglev_mj.bridge.links import open_link
-from maglev_mj.bridge.preflight import MARGIN, Preflight, judge_change, measure_line, preflight, stiffest_walls
+from maglev_mj.bridge.preflight import MARGIN, Preflight, judge_change, measure_link, preflight, stiffest_walls
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.bridge.realtime import realtime as scheduled
 from maglev_mj.bridge.remote import RemotePlant
@@ -46,9 +46,9 @@ from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, UNKNOWN, Snapshot, device_actions
+from maglev_mj.session import DEVICE_PARAMETERS, UNKNOWN, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
-from maglev_mj.views.viewer_process import Front, RemoteViewer
+from maglev_mj.views.viewer_process import RemoteViewer, ViewerFunction
 
 _IDENTIFYING = 10.0
 _IDENTIFICATION = "identification (instead of a scene)"
@@ -76,7 +76,7 @@ or ended by a guard; 2 invalid input; 130 stopped before takeoff.
 
 def _add_scene(parser: Parser) -> None:
     parser.epilog = _ENDS
-    add_scene(parser, option="--scene", default="joystick", without=DEVICES_OWN)
+    add_scene(parser, option="--scene", default="joystick", without=DEVICE_PARAMETERS)
 
 
 def _add_limits(parser: Parser) -> None:
@@ -155,11 +155,11 @@ def bridge(
             return _checked_line(plant, scene, realtime)
         print("  measuring link latency and checking the scene's stability", flush=True)
         with scheduled(realtime):  # as in flight, which reports refused settings
-            report = measure_line(plant)
+            report = measure_link(plant)
         result = preflight(plant, scene, as_written=as_written, report=report)
         anyway = _may_fly(plant, address, result, anyway)
-        if result.softened:
-            print("\n".join(wrapped(result.softened)), flush=True)
+        if result.reduction:
+            print("\n".join(wrapped(result.reduction)), flush=True)
         return _fly(plant, _Flown(result, anyway, seconds, record, realtime), front, page.web)
 
 
@@ -178,16 +178,20 @@ def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "
     """Print link latency and stability of the scene; return the exit status."""
     print(f"  measuring link latency for {_MEASURED:g} s, currents off", flush=True)
     with _punctual(policy):
-        report = measure_line(plant, _MEASURED)
+        report = measure_link(plant, _MEASURED)
     result = preflight(plant, scene, report=report)
     print(result.report.table())
     walls = (
         f"{hand} {stiffness:.0f} N/m with {damping:.0f} N s/m"
         for hand, (stiffness, damping) in stiffest_walls(result.report, plant).items()
     )
-    head = f"critical stiffness at {result.report.planned * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
+    head = f"critical stiffness at {result.report.required_delay * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
     print("\n".join(wrapped(f"{head}: {', '.join(walls)}")))
-    verdict = result.problem or result.softened or f"{scene.name} is stable up to {result.bears * 1e3:.2f} ms: ready"
+    verdict = (
+        result.problem
+        or result.reduction
+        or f"{scene.name} is stable up to {result.critical_delay * 1e3:.2f} ms: ready"
+    )
     print("\n".join(wrapped(verdict)))
     return 1 if result.problem else 0
 
@@ -221,7 +225,7 @@ class _Flown(NamedTuple):
     realtime: Literal["enforce", "ignore"]
 
 
-def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) -> int:
+def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch: bool) -> int:
     """Fly a scene and return the exit status.
 
     However the flight ends, the device is disarmed before recordings are closed.
@@ -249,7 +253,7 @@ def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) ->
             file=file,
             publishers=[] if viewer is None else [viewer],
             warn=_warn,
-            bears=result.report.anyway if result.problem else result.bears,
+            critical_delay=result.report.anyway if result.problem else result.critical_delay,
             judge=judge,
         )
         if viewer is not None:

@@ -13,7 +13,7 @@ from shutil import get_terminal_size
 from types import NoneType
 from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args, get_origin
 
-from maglev_mj.errors import meant, not_one_of
+from maglev_mj.errors import choice_message, meant
 from maglev_mj.terminal import WIDTH
 
 Container: TypeAlias = argparse._ActionsContainer
@@ -83,7 +83,7 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             name = action.option_strings[0] if action.option_strings else action.dest
-            raise argparse.ArgumentError(None, not_one_of(name, action.choices, value))
+            raise argparse.ArgumentError(None, choice_message(name, action.choices, value))
 
     def format_help(self) -> str:
         """Return the help: arguments, option groups (general options last), example."""

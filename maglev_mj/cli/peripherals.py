@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from maglev_mj.interop.hand_devices import AxisMapping, HandDevice
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.session import SnapshotSource
-    from maglev_mj.views.viewer_process import Front, ShowReport
+    from maglev_mj.views.viewer_process import ShowReport, ViewerFunction
 
 PORT = 8123
 """Default TCP port of the page."""
@@ -73,7 +73,7 @@ class PageOptions:
     listens: Annotated[bool, Shared(None, lambda options: "listen" in options)] = False
     """True if the command has a --listen address."""
 
-    def open(self, *, drag: bool = True, settings: bool = True) -> Front | None:
+    def open(self, *, drag: bool = True, settings: bool = True) -> ViewerFunction | None:
         """Start the page, print its URL and open it; return None without --web.
 
         Args:
@@ -104,16 +104,16 @@ class PageOptions:
         if token is not None and not _TOKEN.fullmatch(token):
             raise ParameterError("token must be at least 16 characters of letters, digits, - and _")
         require(("viser",), "web", "the web page requires viser")
-        from maglev_mj.views.page.page import Door, page
+        from maglev_mj.views.page.page import Endpoint, page
 
         listener = listen(PORT if self.port is None else self.port, host)
-        door = Door(host, listener.getsockname()[1], token, self.allow_origin)
+        door = Endpoint(host, listener.getsockname()[1], token, self.allow_origin)
         print(f"  web page: {door.url}", flush=True)
         if not self.no_open and (os.name == "nt" or sys.platform == "darwin" or _has_screen()):
             _open_browser(door.url)
         return page(door, listener, drag=drag, settings=settings)
 
-    def front(self, view: bool, folder: Path = Path(), *, watch: bool = False) -> Front | None:
+    def front(self, view: bool, folder: Path = Path(), *, watch: bool = False) -> ViewerFunction | None:
         """Return the viewer of a device: window, page, or None for neither.
 
         Args:
@@ -144,7 +144,7 @@ def _open_browser(url: str) -> None:
 
 
 def show_session(
-    source: SnapshotSource, page: Front | None, folder: Path = Path(), duration: float | None = None
+    source: SnapshotSource, page: ViewerFunction | None, folder: Path = Path(), duration: float | None = None
 ) -> ShowReport:
     """Show a running scene on a page or in a window.
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from maglev_mj.analysis import SegmentReport
     from maglev_mj.pictures import PictureFolder
     from maglev_mj.recording import Recording, Segment
-    from maglev_mj.session.replay import OwnCode
+    from maglev_mj.session.replay import UserCode
 
 _COMPARED, _MIN_COMPARED = 10_000, 10
 """Commands recomputed before a recording of other code is shown: total, and minimum per segment."""
@@ -65,38 +65,38 @@ def replay(
     return 0
 
 
-def _check(recording: Recording, own: OwnCode | None) -> int:
+def _check(recording: Recording, own: UserCode | None) -> int:
     from maglev_mj.recording.verify import verify
-    from maglev_mj.session.replay import rebuild, unmade_plant
+    from maglev_mj.session.replay import rebuild, unsimulated_plant
 
     with Progress("replay"):
         verdict = verify(recording, partial(rebuild, own=own))
     print(verdict)
     simulated = (segment for segment in recording.segments if segment.setup["kind"] != "device")
-    for plant in sorted({*map(unmade_plant, simulated)} - {""}):
+    for plant in sorted({*map(unsimulated_plant, simulated)} - {""}):
         text = f"plant {plant} is not available: only the controller's commands were compared"
         for line in wrapped(text):
             say(line)
     return 0 if verdict.same else 1
 
 
-def _own_code(text: str | None, recording: Recording) -> OwnCode | None:
+def _own_code(text: str | None, recording: Recording) -> UserCode | None:
     """Return the user's code for a recording; None without one. Print a note if it differs from the recorded code.
 
     Raises:
         ParameterError: If there is no such code.
     """
-    from maglev_mj.session.replay import OwnCode
+    from maglev_mj.session.replay import UserCode
 
     if text is None:
         return None
-    own = OwnCode(text, recording)
+    own = UserCode(text, recording)
     if own.changed:
         say(f"  {text} differs from the recorded file: it has changed, or is another file", sys.stderr)
     return own
 
 
-def _other_code(recording: Recording, own: OwnCode | None) -> str:
+def _other_code(recording: Recording, own: UserCode | None) -> str:
     """Return a note if a recording was made by other code, else "".
 
     The first commands of each segment are recomputed and compared.
@@ -104,20 +104,20 @@ def _other_code(recording: Recording, own: OwnCode | None) -> str:
     Raises:
         RecordingError: If a command differs.
     """
-    from maglev_mj.recording import OwnCodeError, RecordingError
-    from maglev_mj.recording.verify import first_other_answer
+    from maglev_mj.recording import RecordingError, UserCodeError
+    from maglev_mj.recording.verify import first_different_command
     from maglev_mj.session.replay import rebuild
-    from maglev_mj.versions import differences, versions, versions_read
+    from maglev_mj.versions import differences, validated_versions, versions
 
     here, segments = versions(), recording.segments
-    theirs = (differences(versions_read(segment.setup.get("versions")) or {}, here) for segment in segments)
+    theirs = (differences(validated_versions(segment.setup.get("versions")) or {}, here) for segment in segments)
     difference = next(filter(None, theirs), "")
     if not difference:
         return ""
     note, limit = f"recorded by other code ({difference})", max(_COMPARED // len(segments), _MIN_COMPARED)
     try:
-        other = first_other_answer(recording, partial(rebuild, own=own), limit)
-    except OwnCodeError:
+        other = first_different_command(recording, partial(rebuild, own=own), limit)
+    except UserCodeError:
         return f"{note}; its user-defined laws were not executed"
     if other is not None:
         segment, tick, field = other
@@ -180,11 +180,11 @@ def analyse(
 
 
 def _as_json(file: Path, recording: Recording, reports: Sequence[tuple[int, SegmentReport]]) -> dict[str, Any]:
-    from maglev_mj.versions import versions_read
+    from maglev_mj.versions import validated_versions
 
     data = []
     for index, report in reports:
-        recorded = versions_read(recording.segments[index - 1].setup.get("versions"))
+        recorded = validated_versions(recording.segments[index - 1].setup.get("versions"))
         data.append({"segment": index, "versions": recorded, **report.as_json()})
     about = {"file": str(file), "damage": recording.damage, "events": list(recording.events)}
     return {**about, "segments": data}
@@ -212,13 +212,13 @@ def _chosen(recording: Recording, file: Path, number: int | None, *, is_part: bo
     return usable
 
 
-def _report(segment: Segment, begin: float, end: float | None, compare: bool, own: OwnCode | None) -> SegmentReport:
+def _report(segment: Segment, begin: float, end: float | None, compare: bool, own: UserCode | None) -> SegmentReport:
     from maglev_mj.analysis import analyse
-    from maglev_mj.session.replay import rebuild_for, stick_positions_of, unmade_plant
+    from maglev_mj.session.replay import rebuild_for, stick_positions_of, unsimulated_plant
 
     rebuilt = rebuild_for(segment, own)
     anchors = stick_positions_of(segment, rebuilt)
-    simulated = compare and not unmade_plant(segment, own)
+    simulated = compare and not unsimulated_plant(segment, own)
     scene = own.scene if own else None
     return analyse(segment, rebuilt, anchors=anchors, scene=scene, begin=begin, end=end, simulated=simulated)
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from maglev_mj.scenes.run import Begin
     from maglev_mj.scenes.scene import Scene
     from maglev_mj.session import Session, SnapshotSource
-    from maglev_mj.views.viewer_process import Front
+    from maglev_mj.views.viewer_process import ViewerFunction
 
 
 class _Sampling(NamedTuple):
@@ -88,14 +88,14 @@ def run(
     warn_of_instability(scene)
     alone = json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
-    banded = pictures is not None and scene.drawn_phases and "exact" in scene.plants
-    bands = (sampling.phases or scene.drawn_phases) if banded else None
+    banded = pictures is not None and scene.band_phases and "exact" in scene.plants
+    bands = (sampling.phases or scene.band_phases) if banded else None
     written = list[Path]()
     recording: AbstractContextManager[Begin] | None = None
     if record is not None:
-        from maglev_mj.session.replay import recorded_to  # imported here: loads the recording package
+        from maglev_mj.session.replay import record_to_file  # imported here: loads the recording package
 
-        recording = recorded_to(record, written)
+        recording = record_to_file(record, written)
     try:
         with Progress(scene.name) as progress:
             results = run_variants(
@@ -178,7 +178,7 @@ def _show(
     source: SnapshotSource,
     session: Session,
     devices: Sequence[HandDevice],
-    front: Front | None,
+    front: ViewerFunction | None,
     folder: Path,
     seconds: float | None,
 ) -> None:

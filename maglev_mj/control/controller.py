@@ -73,7 +73,7 @@ class Controller:
         self._tick: int | None = None
 
     @property
-    def begun(self) -> bool:
+    def started(self) -> bool:
         """True after the first sample."""
         return self._tick is not None
 

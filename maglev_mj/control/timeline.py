@@ -17,7 +17,7 @@ from maglev_mj.spec import Spec
 Interval: TypeAlias = tuple[Any, Any]
 """Duration [s] and drive in effect, of the type passed to the `Timeline`."""
 
-MOST_PERIODS = 10_000
+MAX_DELAY_PERIODS = 10_000
 """Largest delay, in sample periods."""
 
 _ROUNDING = 1e-9
@@ -50,9 +50,9 @@ def split_delay(delay: Component, period: Component) -> tuple[Component, Compone
     return periods, remainder * (remainder > _ROUNDING * period)
 
 
-def checked_delay(delay: float, period: float) -> tuple[int, float]:
+def check_delay(delay: float, period: float) -> tuple[int, float]:
     """Check a delay [s]; return its whole periods and remainder [s]."""
-    periods, remainder = split_delay(number("delay", delay, at_least=0.0, at_most=MOST_PERIODS * period), period)
+    periods, remainder = split_delay(number("delay", delay, at_least=0.0, at_most=MAX_DELAY_PERIODS * period), period)
     return int(periods), remainder
 
 
@@ -100,9 +100,9 @@ class Timing:
         phase = numbers("phase", self.phase, at_least=0.0)
         if not (phase < 1.0).all():
             raise ParameterError(f"phase must be at least 0 and below 1, not {float(phase.max()):g}")
-        if (delay / period > MOST_PERIODS).any():
+        if (delay / period > MAX_DELAY_PERIODS).any():
             raise ParameterError(
-                f"delay must be at most {MOST_PERIODS} periods of {period:g} s, not {float(delay.max()):g} s"
+                f"delay must be at most {MAX_DELAY_PERIODS} periods of {period:g} s, not {float(delay.max()):g} s"
             )
         periods, rest = map(np.asarray, split_delay(delay, period))
         if np.ptp(periods):

@@ -243,7 +243,7 @@ class SampledPlant(ABC):
         return pose[0], twist[0]
 
     @property
-    def begun(self) -> bool:
+    def started(self) -> bool:
         """True after the first sample."""
         return self._tick >= 0
 

@@ -81,7 +81,7 @@ class CoilMap:
         rotated[3:] = self._turning.dot(rotation).reshape(3, 6)
         return cast(Array, np.linalg.inv(rotated))
 
-    def inverse_turned(self, rx: float, ry: float, rz: float) -> Array:
+    def inverse_at_angle(self, rx: float, ry: float, rz: float) -> Array:
         """Return the inverse coil map [A/N, A/(N m)], (6, 6), at a rotation vector [rad].
 
         Equal to `inverse_at` to rounding, in half the time; see `_blocks_of`.
@@ -142,7 +142,7 @@ def limited_wrench(inverse_map: Array, force: Sequence[float], limit: float) -> 
 
 
 def _blocks_of(upright: Array, turning: Array) -> tuple[Array, Array]:
-    """Return the matrices for `CoilMap.inverse_turned`.
+    """Return the matrices for `CoilMap.inverse_at_angle`.
 
     Rotation does not change the coils' forces: the map is M W, with W that of the upright flotor and
     M = [[1, 0], [A, B]]. Its inverse is W⁻¹ [[1, 0], [-B⁻¹ A, B⁻¹]].
@@ -210,7 +210,7 @@ class CoilDrive:
         """
         before = self.inverse_map
         if angle is not None:
-            self.inverse_map = self._coils.inverse_turned(*angle)
+            self.inverse_map = self._coils.inverse_at_angle(*angle)
         else:
             self.inverse_map = self._upright if rotation is None else self._coils.inverse_at(rotation)
         return before is self._upright is self.inverse_map

@@ -17,7 +17,7 @@ from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.lazy import has_engine, mujoco
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.hand import Hand
-from maglev_mj.plants.model import COILS, Device, Model, at_reference, load_model
+from maglev_mj.plants.model import COILS, Device, Model, load_model, reference_state
 from maglev_mj.spec import GRAVITY
 
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
@@ -149,7 +149,7 @@ def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) ->
     return position, velocity
 
 
-def effort_addresses(device: Device, hand: Hand | None) -> list[int]:
+def hand_addresses(device: Device, hand: Hand | None) -> list[int]:
     """Return the indices into qvel of the hand's muscle forces on x, y and z.
 
     They act on the hand's own mass in a soft grip, otherwise on the flotor.
@@ -321,7 +321,7 @@ def turned_back(
     )
 
 
-def turned_work(force: Sequence[Component], before: Sequence[Component], after: Sequence[Component]) -> Component:
+def wrench_work(force: Sequence[Component], before: Sequence[Component], after: Sequence[Component]) -> Component:
     """Return the work [J] of a constant wrench between two positions, each x y z [m] and a quaternion.
 
     Exact for translations, to second order in the angle for rotations.
@@ -367,7 +367,7 @@ class _Falloff:
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
         self._model, self._data, self._falloff, self._step = device.model, data, falloff, step
-        self._centre = at_reference(device.model).actuator_length[: len(COILS)].copy()
+        self._centre = reference_state(device.model).actuator_length[: len(COILS)].copy()
         self._flat = device.model.actuator_gainprm[: len(COILS), 0].copy()
         self._range = float(device.range[:3].max())
 

@@ -92,7 +92,7 @@ class ExactCoilPlant(ExactPlant):
         return self._intervals
 
     def _prepare(self, force: Six) -> Any:
-        return tuple(self._coils.inverse_turned(*self._pose[3:]).dot(force).tolist())
+        return tuple(self._coils.inverse_at_angle(*self._pose[3:]).dot(force).tolist())
 
     def _wrench(self, currents: Sequence[float], ahead: Component = 0.0) -> Array:
         """Return the wrench [N, N m] of currents [A], (6,), at the angle extrapolated by `ahead` [s]."""

@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError, check_instance, not_one_of
+from maglev_mj.errors import ParameterError, check_instance, choice_message
 from maglev_mj.frames import AXES, Array, Component, Six, quaternion, rotation_vector
 from maglev_mj.parameters import axis_indices, common_shape, number, numbers, store
 
@@ -128,7 +128,7 @@ def get_hand(text: str | Hand | None) -> Hand | None:
             values = ()
         if len(values) not in (3, 5):
             numeric = ", or mass,damping,stiffness[,grip damping,grip stiffness] in SI units"
-            raise ParameterError(not_one_of("hand", HANDS, text, numeric))
+            raise ParameterError(choice_message("hand", HANDS, text, numeric))
     by_name: dict[str, Any] = dict(zip(_MOST, values))
     return Hand(**by_name) if by_name else None
 

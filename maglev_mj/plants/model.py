@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ModelError, ParameterError, check_instance, not_one_of
+from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_message
 from maglev_mj.frames import AXES, Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
@@ -60,7 +60,7 @@ def _read(path: Path, written: int) -> tuple[tuple[str, str], ...]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
-        raise unusable(path.name, error) from None
+        raise invalid_model(path.name, error) from None
     name = path.relative_to(MODELS.resolve()).as_posix() if path.is_relative_to(MODELS.resolve()) else path.name
     parts = [path.parent / included for included in re.findall(r'<include\s+file="([^"]+)"', text)]
     return ((name, text), *(file for part in parts for file in model_files(part)))
@@ -86,7 +86,7 @@ def model_path(model: str | Path) -> Path:
         return path
     path = MODELS / f"{model}.xml"
     if not path.is_file():
-        raise ModelError(not_one_of("model", scenes(), model, ", or an MJCF file"))
+        raise ModelError(choice_message("model", scenes(), model, ", or an MJCF file"))
     return path
 
 
@@ -239,11 +239,11 @@ def _compiled(path: Path, written: tuple[tuple[str, int], ...], options: _Option
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, KeyError) as error:
-        raise unusable(name, error) from error
+        raise invalid_model(name, error) from error
     return _compile(name, spec, options)
 
 
-def unusable(name: str, error: object) -> ModelError:
+def invalid_model(name: str, error: object) -> ModelError:
     """Return the error for an invalid model."""
     return ModelError(f"model {name!r} is invalid: {' '.join(str(error).split())}")
 
@@ -255,7 +255,7 @@ def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> Device:
     constant = math.nan if numeric is None else float(numeric.data[0])
     constant = constant if options.lag is None else options.lag
     if options.driver_lag and not constant > 0.0:
-        raise unusable(name, "driver_lag needs a numeric 'driver_time_constant' above 0")
+        raise invalid_model(name, "driver_lag needs a numeric 'driver_time_constant' above 0")
     try:
         if not options.coils:
             for actuator in list(spec.actuators):
@@ -282,7 +282,7 @@ def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> Device:
     except ParameterError:
         raise
     except (ValueError, KeyError) as error:
-        raise unusable(name, error) from error
+        raise invalid_model(name, error) from error
     addresses = [int(joint.qposadr[0]) for joint in joints]
     first = addresses[0]
     if addresses != [first, first + 1, first + 2, first + 3]:
@@ -305,18 +305,18 @@ def _check_names(name: str, spec: mujoco.MjSpec, options: _Options) -> None:
     """Raise ModelError for missing or wrong bodies, joints and actuators."""
     flotor = spec.body("flotor")
     if flotor is None:
-        raise unusable(name, "no body 'flotor'")
+        raise invalid_model(name, "no body 'flotor'")
     if options.flexible and spec.body("handle") is None:
-        raise unusable(name, "a flexible handle needs a body 'handle'")
+        raise invalid_model(name, "a flexible handle needs a body 'handle'")
     kinds = [mujoco.mjtJoint.mjJNT_SLIDE] * 3 + [mujoco.mjtJoint.mjJNT_BALL]
     types = {joint.name: joint.type for joint in flotor.joints}
     for joint, kind in zip(JOINTS, kinds, strict=True):
         if types.get(joint) != kind:
             label = "ball" if kind == mujoco.mjtJoint.mjJNT_BALL else "slide"
-            raise unusable(name, f"the flotor has no {label} joint {joint!r}")
+            raise invalid_model(name, f"the flotor has no {label} joint {joint!r}")
     names = [actuator.name for actuator in spec.actuators]
     if missing := [coil for coil in COILS if options.coils and coil not in names]:
-        raise unusable(name, f"no actuator {', '.join(missing)} among its {len(names)} actuators")
+        raise invalid_model(name, f"no actuator {', '.join(missing)} among its {len(names)} actuators")
 
 
 def _delete_sensors_and_sites(spec: mujoco.MjSpec) -> None:
@@ -332,7 +332,7 @@ def _delete_sensors_and_sites(spec: mujoco.MjSpec) -> None:
 def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
     """Set the moving mass [kg]; keep the moments of inertia."""
     carried = np.flatnonzero(model.body_treeid == model.body_treeid[flotor])
-    share, data = mass / model.body_subtreemass[flotor], at_reference(model)
+    share, data = mass / model.body_subtreemass[flotor], reference_state(model)
     centre = data.subtree_com[flotor]
     # scale distances from the common centre of mass, so that mass times distance squared stays
     positions = centre + (data.xipos[carried] - centre) / math.sqrt(share) - data.xpos[carried]
@@ -362,7 +362,7 @@ def _give_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel, inertia: Sequence[
     body.inertia, body.iquat, body.fullinertia = moments, quaternion, np.full(6, np.nan)
 
 
-def at_reference(model: mujoco.MjModel) -> mujoco.MjData:
+def reference_state(model: mujoco.MjModel) -> mujoco.MjData:
     """Return the state of a model at its reference pose."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -371,7 +371,7 @@ def at_reference(model: mujoco.MjModel) -> mujoco.MjData:
 
 def _mass_matrix(model: mujoco.MjModel) -> Array:
     """Return a model's mass matrix at its reference pose."""
-    data = at_reference(model)
+    data = reference_state(model)
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     return matrix
@@ -411,7 +411,7 @@ def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
     """Return the coil map at the model's reference pose."""
-    data = at_reference(model)
+    data = reference_state(model)
     coils, magnets = model.actuator_trnid[: len(COILS)].T
     gear = model.actuator_gear[: len(COILS), :3]
     axes = data.site_xmat[magnets].reshape(-1, 3, 3)
@@ -426,7 +426,7 @@ def _put_coils(device: Device, coils: CoilMap) -> None:
     """Replace the model's coils by a coil map."""
     model, present = device.model, device.coils
     assert present is not None
-    data = at_reference(model)
+    data = reference_state(model)
     sites, magnets = model.actuator_trnid[: len(COILS)].T
     model.site_pos[sites] += coils.points - present.points
     axes = data.site_xmat[magnets].reshape(-1, 3, 3)

@@ -193,7 +193,7 @@ class MuJoCoPlant(SampledPlant):
         self._qpos = self._data.qpos[device.position_address :][:7]
         self._qvel = self._data.qvel[device.velocity_address :][:6]
         self._push_on = self._data.qfrc_applied
-        self._effort_addresses = engine.effort_addresses(device, hand)
+        self._effort_addresses = engine.hand_addresses(device, hand)
         self._turning = slice(device.velocity_address + 3, device.velocity_address + 6)
         self._rotation = np.zeros(9)
         self._last: engine.Drive = (), (), None
@@ -382,7 +382,7 @@ class MuJoCoPlant(SampledPlant):
     def _work(self, drive: engine.Drive, before: Sequence[float], after: Sequence[float]) -> float:
         commanded = drive[0][0] is not None
         force: Any = drive[0] if commanded else self._wrench(self._acting(drive), before)
-        return float(engine.turned_work(force, before, after))
+        return float(engine.wrench_work(force, before, after))
 
     def _acting(self, drive: engine.Drive) -> engine.Drive:
         """Return a drive with the actual coil currents, and without its wrench if they produce a different one."""
@@ -517,7 +517,7 @@ class MuJoCoBatchPlant(SampledPlant):
         )
         self._timestep = self._engine.expand("opt.timestep")
         self._efforts = self._engine.bind("qfrc_applied")
-        self._effort_addresses = engine.effort_addresses(self.device, hand)
+        self._effort_addresses = engine.hand_addresses(self.device, hand)
         # inverse coil maps, (N, 6, 6) while any flotor is rotated; None without coils
         self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
@@ -545,7 +545,7 @@ class MuJoCoBatchPlant(SampledPlant):
         self._excess = self._excess + half * (self._qvel - before)
 
     def _work(self, drive: _BatchDrive, before: Sequence[Component], after: Sequence[Component]) -> Component:
-        return engine.turned_work(components(drive[0]), before, after)
+        return engine.wrench_work(components(drive[0]), before, after)
 
     def _where(self) -> list[Component]:
         """Return x y z and a quaternion without the excess since the last sample; see `CorrectedSteps`."""

@@ -21,7 +21,7 @@ from maglev_mj.errors import ModelError, ParameterError, SensingError
 from maglev_mj.frames import Array, Component, Six, components, join, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import number, numbers, six, store, whole
-from maglev_mj.plants.model import at_reference, model_path, unusable, written
+from maglev_mj.plants.model import invalid_model, model_path, reference_state, written
 from maglev_mj.versions import MODELS
 
 _NEWTON_CLOSE = 1e-13
@@ -131,10 +131,10 @@ def _moved(pose: Array, change: NDArray[Any]) -> Array:
     return np.concatenate([pose[..., :3] + change[..., :3], np.stack(turn, axis=-1)], axis=-1)
 
 
-FARTHEST = 30e-3
+MAX_DISTANCE = 30e-3
 """Default largest distance of a measured pose from the centre [m]; several times the range of motion."""
 
-MOST_TURNED = 0.8
+MAX_ANGLE = 0.8
 """Default largest angle of a measured pose [rad].
 
 At most three other poses give the same spots on the model's diodes, each upside down or rotated by half a turn about
@@ -148,7 +148,7 @@ Convergence is quadratic: the next step would be 1e-14, the rounding of a pose. 
 """
 
 _MOST_STEPS = 12
-"""Largest number of Newton steps; 5 suffice from the centre to any pose within `FARTHEST` and `MOST_TURNED`."""
+"""Largest number of Newton steps; 5 suffice from the centre to any pose within `MAX_DISTANCE` and `MAX_ANGLE`."""
 
 _Turn: TypeAlias = tuple[float, float, float]
 _UPRIGHT: _Turn = (0.0, 0.0, 0.0)
@@ -238,7 +238,7 @@ class PoseTracker:
         ParameterError: If the largest distance or angle is negative, or the angle is above pi.
     """
 
-    def __init__(self, beams: Beams, farthest: float = FARTHEST, most_turned: float = MOST_TURNED) -> None:
+    def __init__(self, beams: Beams, farthest: float = MAX_DISTANCE, most_turned: float = MAX_ANGLE) -> None:
         distance = float(numbers("farthest", farthest, at_least=0.0, finite=False))
         angle = number("most_turned", most_turned, at_least=0.0, at_most=math.pi)
         self._limits = distance * distance, angle * angle
@@ -393,8 +393,8 @@ def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
         flotor = model.body("flotor").id
         leds, diodes = ([model.site(f"{kind}{arm}").id for arm in range(3)] for kind in ("led", "psd"))
     except (ValueError, KeyError) as error:
-        raise unusable("maglev", error) from error
-    data = at_reference(model)
+        raise invalid_model("maglev", error) from error
+    data = reference_state(model)
     centre = data.subtree_com[flotor]
     axes = data.site_xmat.reshape(-1, 3, 3)
     return Beams(

@@ -17,7 +17,7 @@ from maglev_mj.control.timeline import Timing
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import axis_indices
-from maglev_mj.plants.model import COILS, Device, Model, at_reference, load_model
+from maglev_mj.plants.model import COILS, Device, Model, load_model, reference_state
 from maglev_mj.plants.mujoco import MuJoCoPlant
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import GRAVITY, Spec
@@ -25,7 +25,7 @@ from maglev_mj.spec import GRAVITY, Spec
 ARROW = 0.003
 """Length of a force arrow per newton [m/N]."""
 
-LEAST_FORCE = 0.05
+MIN_ARROW_FORCE = 0.05
 """Smallest force drawn as an arrow [N]."""
 
 GRIP = np.array([0.0, 0.0, 0.079])
@@ -34,7 +34,7 @@ GRIP = np.array([0.0, 0.0, 0.079])
 KNOB = 0.0165, 0.0125
 """Radius and half height of the knob [m]."""
 
-UNDER_KNOB = 0.0676
+KNOB_BOTTOM = 0.0676
 """Height of the knob's lower side in flotor axes [m]."""
 
 _PLATE, _THIN = 0.024, 0.0002
@@ -123,7 +123,7 @@ def wall_plate(face: tuple[int, float, float]) -> tuple[Array, Array] | None:
     if axis < 2:
         centre[axis] = edge - normal * (radius + _THIN)
     else:
-        centre[2] = edge + (UNDER_KNOB - _THIN if normal > 0.0 else GRIP[2] + half_height + _THIN)
+        centre[2] = edge + (KNOB_BOTTOM - _THIN if normal > 0.0 else GRIP[2] + half_height + _THIN)
     return centre, size
 
 
@@ -136,7 +136,7 @@ def arrow_start(knob: Array, force: Array) -> Array:
 def envelope(device: Device) -> tuple[float, float]:
     """Return radius and height [m] of the upright cylinder around the device without its handle."""
     model = device.model
-    data = at_reference(model)
+    data = reference_state(model)
     handle = model.body("handle").id
     radius, low, high = 0.0, math.inf, -math.inf
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))

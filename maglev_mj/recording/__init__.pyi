@@ -7,8 +7,8 @@ from maglev_mj.recording.recording import Segment as Segment
 from maglev_mj.recording.recording import load_samples as load_samples
 from maglev_mj.recording.sample import RunMetadata as RunMetadata
 from maglev_mj.recording.sample import Setup as Setup
-from maglev_mj.recording.setup import OwnCodeError as OwnCodeError
 from maglev_mj.recording.setup import RecordingFile as RecordingFile
+from maglev_mj.recording.setup import UserCodeError as UserCodeError
 from maglev_mj.recording.setup import setup_of as setup_of
 from maglev_mj.recording.verify import Rebuild as Rebuild
 from maglev_mj.recording.verify import Verdict as Verdict

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from maglev_mj.errors import check_instance, check_one_of, file_path, require
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording.journal import InvalidRecordingError
-from maglev_mj.recording.recording import READ, Recording, aside
+from maglev_mj.recording.recording import RECORDING_TYPE, Recording, aside
 from maglev_mj.recording.sample import ARRAYS, FIELDS, TOTALS, is_recorded, units
 from maglev_mj.versions import versions
 
@@ -52,7 +52,7 @@ def export(recording: Recording, kind: str, path: Path | str) -> None:
         [['segment', 'tick'], ['0', '0']]
     """
     check_one_of("to", EXPORTS, kind)
-    check_instance("recording", recording, Recording, READ)
+    check_instance("recording", recording, Recording, RECORDING_TYPE)
     path = file_path(path)
     with aside(path) as partial:
         EXPORTS[kind](recording, partial, path)

@@ -25,7 +25,7 @@ from maglev_mj.recording.sample import (
     check_setup,
     value_in,
 )
-from maglev_mj.versions import versions_read
+from maglev_mj.versions import validated_versions
 
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
 """Fields bitwise equal to another unless a limit acts."""
@@ -146,7 +146,7 @@ class Content:
         self.events: list[str] = []
         self.event_samples: list[int] = []
         self.attachments: dict[str, bytes] = {}
-        self.about = {"format": f"{FORMAT} {VERSION}", **(versions_read(journal.header.get("versions")) or {})}
+        self.about = {"format": f"{FORMAT} {VERSION}", **(validated_versions(journal.header.get("versions")) or {})}
         self.damage, self._closed, self._names, self._time = "", False, names, 0.0
         last = 0
         for first, last in _runs(journal):

@@ -31,8 +31,8 @@ from maglev_mj.result import Result, Table
 
 _RECORDED = [entry.name for entry in FIELDS]
 
-READ = "a Recording, as returned by Recording.load(FILE)"
-READ_SEGMENT = "a Segment, such as Recording.load(FILE).segments[0]"
+RECORDING_TYPE = "a Recording, as returned by Recording.load(FILE)"
+SEGMENT_TYPE = "a Segment, such as Recording.load(FILE).segments[0]"
 """Expected types, for error messages."""
 
 
@@ -100,7 +100,7 @@ class Segment(_Fields):
         return Segment(setup={**parts[0].setup, "run": self.setup["run"]}, arrays=arrays)
 
     @property
-    def known_hand(self) -> Array:
+    def recorded_hand_wrench(self) -> Array:
         """Recorded wrench of the hand [N, N m], (N, 6); zero where unknown or estimated."""
         return np.nan_to_num(self.hand * self.metadata.hand_recorded)
 

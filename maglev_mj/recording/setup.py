@@ -45,8 +45,8 @@ _SLOTS: Mapping[str, tuple[type, ...]] = {
 }
 """Allowed types by argument name; no other type is constructed."""
 
-ALLOW = "allow it with --scene {}, or with --scene attached for the source in the recording"
-"""Advice to the user in an `OwnCodeError`."""
+ALLOW_HINT = "allow it with --scene {}, or with --scene attached for the source in the recording"
+"""Advice to the user in an `UserCodeError`."""
 
 _OBJECTS = ("timing", "sensor", "hand", "hand_force", "path")
 _OWN_SLOTS = ("laws", "velocity")
@@ -55,7 +55,7 @@ _INVALID = MaglevError, KeyError, TypeError, ValueError, AttributeError, Arithme
 _MAX_VALUE, _MAX_ENTRIES, _MAX_LAWS, _MIN_STEP = 1e15, 100_000, 100, 1e-5
 
 
-class OwnCodeError(InvalidRecordingError):
+class UserCodeError(InvalidRecordingError):
     """A recording needs user code that was not allowed to run."""
 
 
@@ -195,13 +195,13 @@ def rebuild_controller(setup: Setup, own: CodeLoader | None = None) -> Controlle
         own: Loader of user-defined classes and functions; None if these must not be executed.
 
     Raises:
-        OwnCodeError: If it needs user code that is not allowed to run, or not available.
+        UserCodeError: If it needs user code that is not allowed to run, or not available.
         InvalidRecordingError: If a value is missing, of another type, or out of range.
     """
     with refused(*_INVALID):
         controller = _object("controller", setup["controller"], own)
         if not isinstance(controller, Controller):
-            raise OwnCodeError(
+            raise UserCodeError(
                 f"{controller} cannot be rebuilt: user-defined, or already running when recording started"
             )
         return controller
@@ -262,7 +262,7 @@ def _reference(slot: str, value: Any) -> str:
 
 def _arguments(slot: str, value: Any) -> Mapping[str, Any]:
     """Return the constructor arguments of an object that differ from their defaults."""
-    if isinstance(value, Controller | SampledPlant) and value.begun:
+    if isinstance(value, Controller | SampledPlant) and value.started:
         raise _NoJsonError  # its state is not in its arguments
     if isinstance(value, Controller):
         return {"laws": value.laws, "period": value.period, "velocity": value.velocity}
@@ -325,7 +325,7 @@ def _object(slot: str, description: Any, own: CodeLoader | None, extra: Mapping[
         arguments = {key: _object(key, part, own) for key, part in description.items() if key != "class"}
         return cls(**arguments, **(extra or {})) if isinstance(cls, type) else cls
     if slot in _OWN_SLOTS and isinstance(description, str):
-        raise OwnCodeError(f"{description} cannot be rebuilt: it is not part of this package")
+        raise UserCodeError(f"{description} cannot be rebuilt: it is not part of this package")
     if slot == "model" and description not in (None, *model_names()):
         raise ParameterError(f"model must be one of {', '.join(model_names())}, not {description!r}")
     if isinstance(description, int | float) and not isinstance(description, bool):
@@ -338,14 +338,14 @@ def _user_defined(slot: str, name: str, own: CodeLoader | None) -> Any:
 
     Raises:
         ParameterError: If the class is not allowed for this argument.
-        OwnCodeError: If it is not allowed to run.
+        UserCodeError: If it is not allowed to run.
     """
     if slot not in _OWN_SLOTS or "@" not in name:
         allowed = ", ".join(cls.__name__ for cls in _SLOTS.get(slot, ()))
         raise ParameterError(f"{slot} must be of class {allowed or 'none'}, not {name[:60]!r}")
     if own is None:
         file = name.partition(":")[0][:60]
-        raise OwnCodeError(f"user code {name[:80]!r} was not executed: {ALLOW.format(file)}")
+        raise UserCodeError(f"user code {name[:80]!r} was not executed: {ALLOW_HINT.format(file)}")
     definition = own(name)
     if isinstance(definition, type) and "__call__" not in dir(definition):  # its arguments come from the recording
         raise ParameterError(f"{slot} must be of a class with __call__, not {name[:60]!r}")

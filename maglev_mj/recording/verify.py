@@ -14,7 +14,7 @@ from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.parameters import whole
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HandForce, RecordedHand
-from maglev_mj.recording.recording import READ, Recording, Segment
+from maglev_mj.recording.recording import RECORDING_TYPE, Recording, Segment
 from maglev_mj.recording.sample import (
     ARRAYS,
     FIELDS,
@@ -110,7 +110,7 @@ def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
         >>> verdict.same
         True
     """
-    check_instance("recording", recording, Recording, READ)
+    check_instance("recording", recording, Recording, RECORDING_TYPE)
     verdicts: dict[str, FieldVerdict] = {}
     for index, segment in enumerate(recording.segments):
         for name, values, replayed in _fields(segment, rebuild):
@@ -119,7 +119,7 @@ def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
     return Verdict(recording.ticks, verdicts, recording.damage)
 
 
-def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tuple[int, int, str] | None:
+def first_different_command(recording: Recording, rebuild: Rebuild, most: int) -> tuple[int, int, str] | None:
     """Return segment, tick and field of the first command that a new controller computes differently, or None.
 
     Args:
@@ -166,7 +166,7 @@ def _fields(segment: Segment, rebuild: Rebuild) -> Iterator[_Field]:
     _, controller = rebuild(run.setup, None)
     # after a rewind the recorded hand may have acted, not the scripted one
     has_hand = segment.before is None and scripted(run.setup)
-    plant, other = rebuild(run.setup, None if has_hand else RecordedHand(run.known_hand))
+    plant, other = rebuild(run.setup, None if has_hand else RecordedHand(run.recorded_hand_wrench))
     with refused(KeyError, TypeError, ParameterError):
         metadata = _metadata(segment, plant, controller, has_hand)
         samples = None if run.setup.get("samples") is None else float(whole("samples", run.setup["samples"]))

@@ -29,7 +29,7 @@ class Drop(WallScene):
         "drop_phase_plane": "maglev_mj.scenes.pictures:phase_plane",
         "drop_phases": "maglev_mj.scenes.pictures:spread",
     }
-    drawn_phases: ClassVar[int] = 100
+    band_phases: ClassVar[int] = 100
 
     height: float = param(
         "drop height above the wall", "m", default=Spec.translation_range.value, above=0.0, below=ESCAPE

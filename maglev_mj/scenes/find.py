@@ -13,7 +13,7 @@ from traceback import walk_tb
 from types import ModuleType
 from typing import Any, TypeAlias, TypeVar
 
-from maglev_mj.errors import ParameterError, check_instance, not_one_of, one_line
+from maglev_mj.errors import ParameterError, check_instance, choice_message, one_line
 from maglev_mj.lazy import loaded
 from maglev_mj.scenes.names import BUILT_IN, installed_scenes, scene_names
 from maglev_mj.scenes.scene import Scene
@@ -49,7 +49,7 @@ def find_scene(text: str) -> type[Scene]:
     for entry in installed_scenes():
         if entry.name == text:  # loaded on demand: a broken package breaks only its own scene
             return _installed(entry)
-    raise ParameterError(not_one_of("scene", scene_names(), text, ", or a file such as my_scene.py"))
+    raise ParameterError(choice_message("scene", scene_names(), text, ", or a file such as my_scene.py"))
 
 
 def get_scene(scene: SceneLike) -> Scene:
@@ -144,7 +144,7 @@ def defined_in(module: ModuleType, name: str, file: str) -> Any:
     return value
 
 
-def scene_again(reference: str, values: Mapping[str, Any]) -> Scene:
+def scene_from_reference(reference: str, values: Mapping[str, Any]) -> Scene:
     """Return a scene from its reference and values."""
     path, _, _ = reference.rpartition(":")
     cls = find_scene(reference) if reference in BUILT_IN or path.endswith(".py") else _in_module(reference)
@@ -183,7 +183,7 @@ def class_in_file(text: str, base: type[T]) -> type[T]:
     classes = _classes_of(_run(path.resolve(), path.stat().st_mtime_ns), base)
     if class_name:
         if class_name not in classes:
-            raise ParameterError(not_one_of(f"{kind.lower()} of {path.name}", classes or ["none"], class_name))
+            raise ParameterError(choice_message(f"{kind.lower()} of {path.name}", classes or ["none"], class_name))
         return classes[class_name]
     if len(classes) != 1:
         several = f"several ({', '.join(classes)}); choose one as {path.name}:CLASS" if classes else f"no {kind}"
@@ -201,7 +201,7 @@ def _classes_of(module: ModuleType, base: type[T]) -> dict[str, type[T]]:
 
 
 def _reduced(scene: Scene) -> Any:
-    return scene_again, (reference_of(type(scene)), scene.independent_values())
+    return scene_from_reference, (reference_of(type(scene)), scene.independent_values())
 
 
 @lru_cache(maxsize=16)
@@ -248,7 +248,7 @@ def recorded_scene(name: Any, values: Mapping[str, Any], own: type[Scene] | None
     if isinstance(name, str) and name in BUILT_IN:  # a file may contain anything
         return find_scene(name).from_json(values)
     if own is None:
-        raise ParameterError(not_one_of("scene", BUILT_IN, name))
+        raise ParameterError(choice_message("scene", BUILT_IN, name))
     return own.from_json(values)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record, drive
-from maglev_mj.errors import DivergenceError, ParameterError, check_one_of, not_one_of
+from maglev_mj.errors import DivergenceError, ParameterError, check_one_of, choice_message
 from maglev_mj.frames import Array, Command, Component, Sample
 from maglev_mj.lazy import has_engine
 from maglev_mj.parameters import number, numbers
@@ -195,7 +195,7 @@ def checked_plant(scene: Scene, plant: str | None) -> str:
     """
     chosen = scene.plants[0] if plant is None else plant
     if chosen not in scene.plants:
-        raise ParameterError(not_one_of("plant", sorted(scene.plants), plant))
+        raise ParameterError(choice_message("plant", sorted(scene.plants), plant))
     return chosen
 
 

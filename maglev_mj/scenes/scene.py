@@ -85,7 +85,7 @@ class Scene(Parameters):
         run_figures: User-defined method (plant, phase) that returns the figures of a run; None for the default.
         figures_together: User-defined class method (scenes, plant, phases) that returns those of many runs; None for
             batches.
-        drawn_phases: Number of sampling phases in the bands of the plots; 0 for none.
+        band_phases: Number of sampling phases in the bands of the plots; 0 for none.
 
     Raises:
         ParameterError: If a parameter is outside its bounds, or a run has more than a million periods.
@@ -118,7 +118,7 @@ class Scene(Parameters):
     tolerance: ClassVar[float] = 1e-5
     tolerance_reason: ClassVar[str] = "twice the sensor resolution"
     plots: ClassVar[Mapping[str, str]] = {}
-    drawn_phases: ClassVar[int] = 0
+    band_phases: ClassVar[int] = 0
     run_figures: ClassVar[Any] = None
     figures_together: ClassVar[Any] = None
     model: ClassVar[str | Path] = "scenes/joystick"

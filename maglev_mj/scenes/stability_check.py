@@ -79,7 +79,7 @@ class UnstableLoop(NamedTuple):
 
 
 @contextmanager
-def own_code_refused() -> Iterator[None]:
+def user_errors_rejected() -> Iterator[None]:
     """Reject parameters at which user code fails, because they must not end a session or a flight.
 
     Raises:

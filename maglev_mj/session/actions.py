@@ -10,27 +10,27 @@ from typing import Any, TypeAlias
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.stability_check import own_code_refused
+from maglev_mj.scenes.stability_check import user_errors_rejected
 
-DEVICES_OWN = "period", "delay"
+DEVICE_PARAMETERS = "period", "delay"
 """Parameters that other programs cannot change: set by the device, or by the local user."""
 
 EMERGENCY_STOP = "emergency stop"
 """Name of the emergency stop action."""
 
-CHOOSES = "scene "
+SCENE_PREFIX = "scene "
 """Prefix of the actions that select a scene by name."""
 
-REWINDS = "rewind", "resume from here", "repeat the hand's motion"
+REWIND_ACTIONS = "rewind", "resume from here", "repeat the hand's motion"
 """Rewind actions of a session; the first goes back by one second."""
 
 Action: TypeAlias = Callable[[Scene], Scene]
 """Function that returns the changed scene."""
 
 
-def settable(scene: Scene | type[Scene]) -> tuple[str, ...]:
+def settable_parameters(scene: Scene | type[Scene]) -> tuple[str, ...]:
     """Return the parameters that other programs may change."""
-    return tuple(entry.name for entry in scene.parameters() if entry.live and entry.name not in DEVICES_OWN)
+    return tuple(entry.name for entry in scene.parameters() if entry.live and entry.name not in DEVICE_PARAMETERS)
 
 
 def actions(cls: type[Scene]) -> Mapping[str, Action]:
@@ -56,7 +56,9 @@ def actions(cls: type[Scene]) -> Mapping[str, Action]:
 
 def device_actions(cls: type[Scene]) -> tuple[str, ...]:
     """Return the actions of a scene on a device."""
-    fixed = {entry.live.word or entry.name for entry in cls.parameters() if entry.live and entry.name in DEVICES_OWN}
+    fixed = {
+        entry.live.word or entry.name for entry in cls.parameters() if entry.live and entry.name in DEVICE_PARAMETERS
+    }
     names = (name for name in actions(cls) if name.removesuffix(" up").removesuffix(" down") not in fixed)
     return *names, EMERGENCY_STOP
 
@@ -75,14 +77,14 @@ def changed(
     Raises:
         ParameterError: If a live parameter is unknown, a value is refused, or the scene's code fails.
     """
-    with own_code_refused():
+    with user_errors_rejected():
         if isinstance(change, Scene):
-            return change.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
+            return change.replace(**{name: getattr(scene, name) for name in DEVICE_PARAMETERS})
         if isinstance(change, str):
             return actions(type(scene))[change](scene)
-        if fixed := [name for name in DEVICES_OWN if name in change and not own]:
+        if fixed := [name for name in DEVICE_PARAMETERS if name in change and not own]:
             raise ParameterError(f"{fixed[0]} is set by the device or the local user; other programs cannot change it")
-        live = (*(DEVICES_OWN if own else ()), *settable(scene))
+        live = (*(DEVICE_PARAMETERS if own else ()), *settable_parameters(scene))
         if unknown := sorted(set(change) - set(live)):
             raise ParameterError(f"parameters must be among {', '.join((*live, *besides))}, not {', '.join(unknown)}")
         return scene.replace(**change)

@@ -52,7 +52,7 @@ def next_scale(scale: float, action: str, scales: Sequence[float] = TIME_SCALES)
     return scales[min(max(index, 0), len(scales) - 1)]
 
 
-class Due:
+class FrameClock:
     """Frame clock on a fixed time grid; delayed calls do not shift the grid.
 
     Args:

@@ -15,7 +15,7 @@ import numpy as np
 from maglev_mj.control import Law
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record
-from maglev_mj.errors import MaglevError, ParameterError, not_one_of
+from maglev_mj.errors import MaglevError, ParameterError, choice_message
 from maglev_mj.frames import AXES, Array, Sample
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import SampledPlant
@@ -25,17 +25,17 @@ from maglev_mj.plants.trace import hand_work
 from maglev_mj.recording import (
     InvalidRecordingError,
     MemoryFile,
-    OwnCodeError,
     Rebuild,
     Recording,
     RecordingError,
     RecordingFile,
     Segment,
     Setup,
+    UserCodeError,
     open_recording,
 )
 from maglev_mj.recording.sample import check_setup
-from maglev_mj.recording.setup import ALLOW, rebuild_controller, rebuild_plant, refused
+from maglev_mj.recording.setup import ALLOW_HINT, rebuild_controller, rebuild_plant, refused
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
 from maglev_mj.scenes.find import SceneLike, defined_in, object_of_text, recorded_scene, text_of
 from maglev_mj.scenes.run import Begin, checked_phase, run
@@ -59,7 +59,7 @@ class _Unknown(Scene):
         return []
 
 
-class OwnCode:
+class UserCode:
     """User code that may be executed for a recording.
 
     Args:
@@ -124,7 +124,7 @@ def _own_names(setup: Setup) -> Iterator[str]:
 
 
 def rebuild(
-    setup: Setup, hand: HandForce | None, *, own: OwnCode | None = None
+    setup: Setup, hand: HandForce | None, *, own: UserCode | None = None
 ) -> tuple[SampledPlant | None, Controller]:
     """Rebuild plant and controller of a recorded setup.
 
@@ -137,7 +137,7 @@ def rebuild(
         Plant and controller; the plant is None for a flight on a device, or if it is user-defined.
 
     Raises:
-        OwnCodeError: If it needs user code that is not allowed to run.
+        UserCodeError: If it needs user code that is not allowed to run.
         InvalidRecordingError: If the setup cannot be rebuilt.
 
     Example:
@@ -152,9 +152,9 @@ def rebuild(
     return plant, _controller(setup, own)
 
 
-def _controller(setup: Setup, own: OwnCode | None) -> Controller:
+def _controller(setup: Setup, own: UserCode | None) -> Controller:
     if (setup.get("session") or {}).get("after") is not None:
-        raise OwnCodeError("a segment resumes after a rewind from a sample that is not in the recording")
+        raise UserCodeError("a segment resumes after a rewind from a sample that is not in the recording")
     if own is None or own.scene is None or not setup.get("scene"):
         return rebuild_controller(setup, own)
     with refused(*_INVALID):
@@ -162,21 +162,21 @@ def _controller(setup: Setup, own: OwnCode | None) -> Controller:
         return device_controller(scene) if setup["kind"] == "device" else scene.controller()
 
 
-def _scene(setup: Setup, own: OwnCode | None) -> Scene:
+def _scene(setup: Setup, own: UserCode | None) -> Scene:
     """Return the scene of a setup.
 
     Raises:
-        OwnCodeError: If it is user-defined, and not allowed to run.
+        UserCodeError: If it is user-defined, and not allowed to run.
         ParameterError: If its parameters are outside their bounds.
     """
     name = setup["scene"]
     if name not in BUILT_IN and (own is None or own.scene is None):
         file = Path(str(name).rpartition(":")[0]).name or "NAME"
-        raise OwnCodeError(f"user code, scene {name!r}, was not executed: {ALLOW.format(file)}")
+        raise UserCodeError(f"user code, scene {name!r}, was not executed: {ALLOW_HINT.format(file)}")
     return recorded_scene(name, setup["parameters"], None if own is None else own.scene)
 
 
-def rebuild_for(segment: Segment, own: OwnCode | None = None) -> Rebuild | None:
+def rebuild_for(segment: Segment, own: UserCode | None = None) -> Rebuild | None:
     """Return the function that rebuilds plant and controller of a segment; None if that needs user code.
 
     A recording never makes this program execute code that it names or contains: only the user can allow it.
@@ -187,12 +187,12 @@ def rebuild_for(segment: Segment, own: OwnCode | None = None) -> Rebuild | None:
     """
     try:
         _controller(segment.whole.setup, own)
-    except OwnCodeError:
+    except UserCodeError:
         return None
     return partial(rebuild, own=own)
 
 
-def unmade_plant(segment: Segment, own: OwnCode | None = None) -> str:
+def unsimulated_plant(segment: Segment, own: UserCode | None = None) -> str:
     """Return the class name of a plant that cannot be simulated; "" if it can, as for a device with a known scene.
 
     Args:
@@ -252,7 +252,7 @@ def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, p
         ('run.maglev', 21)
     """
     written = list[Path]()
-    with recorded_to(path, written, quiet=True) as begin:
+    with record_to_file(path, written, quiet=True) as begin:
         run(scene, plant=plant, phase=checked_phase(phase), begin=begin)
     return written
 
@@ -283,7 +283,7 @@ def recorded(file: RecordingFile, *, quiet: bool = False) -> Iterator[Begin]:
 
 
 @contextmanager
-def recorded_to(path: Path | str, written: list[Path], *, quiet: bool = False) -> Iterator[Begin]:
+def record_to_file(path: Path | str, written: list[Path], *, quiet: bool = False) -> Iterator[Begin]:
     """Yield the `begin` argument of `run` that records to a new file; see `recorded`.
 
     Args:
@@ -300,7 +300,7 @@ def recorded_to(path: Path | str, written: list[Path], *, quiet: bool = False) -
             written.append(closed)
 
 
-def displayed_scene(segment: Segment, own: OwnCode | None = None) -> Scene:
+def displayed_scene(segment: Segment, own: UserCode | None = None) -> Scene:
     """Return the scene of a segment for display, or a placeholder if it is not available.
 
     Args:
@@ -369,7 +369,7 @@ class Replay:
         RecordingError: If the recording is empty, or its setup cannot be rebuilt.
     """
 
-    def __init__(self, recording: Recording, own: OwnCode | None = None) -> None:
+    def __init__(self, recording: Recording, own: UserCode | None = None) -> None:
         self.hand = SpringHand()
         self.simulated = 0.0
         self._segments = [_PlayedSegment(segment, own) for segment in recording.segments if len(segment)]
@@ -434,7 +434,7 @@ class Replay:
             self._paused = True
             self._seek(self._duration)
         else:
-            raise ParameterError(not_one_of("action", ACTIONS, action))
+            raise ParameterError(choice_message("action", ACTIONS, action))
 
     def change(self, parameters: Mapping[str, Any]) -> None:
         """Seek, or change the playback speed.
@@ -515,7 +515,7 @@ class Replay:
 class _PlayedSegment:
     """Segment of a recording, prepared for playback."""
 
-    def __init__(self, segment: Segment, own: OwnCode | None) -> None:
+    def __init__(self, segment: Segment, own: UserCode | None) -> None:
         self._rebuild = rebuild_for(segment, own)
         metadata = segment.metadata
         self.segment, self.scene = segment, displayed_scene(segment, own)

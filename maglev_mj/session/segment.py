@@ -25,7 +25,7 @@ from maglev_mj.scenes.find import reference_of, source_of
 from maglev_mj.session.snapshot import SHOWN, History
 from maglev_mj.spec import Spec
 
-KEPT = 60.0
+MAX_REWIND = 60.0
 """Longest rewind [s]."""
 
 _EVERY = 0.5
@@ -217,7 +217,7 @@ class RewindBuffer:
     """
 
     def __init__(self) -> None:
-        self.history = History(KEPT)
+        self.history = History(MAX_REWIND)
         self._states: deque[tuple[float, LiveSegment, Any]] = deque(maxlen=_MAX_STATES)
         self.clear()
 

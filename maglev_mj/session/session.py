@@ -14,7 +14,7 @@ import numpy as np
 
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError, not_one_of
+from maglev_mj.errors import MaglevError, ParameterError, choice_message
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.recording import RecordingError, RecordingFile, open_recording
@@ -22,10 +22,10 @@ from maglev_mj.recording.journal import SUFFIX
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.interactive import WEIGHT
-from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
-from maglev_mj.session.actions import CHOOSES, EMERGENCY_STOP, actions, changed, settable
+from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, user_errors_rejected
+from maglev_mj.session.actions import EMERGENCY_STOP, SCENE_PREFIX, actions, changed, settable_parameters
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
-from maglev_mj.session.segment import KEPT, LiveSegment, RepeatedHand, RewindBuffer
+from maglev_mj.session.segment import MAX_REWIND, LiveSegment, RepeatedHand, RewindBuffer
 from maglev_mj.session.snapshot import SHOWN, Publisher, Publishers, Snapshot
 
 
@@ -257,7 +257,7 @@ class Session:
         """
         functions = self._functions()
         if action not in functions:
-            raise ParameterError(not_one_of("action", tuple(functions), action))
+            raise ParameterError(choice_message("action", tuple(functions), action))
         functions[action]()
 
     def _functions(self) -> dict[str, Callable[[], object]]:
@@ -277,7 +277,7 @@ class Session:
             "repeat the hand's motion": partial(self._leave_past, again=True),
             EMERGENCY_STOP: partial(self._stop, EMERGENCY_STOP),
         }
-        choices = {f"{CHOOSES}{cls.name}": partial(self._choose, cls) for cls in self._scenes}
+        choices = {f"{SCENE_PREFIX}{cls.name}": partial(self._choose, cls) for cls in self._scenes}
         return of_scene | of_session | choices | of_scene
 
     def change(self, parameters: Mapping[str, Any]) -> None:
@@ -297,7 +297,7 @@ class Session:
         stiffness = number("hand_stiffness", changes.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
         lowest, highest = TIME_SCALES[0], TIME_SCALES[-1]
         scale = number("time_scale", changes.pop("time_scale", self._time_scale), at_least=lowest, at_most=highest)
-        back = number("rewind", changes.pop("rewind", 0.0), at_least=0.0, at_most=KEPT)
+        back = number("rewind", changes.pop("rewind", 0.0), at_least=0.0, at_most=MAX_REWIND)
         if "rewind" in parameters:
             self._show_past(self._past.bounds(self._segment.time)[1] - back)
         if changes:
@@ -464,7 +464,7 @@ class Session:
         Raises:
             MaglevError: If controller or timing cannot be constructed.
         """
-        with own_code_refused():
+        with user_errors_rejected():
             scene = changed(self._scene, change, own=True, besides=("hand_stiffness", "time_scale", "rewind"))
             if scene == self._scene and not self._stopped:
                 return
@@ -497,13 +497,13 @@ class Session:
     def _drop(self) -> None:
         """Restart above the centre without weight compensation."""
         pose = self._scene.start().pose
-        if "weightless" in settable(self._scene):
+        if "weightless" in settable_parameters(self._scene):
             self._scene = self._scene.replace(weightless=False)
         self._restart((*pose[:2], _DROP_HEIGHT, *pose[3:]))
 
     def _centre(self) -> None:
         """Restart with the default weight compensation."""
-        if "weightless" in settable(self._scene):
+        if "weightless" in settable_parameters(self._scene):
             self._scene = self._scene.replace(weightless=self._scene.parameter("weightless").default)
         self._restart()
 

@@ -14,7 +14,7 @@ from maglev_mj.frames import Array
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.trace import HandWork
 from maglev_mj.scenes import Scene
-from maglev_mj.session.pacing import Due
+from maglev_mj.session.pacing import FrameClock
 
 SHOWN = 2.0
 """Time span of a history [s]."""
@@ -38,14 +38,14 @@ class TourLine(NamedTuple):
         number: Number of the step, from 1.
         total: Number of steps.
         text: Explanation.
-        deed: Task of the user.
+        task: Task of the user.
         done: True if the task is done.
     """
 
     number: int
     total: int
     text: str
-    deed: str
+    task: str
     done: bool
 
     def words(self, name: Callable[[str], str]) -> tuple[str, str]:
@@ -54,7 +54,7 @@ class TourLine(NamedTuple):
         Args:
             name: Function that returns the viewer's name of an action or the hand.
         """
-        text, task = (re.sub(r"\{(.*?)\}", lambda match: name(match[1]), part) for part in (self.text, self.deed))
+        text, task = (re.sub(r"\{(.*?)\}", lambda match: name(match[1]), part) for part in (self.text, self.task))
         return text, task
 
 
@@ -294,7 +294,7 @@ class Publishers:
     """
 
     def __init__(self, publishers: Sequence[Publisher] = (), clock: Callable[[], float] = time.monotonic) -> None:
-        self._publishers, self._due = tuple(publishers), Due(clock=clock)
+        self._publishers, self._due = tuple(publishers), FrameClock(clock=clock)
 
     def __bool__(self) -> bool:
         return bool(self._publishers)

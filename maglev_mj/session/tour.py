@@ -8,11 +8,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import ParameterError, choice_message
 from maglev_mj.frames import Array, Mask
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.interactive import Joystick
-from maglev_mj.session import CHOOSES, DEVICES_OWN, EMERGENCY_STOP, REWINDS, Session, Snapshot, TourLine, settable
+from maglev_mj.session import (
+    DEVICE_PARAMETERS,
+    EMERGENCY_STOP,
+    REWIND_ACTIONS,
+    SCENE_PREFIX,
+    Session,
+    Snapshot,
+    TourLine,
+    settable_parameters,
+)
 from maglev_mj.theory import stability
 
 _CHECK_INTERVAL, _PAUSE = 1.0 / 30.0, 2.0
@@ -55,13 +64,13 @@ class Step(NamedTuple):
 
     Attributes:
         text: Explanation.
-        deed: Task of the user; see `TourLine`.
+        task: Task of the user; see `TourLine`.
         check: Function that returns True when the task is done.
         parameters: Parameters of the scene at the start of the step.
     """
 
     text: str
-    deed: str
+    task: str
     check: Callable[[Moment], bool]
     parameters: Mapping[str, Any]
 
@@ -112,7 +121,7 @@ class Tour:
         elif action in (available := self._actions()):
             self._session.act(action)
         else:
-            raise ParameterError(not_one_of("action", available, action))
+            raise ParameterError(choice_message("action", available, action))
 
     def change(self, parameters: Mapping[str, Any]) -> None:
         """Change parameters; see `Session.change`."""
@@ -121,7 +130,7 @@ class Tour:
     def snapshot(self) -> Snapshot:
         """Return the current snapshot with the step of the tour."""
         snapshot, step = self._session.snapshot(), STEPS[self._index]
-        task = step.deed
+        task = step.task
         if self._has_failed(snapshot):
             task = "The scene was stopped. Let go: it restarts in a moment."
         elif self._done:
@@ -136,8 +145,8 @@ class Tour:
 
     def _actions(self) -> Sequence[str]:
         """Return the names of the actions; those that would end the tour are excluded."""
-        names = (name for name in self._session.actions if name not in ("next scene", "drop", *REWINDS))
-        return "next", "back", *(name for name in names if not name.startswith(CHOOSES))
+        names = (name for name in self._session.actions if name not in ("next scene", "drop", *REWIND_ACTIONS))
+        return "next", "back", *(name for name in names if not name.startswith(SCENE_PREFIX))
 
     def _begin(self, index: int) -> None:
         """Start a step with its parameters."""
@@ -249,7 +258,7 @@ def _reversals(force: Array, least: float) -> int:
     return int(np.count_nonzero(np.diff(side[side != 0.0])))
 
 
-_DEFAULTS = {name: Joystick.parameter(name).default for name in (*settable(Joystick), *DEVICES_OWN)}
+_DEFAULTS = {name: Joystick.parameter(name).default for name in (*settable_parameters(Joystick), *DEVICE_PARAMETERS)}
 _SOFT_WALL = {**_DEFAULTS, "stiffness": 4200.0, "damping": 12.0}
 
 STEPS = (

@@ -141,7 +141,7 @@ class DesignResult(Result):
         note = f"{len(self.cases)} cases simulated, in and out of contact; not settling: {len(growing) or 'none'}"
         title = f"Stiffest {law} at {1.0 / needs.period:g} Hz with spectral radius at most {needs.spectral_radius:g}"
         return Table(
-            f"{title} in all combinations of {needs.cases_named}",
+            f"{title} in all combinations of {needs.description}",
             ("", "value", "unit", ""),
             rows,
             "\n".join([note, *growing[:_MOST_LISTED], *more]),

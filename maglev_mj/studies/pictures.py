@@ -109,8 +109,8 @@ def stability_map(result: StabilityMap) -> Any:
         settles = result.simulated
         size = max(60.0 / max(len(result.stiffness), len(result.damping)), 0.6) * 1.6
         panel.plot(b[settles], k[settles], ".", color=STOP, markersize=size, label=f"stable in simulation ({p.plant})")
-        if result.misjudged is not None and result.misjudged.any():
-            wrong = result.misjudged
+        if result.disagreement is not None and result.disagreement.any():
+            wrong = result.disagreement
             panel.plot(b[wrong], k[wrong], "x", color=SECOND, label="simulation and theory differ")
     (low, high), (soft, stiff) = ((axis.min(), axis.max()) for axis in (result.damping, result.stiffness))
     panel.set(**_GAINS, xlim=(low, high), ylim=(soft, stiff))

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from maglev_mj.errors import MissingPackageError, ParameterError, require
 from maglev_mj.frames import Array
 from maglev_mj.result import plain
-from maglev_mj.versions import differences, hash_of, versions, versions_read
+from maglev_mj.versions import differences, hash_of, validated_versions, versions
 
 Cell: TypeAlias = dict[str, Any]
 """Values of a cell by the parameter's name."""
@@ -226,7 +226,7 @@ def _check(path: Path, plan: Mapping[str, Any]) -> None:
         raise ParameterError(
             f"record must be a new or empty folder, or one with {_PLAN}, not {str(path)!r}{old}"
         ) from None
-    code = versions_read(stored.pop("versions", None)) or {}
+    code = validated_versions(stored.pop("versions", None)) or {}
     others = [name for name in {**plan, **stored} if name != "versions" and stored.get(name) != plan.get(name)]
     if others:
         raise ParameterError(f"record must be of this study, not {str(path)!r}, which differs in {', '.join(others)}")

@@ -33,7 +33,7 @@ from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory import boundary as bounds
-from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
+from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS, LoopKeywords
 
 _MOVED = 1e-6
 _DECIDED = 1e4
@@ -86,7 +86,7 @@ class RestingWall(Scene):
 
     def check(self) -> None:
         """See `Scene`."""
-        number("delay", self.delay, at_least=0.0, at_most=MOST_PERIODS * self.period)
+        number("delay", self.delay, at_least=0.0, at_most=MAX_DELAY_PERIODS * self.period)
         get_hand(self.hand)
 
     def laws(self) -> list[Law]:
@@ -296,14 +296,14 @@ class StabilityParameters(Parameters):
 
     def check(self) -> None:
         """See `Parameters`."""
-        if self.delay > MOST_PERIODS * self.period:
+        if self.delay > MAX_DELAY_PERIODS * self.period:
             raise ParameterError(
-                f"delay must be at most {MOST_PERIODS} periods of {self.period:g} s, not {self.delay:g}"
+                f"delay must be at most {MAX_DELAY_PERIODS} periods of {self.period:g} s, not {self.delay:g}"
             )
         get_hand(self.hand)
 
     @property
-    def loop_named(self) -> str:
+    def loop_title(self) -> str:
         """Rate, delay, mass and hand in a few words."""
         hand = "no hand" if self.hand == "none" else f"hand {self.hand}"
         return f"{1.0 / self.period:g} Hz, delay {self.delay * 1e3:g} ms, mass {self.mass:g} kg, {hand}"
@@ -373,7 +373,7 @@ class StabilityMap(GainMap):
         return x, y, theory.spectral_radius(y[:, None], x, **self.parameters.loop)
 
     @property
-    def misjudged(self) -> Mask | None:
+    def disagreement(self) -> Mask | None:
         """Cells with different theory and simulation, (K, B).
 
         Cells within half a percent of the boundary are left out.
@@ -403,14 +403,14 @@ class StabilityMap(GainMap):
         note = [f"grid: {stable.sum()} of {stable.size} cells stable by theory"]
         if stable.size == 1:
             note = [f"{'stable' if stable.all() else 'unstable'}: spectral radius {self.spectral_radius.item():.4g}"]
-        if self.simulated is not None and self.misjudged is not None:
+        if self.simulated is not None and self.disagreement is not None:
             note.append(
-                f"simulation ({p.plant}): {self.simulated.sum()} stable; {(stable != self.simulated).sum()} differ "
-                f"from theory, {self.misjudged.sum()} of them outside ±0.5 % of the boundary ({self.near.sum()} inside)"
+                f"simulation ({p.plant}): {self.simulated.sum()} stable; {(stable != self.simulated).sum()} differ from "
+                f"theory, {self.disagreement.sum()} of them outside ±0.5 % of the boundary ({self.near.sum()} inside)"
             )
         note.append("published bounds: at this damping, without a hand")
         head = "", "stiffness [N/m]", "ratio", ""
-        return Table(f"Stability of a PD wall, {p.loop_named}", head, rows, "\n".join(note))
+        return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note))
 
 
 def run_stability(

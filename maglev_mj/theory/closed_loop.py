@@ -22,7 +22,7 @@ from maglev_mj.parameters import common_shape, number, numbers, store
 from maglev_mj.plants.hand import Hand, get_hand, motion, transition
 from maglev_mj.spec import Spec
 
-MOST_PERIODS = 10
+MAX_DELAY_PERIODS = 10
 _CHUNK = 1 << 16
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
@@ -113,8 +113,10 @@ class SampledLoop:
         store(self, hand=get_hand(self.hand))
         common_shape("period and delay", np.shape(self.period), np.shape(self.delay))
         ratio = np.asarray(self.delay) / np.asarray(self.period)
-        if not (ratio <= MOST_PERIODS * (1.0 + 1e-9)).all():
-            raise ParameterError(f"delay must be at most {MOST_PERIODS} periods (got {float(ratio.max()):g} periods)")
+        if not (ratio <= MAX_DELAY_PERIODS * (1.0 + 1e-9)).all():
+            raise ParameterError(
+                f"delay must be at most {MAX_DELAY_PERIODS} periods (got {float(ratio.max()):g} periods)"
+            )
         shapes = [np.shape(part) for part in (self.period, self.delay, self.mass, self.prediction)]
         shapes += [] if self.hand is None else [self.hand.shape]
         store(self, shape=common_shape("period, delay, mass, prediction, hand", *shapes))
@@ -319,7 +321,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     wide = around.widened()
     period = np.broadcast_to(np.asarray(wide.period), (*shape, 1))
     low, high = np.zeros(shape), np.full(shape, np.inf)
-    for whole in range(MOST_PERIODS):
+    for whole in range(MAX_DELAY_PERIODS):
         grid = period * np.linspace(whole, whole + 1, 41)
         unstable = ~is_stable(replace(wide, delay=grid).spectral_radius(k, b))
         first = np.argmax(unstable, axis=-1)

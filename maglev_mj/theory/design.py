@@ -20,7 +20,13 @@ from maglev_mj.parameters import Parameters, interval, param, param_range
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
-from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, least_dynamic_stiffness, rendered_stiffness
+from maglev_mj.theory.closed_loop import (
+    MAX_DELAY_PERIODS,
+    Design,
+    SampledLoop,
+    least_dynamic_stiffness,
+    rendered_stiffness,
+)
 
 LAWS = ("pd", "observer", "disturbance-observer")
 """Names of the wall laws; the last one estimates a disturbance."""
@@ -81,7 +87,7 @@ class WallRequirements(Parameters):
 
     def check(self) -> None:
         """See `Parameters`."""
-        interval("delay", self.delay, at_least=0.0, at_most=MOST_PERIODS * self.period)
+        interval("delay", self.delay, at_least=0.0, at_most=MAX_DELAY_PERIODS * self.period)
         if not self.hands or len(set(self.hands)) != len(self.hands):
             raise ParameterError(
                 f"hands must be at least one, without duplicates (got {', '.join(self.hands) or 'none'})"
@@ -95,7 +101,7 @@ class WallRequirements(Parameters):
         return 0.5 * sum(self.mass), 0.5 * sum(self.delay)
 
     @property
-    def cases_named(self) -> str:
+    def description(self) -> str:
         """One-line summary of the requirements."""
         lag = " with driver lag" if self.driver_lag else ""
         mass, delay = _span(self.mass, 1.0), _span(self.delay, 1e3)

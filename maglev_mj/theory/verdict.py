@@ -25,7 +25,7 @@ from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import load_model
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import INERTIA, RANGE
-from maglev_mj.theory.closed_loop import MOST_PERIODS, SampledLoop
+from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS, SampledLoop
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
@@ -607,7 +607,7 @@ def _stated_spectral_radius(
 
 def _margin(spectral_radius: Callable[[float], float], period: float) -> float:
     """Return the first delay at which a spectral radius reaches 1 [s]."""
-    grid = np.arange(0.0, min(_LONGEST, MOST_PERIODS * period) + 1e-12, max(period / _PER_PERIOD, _FINEST))
+    grid = np.arange(0.0, min(_LONGEST, MAX_DELAY_PERIODS * period) + 1e-12, max(period / _PER_PERIOD, _FINEST))
     first = next((index for index, delay in enumerate(grid) if spectral_radius(delay) >= 1.0 - _ROUNDING), None)
     if not first:
         return math.inf if first is None else 0.0

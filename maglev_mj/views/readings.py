@@ -17,11 +17,11 @@ from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, GOOD, HAND, MEASURED
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import Parameter
-from maglev_mj.plants.shapes import LEAST_FORCE
+from maglev_mj.plants.shapes import MIN_ARROW_FORCE
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.stability_check import WallMargin, wall_margin
-from maglev_mj.session import DEVICES_OWN, SHOWN, Snapshot
+from maglev_mj.session import DEVICE_PARAMETERS, SHOWN, Snapshot
 from maglev_mj.theory import Verdict, inertia_of, largest_stable_stiffness, stability, stated_gains
 
 _DAMPINGS = 32
@@ -335,13 +335,13 @@ class Banner(NamedTuple):
 
     Attributes:
         text: State and reason.
-        way_on: Action that resumes; empty for none.
+        resume_action: Action that resumes; empty for none.
         bad: True for a problem, False for a state that the user asked for.
         remedy: Advice where no action resumes; empty otherwise.
     """
 
     text: str
-    way_on: str
+    resume_action: str
     bad: bool
     remedy: str = ""
 
@@ -400,7 +400,7 @@ def stop_contacts(snapshot: Snapshot) -> StopContacts:
     faces, words = [], []
     for index in range(3):
         force = float(wrench[index])
-        if abs(force) >= LEAST_FORCE:
+        if abs(force) >= MIN_ARROW_FORCE:
             faces.append((index, float(np.sign(force)), float(pose[index])))
             words.append(
                 f"{'-' if force > 0.0 else '+'}{AXES[index]} {abs(pose[index]) * 1e3:.1f} mm, {abs(force):.1f} N"
@@ -439,7 +439,9 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
         notes: Additional notes, such as the file of a screenshot.
     """
     scene = snapshot.scene
-    live = [item for item in scene.parameters() if item.live and item.live.has_keys and item.name not in DEVICES_OWN]
+    live = [
+        item for item in scene.parameters() if item.live and item.live.has_keys and item.name not in DEVICE_PARAMETERS
+    ]
     enabled = [item.name for item in live if item.kind is bool and getattr(scene, item.name)]
     gains = [_gain(item, getattr(scene, item.name), scene.axis) for item in live if item.kind in (float, int)]
     total = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"

@@ -21,7 +21,7 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
 from maglev_mj.scenes import Scene
-from maglev_mj.session import EMERGENCY_STOP, ChangeRequest, Due, Note, Snapshot, SnapshotSource
+from maglev_mj.session import EMERGENCY_STOP, ChangeRequest, FrameClock, Note, Snapshot, SnapshotSource
 from maglev_mj.session.actions import actions
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class Inbox:
     """
 
     def __init__(self, period: float = _PERIOD, clock: Callable[[], float] = time.monotonic) -> None:
-        self._due, self._clock, self._lock = Due(period, clock), clock, threading.Lock()
+        self._due, self._clock, self._lock = FrameClock(period, clock), clock, threading.Lock()
         self._stop, self._moved = False, -math.inf
         self._hand: list[Request] = []
         self._waiting: list[Request] = []
@@ -129,7 +129,7 @@ _MAX_ROWS, _MAX_MESSAGES = 400, 64
 _NAP = 0.001
 _CLOSE_TIMEOUT = 0.5
 
-Front: TypeAlias = Callable[[SnapshotSource], object]
+ViewerFunction: TypeAlias = Callable[[SnapshotSource], object]
 """Viewer function: shows a source until either ends. Must be picklable, therefore at module level."""
 
 
@@ -148,12 +148,12 @@ class RemoteViewer:
         on_emergency: Called by `take` on an emergency stop; may be replaced, and may raise.
     """
 
-    def __init__(self, snapshot: Snapshot, front: Front, *, watch: bool = False) -> None:
+    def __init__(self, snapshot: Snapshot, front: ViewerFunction, *, watch: bool = False) -> None:
         self._watch = flag("watch", watch)
         self.hand, self.on_close, self.frames = SpringHand(), _nothing, 0
         self.on_emergency: Callable[[], object] = _nothing
         self._scene, self._sent_time, self._open = snapshot.scene, -np.inf, True
-        self._note, self._due, self._glide = Note(), Due(), Glide()
+        self._note, self._due, self._glide = Note(), FrameClock(), Glide()
         self._inbox = Inbox()
         self._front = SideProcess(_open, snapshot, front)
 
@@ -200,7 +200,9 @@ class RemoteViewer:
             if "rewind" in value:
                 raise ParameterError("rewind needs a simulation: a device cannot be rewound")
             if kind == "change":
-                return session.changed(scene, {name: value[name] for name in value if name in session.settable(scene)})
+                return session.changed(
+                    scene, {name: value[name] for name in value if name in session.settable_parameters(scene)}
+                )
             return session.changed(scene, value) if value in actions(type(scene)) else None
         except MaglevError as error:
             self._note.say(str(error))
@@ -265,7 +267,7 @@ class ShowReport(NamedTuple):
         )
 
 
-def show_remotely(source: SnapshotSource, front: Front, duration: float | None = None) -> ShowReport:
+def show_remotely(source: SnapshotSource, front: ViewerFunction, duration: float | None = None) -> ShowReport:
     """Run a source in real time with a remote viewer, and close both at the end.
 
     Args:
@@ -300,7 +302,7 @@ class RemoteSession:
         self._pipe, self._snapshot, self._history = pipe, snapshot, session.History()
         self._closed = False
         self._target: Any = None
-        self._due = Due(SILENCE / 5.0)
+        self._due = FrameClock(SILENCE / 5.0)
 
     def tick(self, elapsed: float) -> int:
         """Receive snapshots; return the number of samples since the last call."""
@@ -348,7 +350,7 @@ def _raise_ended() -> None:
     raise MaglevError("the viewer process has ended")
 
 
-def _open(pipe: Connection, snapshot: Snapshot, front: Front) -> None:
+def _open(pipe: Connection, snapshot: Snapshot, front: ViewerFunction) -> None:
     """Run the viewer function in the viewer process."""
     try:
         front(RemoteSession(pipe, snapshot))

@@ -324,7 +324,7 @@ def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, A
     return {
         "drops": int(stiffness.size),
         "cost": {name: statistics.median(values) for name, values in costs.items()},
-        "misjudged": {name: int((verdict != settled["exact"]).sum()) for name, verdict in settled.items()},
+        "disagreement": {name: int((verdict != settled["exact"]).sum()) for name, verdict in settled.items()},
     }
 
 
@@ -362,7 +362,7 @@ def main() -> None:
         print(f"  {'':<14}       many: {'; '.join(part['front_of_many'])}")
     print("\na sweep of drops, on two threads: cost of a drop, and drops that end otherwise than exact")
     for name, cost in data["sweep"]["cost"].items():
-        print(f"  {name:<28}{cost * 1e6:8.1f} µs{data['sweep']['misjudged'][name]:6d}")
+        print(f"  {name:<28}{cost * 1e6:8.1f} µs{data['sweep']['disagreement'][name]:6d}")
     print("\nshift of the stiffest stable wall: order in the step")
     for name, order in data["boundary"]["orders"].items():
         first = data["boundary"]["shifts"][name][0]

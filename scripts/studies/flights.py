@@ -152,7 +152,7 @@ def figures(flown: Flown, since: float) -> Row:
         "reversals": rounded(flown.reversals, 2),
         "small": rounded(flown.small, 2),
         "energy": rounded(flown.energy, 5),
-        "bears": rounded(flown.bears, 5) if math.isfinite(flown.bears) else None,
+        "bears": rounded(flown.critical_delay, 5) if math.isfinite(flown.critical_delay) else None,
     }
 
 
@@ -205,7 +205,7 @@ def fly_product(cell: Row) -> Row:
     options: Row = {"rate": rate, "hand": hand, "seconds": seconds, "seed": cell["seed"]}
     flown = flight(cell["scene"], delay=lambda time: shape(size, time - moment, draw), **options)
     found = figures(flown, moment)
-    spare = (flown.bears - _DELAY) / 2.0
+    spare = (flown.critical_delay - _DELAY) / 2.0
     late = [time for time, delay in flown.delays if time >= moment and delay > spare]
     found["late"] = rounded(late[0]) if late else None
     if found["speed"] > FREE:
@@ -300,7 +300,7 @@ def fly_law(cell: Row) -> Row:
     if kind == "wall of root":
         scene = find_scene(name)().replace(stiffness=wall_of(name, rate, size))
     law = None if act is None else partial(ChangedLaw, change=change, axis=axis)
-    options: Row = {"scene": scene, "law": law, "bears": margin(name, rate, _DELAY), "rate": rate}
+    options: Row = {"scene": scene, "law": law, "critical_delay": margin(name, rate, _DELAY), "rate": rate}
     options |= {"hand": cell["hand"], "seed": cell["seed"], "seconds": 1.6 if rate == 1000 else 2.0}
     flown = flight(name, prepare=lambda twin, link: links.append(link), **options)
     since = begun[0] if begun else flown.began
@@ -342,11 +342,11 @@ def fly_good(delays: dict[str, list[int]], cell: Row) -> Row:
         link._line = Line(delay)  # type: ignore[assignment]
         with RemotePlant(link, folder=folder) as plant:
             found = preflight(plant, find_scene(cell["scene"])())
-        told = {"usual": rounded(found.report.usual, 6), "softened": bool(found.softened)}
+        told = {"usual": rounded(found.report.delay_95, 6), "softened": bool(found.reduction)}
         if found.problem:
             return {"refused": found.problem, **told}
         options = {name: cell[name] for name in ("rate", "hand", "seconds", "seed")}
-        options |= {"scene": found.scene, "bears": found.bears, "folder": folder}
+        options |= {"scene": found.scene, "critical_delay": found.critical_delay, "folder": folder}
         flown = fly(cell["scene"], delay=lambda time: delay(time + 1.0), **options)
     rms, largest = residual(flown, cell["scene"], cell["hand"], rate)
     time = rounded((flown.rows[:, 14] == 1.0).sum() / rate)
@@ -375,7 +375,7 @@ def fly_takeoff(cell: Row) -> Row:
     constants[cell["coil"]] *= cell["gain"]
     truth = replace(truth, coils=replace(truth.coils, force_constants=constants))
     options = {name: cell[name] for name in ("rate", "seed", "noise")}
-    flown = flight(cell["scene"], truth=truth, seconds=0.05, bears=math.inf, **options)
+    flown = flight(cell["scene"], truth=truth, seconds=0.05, critical_delay=math.inf, **options)
     named = re.findall(r"coil (\d)", flown.outcome)
     return figures(flown, 0.0) | {"said": flown.outcome[:200], "named": named == [str(cell["coil"])]}
 

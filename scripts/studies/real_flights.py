@@ -340,7 +340,7 @@ def real_delays(rate: int, seconds: float) -> list[int]:
     class Timing(LoopTiming):
         def add(self, plant: RemotePlant) -> None:
             super().add(plant)
-            late = max(plant.answers.lateness - plant.delay, self.newest_age)
+            late = max(plant.answers.delay_bound - plant.delay, self.newest_age)
             delays.append(round(max(late, 0.0) * 1e6))
 
     words = "-m", "maglev_mj", "twin", "--listen", "udp://127.0.0.1:0", "--rate", str(rate)

@@ -434,7 +434,7 @@ def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(tmp_path: Path) 
     assert segment.metadata.inertia.tolist() == [0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3]
     assert segment.metadata.load[2] == pytest.approx(-0.75 * GRAVITY)
     assert np.isfinite(segment.hand).all() and segment.hand.any() and not segment.metadata.hand_recorded
-    assert not segment.known_hand.any() and len(segment) == 60
+    assert not segment.recorded_hand_wrench.any() and len(segment) == 60
     found, before = (analysed(one, simulated=False) for one in (segment, segment.replace(hand=0.0)))
     assert found.recorded.motion.trace.pose.tobytes() == before.recorded.motion.trace.pose.tobytes()
     replay = Replay(recording)

@@ -166,7 +166,7 @@ class Flown(NamedTuple):
     """Time at which it began to land, or was cut [s]."""
     delays: list[tuple[float, float]]
     """Time sent and delay of each frame [s]."""
-    bears: float
+    critical_delay: float
     """Critical delay of the scene [s]."""
     reversals: float
     """Largest reversals of the laws' force, by the guard's sum [N]."""
@@ -206,7 +206,7 @@ def fly(
     seed: int = 0,
     scene: Scene | None = None,
     law: Callable[[Controller, float], Any] | None = None,
-    bears: float | None = None,
+    critical_delay: float | None = None,
     prepare: Callable[[Twin, VirtualLink], object] | None = None,
     folder: Any = "",
     **twin_parameters: Any,
@@ -222,7 +222,7 @@ def fly(
         seed: Seed of the sensor's noise.
         scene: The scene; the package's of that name by default.
         law: Makes the flown controller from the scene's and the period.
-        bears: Critical delay of the scene [s]; by default by linearisation.
+        critical_delay: Critical delay of the scene [s]; by default by linearisation.
         prepare: Called with twin and link before the flight.
         folder: Folder of black box files.
         **twin_parameters: Of the twin.
@@ -252,10 +252,10 @@ def fly(
 
     twin.sample = sample  # type: ignore[method-assign]
     plant = RemotePlant(link, folder=folder)
-    if bears is None:
-        bears = margin(name, rate, plant.delay)
+    if critical_delay is None:
+        critical_delay = margin(name, rate, plant.delay)
     scene = (scene or find_scene(name)()).replace(period=plant.period, delay=plant.delay)
-    flight = Flight(plant, scene, bears=bears)
+    flight = Flight(plant, scene, critical_delay=critical_delay)
     flight._power_guard = power = NotedPower(plant.period)
     if law is not None:
         flight._controller = law(flight._controller, plant.period)
@@ -289,7 +289,9 @@ def fly(
     for _ in range(round(0.4 * rate)):  # falling, or at rest
         twin.sample()
     found = np.array(rows), np.array(wrenches)
-    return Flown(outcome, *found, began[0], ended[0], line.delays, bears, power.reversals, power.small, power.energy)
+    return Flown(
+        outcome, *found, began[0], ended[0], line.delays, critical_delay, power.reversals, power.small, power.energy
+    )
 
 
 def rounded(value: float, digits: int = 4) -> float | None:

@@ -16,7 +16,7 @@ import pytest
 
 from maglev_mj.bridge import Calibration, Fault, HostLimits, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
-from maglev_mj.bridge.preflight import measure_line
+from maglev_mj.bridge.preflight import measure_link
 from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import StateReport
@@ -67,7 +67,7 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Twin:
         return RemotePlant(links[-1], calibration=calibration, limits=limits, folder=out)
 
     monkeypatch.setattr(bridge, "_opened", opened)
-    monkeypatch.setattr(bridge, "measure_line", lambda plant: measure_line(plant, 0.2))
+    monkeypatch.setattr(bridge, "measure_link", lambda plant: measure_link(plant, 0.2))
     monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)  # takes 0.4 s
     return twin
 

@@ -15,8 +15,8 @@ import pytest
 from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.flight_guards import late_delay
-from maglev_mj.bridge.preflight import LineReport, judge_change, measure_line
+from maglev_mj.bridge.flight_guards import delay_limit
+from maglev_mj.bridge.preflight import LinkReport, judge_change, measure_link
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge
 from maglev_mj.cli.peripherals import PageOptions
@@ -114,7 +114,7 @@ def test_a_late_answer_is_not_taken_for_the_next_request(monkeypatch: pytest.Mon
 class Judge:
     """Judge in this process; answers after some polls."""
 
-    def __init__(self, report: LineReport, anyway: bool = False, looks: int = 5) -> None:
+    def __init__(self, report: LinkReport, anyway: bool = False, looks: int = 5) -> None:
         self._how: dict[str, Any] = {"report": report, "anyway": anyway}
         self._looks, self.asked = looks, list[Any]()
 
@@ -160,12 +160,12 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
     """Return a function that flies with requests."""
     monkeypatch.setattr("maglev_mj.session.snapshot.Due.__call__", lambda _: True)
 
-    def run(*wishes: tuple[int, Scene], make: Callable[[LineReport], Any] = Judge) -> tuple[Flight, Wishes, Any]:
+    def run(*wishes: tuple[int, Scene], make: Callable[[LinkReport], Any] = Judge) -> tuple[Flight, Wishes, Any]:
         asks = Wishes(wishes)
         with device() as plant:
-            judge = make(measure_line(plant, 0.2))
+            judge = make(measure_link(plant, 0.2))
             scene = Joystick(period=plant.period, delay=plant.delay)
-            flown = Flight(plant, scene, publishers=[asks], judge=judge, bears=0.0027)
+            flown = Flight(plant, scene, publishers=[asks], judge=judge, critical_delay=0.0027)
             assert flown.run(0.6).landing.at_rest and not flown.reason
         return flown, asks, judge
 
@@ -178,7 +178,7 @@ def test_settings_unstable_at_the_measured_delay_are_refused_as_before_takeoff(f
     assert [says in str(answer) for answer in asks.answers] == [True]
     assert says in asks.snapshots[-1].notes[0]  # shown to the user
     assert {one.scene for one in asks.snapshots} == {Joystick()}
-    assert flown._delay_guard.limit == late_delay(0.0027, 0.005)
+    assert flown._delay_guard.limit == delay_limit(0.0027, 0.005)
 
 
 def test_accepted_settings_set_the_delay_limit(fly: Fly) -> None:
@@ -215,7 +215,7 @@ def test_without_an_answer_nothing_changes(fly: Fly) -> None:
     flown, asks, _ = fly((20, GOOD), (40, GOOD), make=Gone)
     assert asks.answers == [said, said] and said in asks.snapshots[-1].notes
     assert {one.scene for one in asks.snapshots} == {Joystick()}
-    assert flown._delay_guard.limit == late_delay(0.0027, 0.005)
+    assert flown._delay_guard.limit == delay_limit(0.0027, 0.005)
 
 
 # the command, with its process, in virtual time

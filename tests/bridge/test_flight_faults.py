@@ -14,7 +14,7 @@ import pytest
 from maglev_mj import cli
 from maglev_mj.bridge.fault import DeviceFault, load_fault
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.preflight import LineReport, LoopTiming, Preflight, measure_line
+from maglev_mj.bridge.preflight import LinkReport, LoopTiming, Preflight, measure_link
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
@@ -190,7 +190,7 @@ class Mine(Joystick):
 
 def unchecked(plant: RemotePlant, scene: Scene, **_: Any) -> Preflight:
     scene = scene.replace(period=plant.period, delay=plant.delay)
-    return Preflight(scene, measure_line(plant, 0.1), math.inf, "", "")
+    return Preflight(scene, measure_link(plant, 0.1), math.inf, "", "")
 
 
 def test_the_command_reports_cause_and_remedy_in_one_line(
@@ -229,13 +229,13 @@ def test_the_link_is_measured_with_the_flights_scheduling(tmp_path: Path, monkey
         yield []
         inside.pop()
 
-    def measure(plant: RemotePlant, *_: float) -> LineReport:
+    def measure(plant: RemotePlant, *_: float) -> LinkReport:
         measured.append([*inside])
-        return measure_line(plant, 0.1)
+        return measure_link(plant, 0.1)
 
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(Twin(TwinParameters())), folder=tmp_path))
     monkeypatch.setattr(bridge, "scheduled", scheduled)
-    monkeypatch.setattr(bridge, "measure_line", measure)
+    monkeypatch.setattr(bridge, "measure_link", measure)
     monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)
     assert cli.main(["bridge", "udp://127.0.0.1:1", "--check"]) == 0
     assert measured == [["ignore"]] and not inside

@@ -17,8 +17,8 @@ import pytest
 from maglev_mj import AxisLaw, Controller, Hold, Wall, find_scene, judge
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.fault import load_fault
-from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
-from maglev_mj.bridge.landing import TOLERATED, Leader, Swing
+from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
+from maglev_mj.bridge.landing import LANDING_DELAY, Leader, Swing
 from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.frames import Command
@@ -112,7 +112,7 @@ def test_a_slow_link_is_detected_and_a_single_late_answer_is_not(delays: list[fl
 
 
 @pytest.mark.parametrize(
-    ("bears", "period", "late"),
+    ("critical_delay", "period", "late"),
     [
         (2.91e-3, 0.005, 2.91e-3),
         (5.5e-3, 0.001, 5e-3),
@@ -123,8 +123,8 @@ def test_a_slow_link_is_detected_and_a_single_late_answer_is_not(delays: list[fl
         (0.0, 0.005, 0.0),
     ],
 )
-def test_the_delay_limit_is_below_the_critical_delay(bears: float, period: float, late: float) -> None:
-    assert late_delay(bears, period) == pytest.approx(late)
+def test_the_delay_limit_is_below_the_critical_delay(critical_delay: float, period: float, late: float) -> None:
+    assert delay_limit(critical_delay, period) == pytest.approx(late)
 
 
 @pytest.mark.parametrize("axis", range(6))
@@ -181,7 +181,7 @@ def test_a_swing_is_cut_after_a_tenth_of_a_second() -> None:
 
 @pytest.mark.parametrize("period", [0.005, 0.001])
 def test_the_hold_of_an_early_landing_is_stable_up_to_50_ms(period: float) -> None:
-    leader = Leader(Calibration.nominal(), period, TOLERATED)
+    leader = Leader(Calibration.nominal(), period, LANDING_DELAY)
     for delay in np.arange(0.0, min(0.0505, 10 * period), 0.0025):
         assert judge(leader._controller, delay=float(delay)).stable
 
@@ -312,7 +312,7 @@ def test_good_coils_are_not_refused(rate: int, seed: int, heavier: bool, tmp_pat
 def test_lost_frames_are_not_mistaken_for_a_coil_fault(tmp_path: Path) -> None:
     calibration = Calibration.nominal()
     observer = HandObserver(calibration, 0.005)
-    observer.tries = True
+    observer.check_coils = True
     hover = Command([*(-calibration.mass * calibration.gravity), 0.0, 0.0, 0.0])
     for tick in [*range(40), *range(50, 90)]:
         observer.sampled(tick, 11 if tick == 50 else 1, [0.0] * 6, tick - 1, 0.0015)

@@ -17,10 +17,10 @@ from maglev_mj import cli, find_scene
 from maglev_mj.bridge import HostLimits, RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.preflight import (
     MARGIN,
-    LineReport,
+    LinkReport,
     Preflight,
     _problem,
-    measure_line,
+    measure_link,
     preflight,
 )
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
@@ -69,12 +69,12 @@ def device(folder: Path, way: float = 0.0, jitter: float = 0.0, clock: float = 1
 @pytest.mark.parametrize(("rate", "way"), [(200, 0.0002), *further((200, 0.0), (1000, 0.001))])
 def test_the_link_is_measured_without_current(way: float, rate: int, tmp_path: Path) -> None:
     with device(tmp_path, way, period=1.0 / rate) as plant:
-        report = measure_line(plant, 0.5)
+        report = measure_link(plant, 0.5)
         assert not np.any(plant.report.currents) and not plant.disarmed
     assert report.samples == rate // 2 and report.lost == report.skipped == report.late == 0
     assert report.delay == pytest.approx(plant.delay + 2.0 * way, abs=2e-6)
-    assert report.usual == pytest.approx(plant.delay + 2.0 * way, abs=2e-6)
-    assert report.planned == pytest.approx(plant.delay + MARGIN * 2.0 * way, abs=4e-6)
+    assert report.delay_95 == pytest.approx(plant.delay + 2.0 * way, abs=2e-6)
+    assert report.required_delay == pytest.approx(plant.delay + MARGIN * 2.0 * way, abs=4e-6)
     assert report.clock == pytest.approx(1.0) and report.success >= 0.98
     assert report.as_json()["delay"] == pytest.approx(report.delay.tolist())
     assert "samples answered in time; 0 lost, 0 skipped, 0 answers late;" in str(report.table())
@@ -82,14 +82,14 @@ def test_the_link_is_measured_without_current(way: float, rate: int, tmp_path: P
 
 def test_late_answers_are_counted_and_an_active_device_is_not_measured(tmp_path: Path) -> None:
     with device(tmp_path, 0.012) as plant:
-        assert measure_line(plant, 0.3).success == 0.0  # the device reports none of them
+        assert measure_link(plant, 0.3).success == 0.0  # the device reports none of them
     with device(tmp_path, 0.006) as plant:
         plant.limits = replace(plant.limits, stale=0.01)  # still reports them
-        report = measure_line(plant, 0.3)
+        report = measure_link(plant, 0.3)
         assert report.late >= 0.9 * report.samples and report.success < 0.1
         plant.arm()
         with pytest.raises(PlantError, match="no takeoff: device state ACTIVE, faults none"):
-            measure_line(plant)
+            measure_link(plant)
 
 
 NAMES = ["joystick", "drop", "table", "box", "corner", "stick-slip"]
@@ -99,32 +99,32 @@ NAMES = ["joystick", "drop", "table", "box", "corner", "stick-slip"]
 def test_wall_stiffness_is_reduced_to_a_stable_value(name: str, way: float, tmp_path: Path) -> None:
     scene = find_scene(name)()
     with device(tmp_path, way) as plant:
-        found = preflight(plant, scene, report=measure_line(plant, 0.2))
+        found = preflight(plant, scene, report=measure_link(plant, 0.2))
     margins = delay_margins(device_controller(found.scene), list(HANDS), pose=scene.start().pose)
-    assert found.bears == pytest.approx(min(margins.values()))
-    if found.softened:
-        assert way and found.problem == "" and found.bears >= found.report.planned
+    assert found.critical_delay == pytest.approx(min(margins.values()))
+    if found.reduction:
+        assert way and found.problem == "" and found.critical_delay >= found.report.required_delay
         stiffness, written = found.scene.stiffness, scene.stiffness  # type: ignore[attr-defined]
-        assert stiffness < written and f"from {written:.0f} to {stiffness:.0f} N/m" in found.softened
+        assert stiffness < written and f"from {written:.0f} to {stiffness:.0f} N/m" in found.reduction
         # and no lower than necessary
         stiffer = found.scene.replace(stiffness=1.3 * stiffness)
-        assert min(delay_margins(device_controller(stiffer), list(HANDS)).values()) < 1.1 * found.report.planned
+        assert min(delay_margins(device_controller(stiffer), list(HANDS)).values()) < 1.1 * found.report.required_delay
     else:
-        assert found.bears >= found.report.planned or name == "drop"
+        assert found.critical_delay >= found.report.required_delay or name == "drop"
         assert found.scene == scene.replace(period=plant.period, delay=plant.delay)
 
 
 @pytest.mark.parametrize("clock", [1.03, 0.5, 0.99])
 def test_a_wrong_clock_rate_is_measured_and_reported(clock: float, tmp_path: Path) -> None:
     with device(tmp_path, clock=clock) as plant:
-        report = measure_line(plant, 0.5)
+        report = measure_link(plant, 0.5)
     assert report.clock == pytest.approx(1.0 / clock, rel=1e-3)
     said = f"the device clock runs at {report.clock:.3f} times the host clock (tolerance 2 %)"
     assert _problem(JOYSTICK, report, 0.003) == "" if clock == 0.99 else said in _problem(JOYSTICK, report, 0.003)
 
 
 JOYSTICK = find_scene("joystick")()
-GOOD = LineReport(
+GOOD = LinkReport(
     device_delay=0.0015,
     delay=np.full(100, 0.002),
     answer=np.full(100, 1e-4),
@@ -138,7 +138,7 @@ GOOD = LineReport(
 
 
 @pytest.mark.parametrize(
-    ("changes", "bears", "says"),
+    ("changes", "critical_delay", "says"),
     [
         ({}, 0.002, ""),
         (
@@ -154,8 +154,8 @@ GOOD = LineReport(
         ({"clock": 1.019}, 0.003, ""),
     ],
 )
-def test_the_reason_not_to_fly_is_one_line(changes: dict[str, Any], bears: float, says: str) -> None:
-    problem = _problem(JOYSTICK, replace(GOOD, **changes), bears)
+def test_the_reason_not_to_fly_is_one_line(changes: dict[str, Any], critical_delay: float, says: str) -> None:
+    problem = _problem(JOYSTICK, replace(GOOD, **changes), critical_delay)
     assert says in problem and bool(says) == bool(problem) and "\n" not in problem
 
 
@@ -173,8 +173,8 @@ def test_a_scene_unstable_at_the_measured_delay_should_not_fly(
     Path("mine.py").write_text(SIGN_ERROR)
     files = {"mine": "mine.py"}
     with device(tmp_path, way) as plant:
-        found = preflight(plant, find_scene(files.get(name, name))(), as_written=True, report=measure_line(plant, 0.2))
-    assert says in found.problem and "\n" not in found.problem and not found.softened
+        found = preflight(plant, find_scene(files.get(name, name))(), as_written=True, report=measure_link(plant, 0.2))
+    assert says in found.problem and "\n" not in found.problem and not found.reduction
 
 
 # the command
@@ -190,7 +190,7 @@ def flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
 
     def run(plant: RemotePlant, *options: str, address: str = "udp://127.0.0.1:1") -> tuple[int, str, str]:
         monkeypatch.setattr(bridge, "_opened", lambda *_: plant)
-        monkeypatch.setattr(bridge, "measure_line", lambda plant, *_: measure_line(plant, 0.2))
+        monkeypatch.setattr(bridge, "measure_link", lambda plant, *_: measure_link(plant, 0.2))
 
         def fly(plant: RemotePlant, flight: Any, *_: Any) -> int:
             flights.append(flight)
@@ -253,7 +253,7 @@ def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
 def test_reduced_stiffness_is_reported_and_as_written_keeps_it(
     flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def checked(plant: RemotePlant, scene: Any, *, as_written: bool, report: LineReport) -> Preflight:
+    def checked(plant: RemotePlant, scene: Any, *, as_written: bool, report: LinkReport) -> Preflight:
         scene = scene.replace(period=plant.period, delay=plant.delay)
         return Preflight(scene, report, 0.01, "", "" if as_written else "stiffness reduced")
 

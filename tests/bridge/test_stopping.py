@@ -20,7 +20,7 @@ from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import StopSwitch
 from maglev_mj.bridge.links import UdpServer
-from maglev_mj.bridge.preflight import measure_line
+from maglev_mj.bridge.preflight import measure_link
 from maglev_mj.bridge.realtime import stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
@@ -145,7 +145,7 @@ class Timeline:
         self.sent: list[float] = []
         self._presses, self._alarm, self._active = list(presses), math.inf, math.inf
         monkeypatch.setattr(bridge, "_opened", self._opened)
-        monkeypatch.setattr(bridge, "measure_line", lambda plant: measure_line(plant, 0.2))
+        monkeypatch.setattr(bridge, "measure_link", lambda plant: measure_link(plant, 0.2))
         monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)  # takes 0.4 s
         monkeypatch.setattr(signal, "setitimer", self._set_alarm)
 

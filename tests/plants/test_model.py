@@ -18,7 +18,7 @@ from maglev_mj.plants.model import COILS, Device, load_model, scenes
 from maglev_mj.plants.shapes import (
     GRIP,
     KNOB,
-    UNDER_KNOB,
+    KNOB_BOTTOM,
     device_report,
     envelope,
     position_bandwidth,
@@ -51,7 +51,7 @@ def test_the_knob_of_a_flotor_on_a_wall_touches_its_plate(axis: int, normal: flo
     plate = wall_plate((axis, normal, edge))
     assert plate is not None
     centre, half = plate
-    height = KNOB[0] if axis < 2 else KNOB[1] if normal < 0.0 else GRIP[2] - UNDER_KNOB
+    height = KNOB[0] if axis < 2 else KNOB[1] if normal < 0.0 else GRIP[2] - KNOB_BOTTOM
     touching = GRIP[axis] + edge - normal * height  # the side of the knob towards the wall
     assert centre[axis] + normal * half[axis] == pytest.approx(touching, abs=1e-12)
     assert 0.0 < half[axis] < 1e-3 and (half[others] > np.take([KNOB[0], KNOB[0], KNOB[1]], others)).all()
@@ -158,7 +158,7 @@ def test_coil_map_is_the_engine_s_at_any_angle(device: Device, angle: float) -> 
     engine = moment.T * SPEC.force_constant.value
     engine[3:] = rotation.reshape(3, 3) @ engine[3:]  # the engine's torque is in flotor axes
     np.testing.assert_allclose(coil_map(device).inverse_at(rotation) @ engine, np.eye(6), atol=1e-12)
-    np.testing.assert_allclose(coil_map(device).inverse_turned(*vector.tolist()) @ engine, np.eye(6), atol=1e-12)
+    np.testing.assert_allclose(coil_map(device).inverse_at_angle(*vector.tolist()) @ engine, np.eye(6), atol=1e-12)
 
 
 def test_coils_that_cannot_give_every_wrench_are_refused(device: Device) -> None:

@@ -310,7 +310,7 @@ def test_current_limit_is_that_of_the_measured_angle(seen: Sequence[float] | Non
     asked = [20.0, -10.0, 70.0, 0.3, -0.2, 0.4]
     given, known = plant.write(Command(asked)).wrench, plant.device.coils
     assert known is not None
-    expected, currents = limited_wrench(known.inverse_turned(*(seen or angle)), asked, 10.0)
+    expected, currents = limited_wrench(known.inverse_at_angle(*(seen or angle)), asked, 10.0)
     np.testing.assert_allclose(given, expected, rtol=1e-12)
     assert np.abs(currents).max() == pytest.approx(10.0)
     upright, _ = limited_wrench(known.current_per_wrench, asked, 10.0)

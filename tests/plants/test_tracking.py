@@ -13,7 +13,7 @@ import pytest
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.frames import Array, rotation_matrix
 from maglev_mj.plants import SpotReader, SpotSensor
-from maglev_mj.plants.sensor import FARTHEST, MOST_TURNED, Beams, FastBeams, PoseTracker, beams
+from maglev_mj.plants.sensor import MAX_ANGLE, MAX_DISTANCE, Beams, FastBeams, PoseTracker, beams
 
 QUANTUM = 8e-7
 
@@ -62,7 +62,7 @@ def test_beyond_the_range_it_is_the_right_pose_or_an_error(share: int) -> None:
     wanted = poses(400, 4.5e-3 * share, 6.0 * share, seed=share)
     tracker = PoseTracker(beams())
     for pose, spots in zip(wanted, beams().spots(wanted)):
-        near = np.linalg.norm(pose[:3]) < FARTHEST and np.linalg.norm(pose[3:]) < MOST_TURNED
+        near = np.linalg.norm(pose[:3]) < MAX_DISTANCE and np.linalg.norm(pose[3:]) < MAX_ANGLE
         if near:
             np.testing.assert_allclose(tracker(spots.tolist()), pose, atol=1e-12)
         else:
@@ -86,7 +86,7 @@ def test_of_all_poses_with_the_same_spots_one_is_near(count: int) -> None:
             angle = math.acos(max(-1.0, min(1.0, (np.trace(turn) - 1.0) / 2.0)))
             if np.abs(turn - rotation_matrix(pose[3:])).max() > 1e-6:
                 others += 1
-                assert angle > 2.0 > MOST_TURNED
+                assert angle > 2.0 > MAX_ANGLE
     assert others > 3 * count
 
 

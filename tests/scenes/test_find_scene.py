@@ -15,7 +15,7 @@ import pytest
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.find import find_scene, line_of, reference_of, scene_again, source_of
+from maglev_mj.scenes.find import find_scene, line_of, reference_of, scene_from_reference, source_of
 from maglev_mj.scenes.names import BUILT_IN, scene_names
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene
@@ -173,7 +173,7 @@ def test_an_installed_package_adds_scenes(installed: Callable[..., None]) -> Non
     assert "other_scenes" not in sys.modules  # loaded when asked for
     cls = find_scene("push-back")
     assert cls.__module__ == "other_scenes" and reference_of(cls) == "other_scenes:Push" and source_of(cls) is None
-    assert scene_again(reference_of(cls), {"away": 2e-3}) == cls(away=2e-3)  # type: ignore[call-arg]
+    assert scene_from_reference(reference_of(cls), {"away": 2e-3}) == cls(away=2e-3)  # type: ignore[call-arg]
     with pytest.raises(ParameterError, match=r"scene must be one of joystick, drop, .*, push-back, or a file"):
         find_scene("push")
 

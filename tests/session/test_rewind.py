@@ -18,13 +18,13 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants import Sensor, SpotSensor, Timing
 from maglev_mj.plants.hand import GuidedHand, Hand, RecordedHand, Trajectory
-from maglev_mj.recording import OwnCodeError, Recording
-from maglev_mj.recording.verify import first_other_answer, verify
+from maglev_mj.recording import Recording, UserCodeError
+from maglev_mj.recording.verify import first_different_command, verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Joystick
-from maglev_mj.session import EMERGENCY_STOP, KEPT, Pacer, Session, live_plant
-from maglev_mj.session.replay import OwnCode, Replay, rebuild, rebuild_for, stick_positions_of
+from maglev_mj.session import EMERGENCY_STOP, MAX_REWIND, Pacer, Session, live_plant
+from maglev_mj.session.replay import Replay, UserCode, rebuild, rebuild_for, stick_positions_of
 from maglev_mj.session.segment import _MAX_STATES
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import Charts
@@ -185,10 +185,10 @@ def test_the_first_try_is_shown_until_its_end_and_the_live_hand_follows() -> Non
     assert not len(session.snapshot().first)
 
 
-@pytest.mark.parametrize("kept", [KEPT / 10.0, pytest.param(KEPT, marks=pytest.mark.study)])
+@pytest.mark.parametrize("kept", [MAX_REWIND / 10.0, pytest.param(MAX_REWIND, marks=pytest.mark.study)])
 def test_no_more_than_a_minute_is_kept_whatever_is_changed(kept: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    every = 0.5 * kept / KEPT
-    for name, value in {"segment.KEPT": kept, "segment._EVERY": every, "session.KEPT": kept}.items():
+    every = 0.5 * kept / MAX_REWIND
+    for name, value in {"segment.MAX_REWIND": kept, "segment._EVERY": every, "session.MAX_REWIND": kept}.items():
         monkeypatch.setattr(f"maglev_mj.session.{name}", value)
     session = made()
     past, most = session._past, kept / 0.005
@@ -237,7 +237,7 @@ def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(
     leads = [0 if one.before is None else len(one.whole) - len(one) for one in recording.segments]
     assert len(leads) > 8 and sum(map(bool, leads)) > 4 and not leads[-1]
     assert any(one.before is not None and one.before.before is not None for one in recording.segments)
-    assert first_other_answer(recording, rebuild, 10) is None
+    assert first_different_command(recording, rebuild, 10) is None
     assert main(["replay", str(path), "--check"]) == 0
     said, count = " ".join(capsys.readouterr().out.split()), len(leads)
     assert f"{recording.ticks} of {recording.ticks} equal: tick, time, position" in said and "cannot" not in said
@@ -299,8 +299,8 @@ def test_a_recording_goes_on_and_loses_nothing(tmp_path: Path) -> None:
         [replace(first, setup={**first.setup, "session": None}), alone],
     ):
         lost = Recording(segments)  # with nothing that it goes on from
-        with pytest.raises(OwnCodeError, match="from a sample that is not in the recording"):
-            verify(lost, partial(rebuild, own=OwnCode("joystick", lost)))
+        with pytest.raises(UserCodeError, match="from a sample that is not in the recording"):
+            verify(lost, partial(rebuild, own=UserCode("joystick", lost)))
     for broken, said in (("no", "after is missing in a message"), ({"first": 0.5, "after": None}, "first must be")):
         with pytest.raises(ParameterError, match=said):
             Recording([replace(first, setup={**first.setup, "session": broken})])

@@ -29,7 +29,7 @@ from maglev_mj.session import (
     Snapshot,
     live_plant,
     real_time,
-    settable,
+    settable_parameters,
 )
 from maglev_mj.session.actions import actions
 from maglev_mj.session.replay import rebuild
@@ -419,7 +419,7 @@ def test_keys_stop_at_the_bounds_and_leave_what_is_not_theirs() -> None:
                 pressed = actions(Joystick)[f"{action} {sense}"](pressed)
             assert pressed.as_json()[name] == end
     assert "walls" not in actions(Joystick) and not any("weightless" in name for name in actions(Joystick))
-    assert set(settable(Joystick())) >= {"walls", "weightless", "breakaway"}
+    assert set(settable_parameters(Joystick())) >= {"walls", "weightless", "breakaway"}
 
 
 def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:

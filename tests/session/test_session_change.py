@@ -160,4 +160,6 @@ def test_a_machine_that_is_too_slow_has_a_banner() -> None:
     session = Session(pacer=Pacer(budget=1e-9, patience=0.01))
     session.tick(1.0)
     said = banner(session.snapshot())
-    assert said is not None and said.text.startswith("Running slower") and said.way_on in session.snapshot().actions
+    assert (
+        said is not None and said.text.startswith("Running slower") and said.resume_action in session.snapshot().actions
+    )

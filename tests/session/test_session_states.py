@@ -150,10 +150,10 @@ class SessionStates(RuleBasedStateMachine):
         if key in own:
             self.change(own[key](self.scene), lambda: self.session.act(key))
 
-    def change(self, scene: Scene, deed: Any) -> None:
+    def change(self, scene: Scene, task: Any) -> None:
         """Change parameters, and compare with the scene that should be shown."""
         before = self.session.snapshot()
-        deed()
+        task()
         after = self.session.snapshot()
         assert after.scene == scene
         if self.stopped and (scene != self.scene or after.state != "stopped"):

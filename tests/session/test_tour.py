@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.session import EMERGENCY_STOP, REWINDS, Pacer, Session, TourLine
+from maglev_mj.session import EMERGENCY_STOP, REWIND_ACTIONS, Pacer, Session, TourLine
 from maglev_mj.session.tour import STEPS, Tour
 from tests.sweeps import further
 
@@ -194,7 +194,7 @@ def test_the_whole_tour_is_done_in_a_row(monkeypatch: pytest.MonkeyPatch) -> Non
         for _ in range(round(1.1 / TICK)):
             user.tour.tick(TICK)
         assert user.tour.snapshot().state == "running"
-    assert user.line.deed.startswith("Done. This completes the tour")
+    assert user.line.task.startswith("Done. This completes the tour")
 
 
 def test_steps_are_left_by_keys_in_both_directions_and_begin_with_their_own_parameters() -> None:
@@ -215,7 +215,7 @@ def test_a_tour_takes_what_leaves_the_joystick_as_it_is() -> None:
     actions = user.tour.snapshot().actions
     assert {"next", "back", "pause", "centre", "slower", EMERGENCY_STOP, "stiffness up"} <= set(actions)
     assert user.tour.snapshot().rewound is None
-    for action in ("next scene", "scene drop", "drop", *REWINDS):
+    for action in ("next scene", "scene drop", "drop", *REWIND_ACTIONS):
         assert action not in actions
         with pytest.raises(ParameterError, match="action must be one of next, back"):
             user.tour.act(action)
@@ -233,12 +233,12 @@ def test_a_scene_that_made_energy_starts_again_by_itself() -> None:
         user.tour.tick(TICK)
         if user.tour.snapshot().state == "stopped":
             break
-    assert "was stopped" in user.line.deed and not user.line.done
+    assert "was stopped" in user.line.task and not user.line.done
     user.tour.hand.target = None
     for _ in range(round(2.2 / TICK)):
         user.tour.tick(TICK)
     assert user.tour.snapshot().state == "running" and user.line.number == BUZZ
-    assert user.line.deed == STEPS[BUZZ - 1].deed
+    assert user.line.task == STEPS[BUZZ - 1].task
 
 
 def test_an_emergency_stop_stays_after_a_step_is_done() -> None:
@@ -270,5 +270,5 @@ def test_words_have_the_names_of_a_front() -> None:
     assert line.words(lambda name: f"<{name}>") == ("Text.", "Raise it: <stiffness up>, <hand>.")
     names: list[str] = []
     for step in STEPS:
-        TourLine(1, 1, step.text, step.deed, False).words(lambda name: names.append(name) or name)  # type: ignore[func-returns-value]
+        TourLine(1, 1, step.text, step.task, False).words(lambda name: names.append(name) or name)  # type: ignore[func-returns-value]
     assert {"hand"} < set(names) <= {"hand", *User(1).tour.snapshot().actions}

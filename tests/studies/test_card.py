@@ -126,7 +126,7 @@ def test_one_step_of_the_sensor_is_the_force_resolution(rate: int) -> None:
 def one_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make cards of one hand, of a few periods' delay: matrices of ten take 4 s."""
     monkeypatch.setattr("maglev_mj.studies.card.HANDS", dict([*HANDS.items()][:1]))
-    monkeypatch.setattr("maglev_mj.studies.card.MOST_PERIODS", 3)
+    monkeypatch.setattr("maglev_mj.studies.card.MAX_DELAY_PERIODS", 3)
 
 
 def test_the_command_takes_scenes_and_calibrations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,7 +42,7 @@ from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.session.access import ListenError, check_origin, listen
 from maglev_mj.session.pacing import Due
 from maglev_mj.session.replay import ACTIONS
-from maglev_mj.views.page.page import Door, Page, PageServer
+from maglev_mj.views.page.page import Endpoint, Page, PageServer
 from maglev_mj.views.page.panel import Choice, Control, Slider, control
 from maglev_mj.views.page.plots import drawn, ticks
 from maglev_mj.views.page.stage import Grab, solid
@@ -60,7 +60,7 @@ def served(host: str = "127.0.0.1", token: str | None = None, origins: Sequence[
     """Yield the server of a page."""
     with listen(0, host) as listener:
         port = listener.getsockname()[1]
-        server = PageServer(Door(host, port, token, origins), listener)
+        server = PageServer(Endpoint(host, port, token, origins), listener)
         assert server.get_port() == port  # no other is taken
         try:
             yield server
@@ -154,7 +154,7 @@ def test_a_server_without_access_control_is_rejected(monkeypatch: pytest.MonkeyP
     # As another version of viser might: the process that serves the page ends.
     monkeypatch.setattr(viser.ViserServer, "__init__", lambda self, **options: None)
     with listen(0) as listener, pytest.raises(MaglevError, match="access control would be missing"):
-        PageServer(Door("127.0.0.1", listener.getsockname()[1]), listener)
+        PageServer(Endpoint("127.0.0.1", listener.getsockname()[1]), listener)
 
 
 def test_an_allowed_origin_still_needs_the_token() -> None:

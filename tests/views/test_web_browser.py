@@ -12,9 +12,9 @@ import pytest
 
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP
-from maglev_mj.session import REWINDS, Session, Snapshot, real_time
+from maglev_mj.session import REWIND_ACTIONS, Session, Snapshot, real_time
 from maglev_mj.session.access import listen
-from maglev_mj.views.page.page import Door, page
+from maglev_mj.views.page.page import Endpoint, page
 from maglev_mj.views.page.stage import FIELD, placed
 from maglev_mj.views.viewer_process import RemoteViewer
 from tests.views.browser import chromium, on_screen
@@ -53,7 +53,7 @@ class Run:
 
     def __init__(self, source: Any, token: str | None = None, **options: Any) -> None:
         listener = listen(0)
-        door = Door("127.0.0.1", listener.getsockname()[1], token)
+        door = Endpoint("127.0.0.1", listener.getsockname()[1], token)
         self.url, self._over = door.url, threading.Event()
         self._session = source
         self.shown: Snapshot = self._session.snapshot()
@@ -206,12 +206,12 @@ def test_the_rewind_slider_and_the_resume_and_repeat_buttons(run: Run, tab: Any)
     shown = run.until(lambda shown: shown.state == "paused" and shown.rewound)
     tab.wait_for_selector("[role=alert]:has-text('s back')")
     assert 0.0 < (shown.rewound or 0.0) < 0.6
-    tab.get_by_role("button", name=REWINDS[2], exact=True).click()
+    tab.get_by_role("button", name=REWIND_ACTIONS[2], exact=True).click()
     run.until(lambda shown: shown.state == "running" and shown.time > 0.0)
     slider.focus()
     tab.keyboard.press("ArrowRight")
     run.until(lambda shown: shown.state == "paused" and shown.rewound)
-    tab.get_by_role("button", name=REWINDS[1], exact=True).click()
+    tab.get_by_role("button", name=REWIND_ACTIONS[1], exact=True).click()
     run.until(lambda shown: shown.state == "running" and not shown.rewound)
 
 

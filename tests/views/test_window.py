@@ -92,7 +92,7 @@ def test_no_element_covers_another_or_the_handle(scale: int) -> None:
 
 
 STOPPED = {"state": "stopped", "reason": "unstable: the wall generated 100 mJ"}
-TOURED = {"tour": TourLine(1, 8, "a text that is as long as the texts of the tour are", "a deed", False)}
+TOURED = {"tour": TourLine(1, 8, "a text that is as long as the texts of the tour are", "a task", False)}
 BUSY = {"hand": np.full(6, 12.3), "work": 9.8765, "taken": 9.8765, "cost": 0.012345, "missed": 98765}
 OFF = {"scene": Joystick(wall=False, pulse=False)}
 
@@ -298,7 +298,7 @@ def test_the_banner_names_the_state_and_the_key_to_continue(shot: Snapshot) -> N
     device = replace(stopped, actions=device_actions(Joystick), remedy="maglev-mj bridge ADDRESS --reset goes on")
     assert heading(device) == "STOPPED"  # no key does
     found = banner(device)
-    assert found is not None and found.way_on == "" and "--reset" in found.remedy
+    assert found is not None and found.resume_action == "" and "--reset" in found.remedy
     assert heading(stopped, Area(0, 0, 1040, 700)).startswith("STOPPED: press /")
     late = "Running slower than real time: press - for slow motion"
     assert heading(replace(shot, late=True)) == heading(shot) == late  # held for a while

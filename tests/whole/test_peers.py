@@ -114,8 +114,8 @@ def test_the_chart_holds_every_scene_and_says_what_is_missing(tmp_path: Path, mo
         errors = {method["name"]: method["error"] for method in scene["methods"]}
         assert scene["front"] and set(scene["front"]) <= set(errors)
         assert errors["rk4, one step per interval"] < 1e-9 < errors["euler, one step per interval"]
-    misjudged = data["sweep"]["misjudged"]
-    assert misjudged["MuJoCo, corrected"] == misjudged["MuJoCo, rk4"] == 0 < misjudged["MuJoCo, raw euler"]
+    disagreement = data["sweep"]["disagreement"]
+    assert disagreement["MuJoCo, corrected"] == disagreement["MuJoCo, rk4"] == 0 < disagreement["MuJoCo, raw euler"]
     assert data["boundary"]["orders"]["euler"] == pytest.approx(1.0, abs=0.1)
     for name in (*(f"speed_accuracy_{scene}" for scene in SCENES), "speed_accuracy_peers", "speed_accuracy_steps"):
         assert (tmp_path / f"{name}.png").is_file()

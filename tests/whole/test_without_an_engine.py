@@ -71,7 +71,7 @@ twin = Twin(TwinParameters(calibration=known, plant="exact"), hand_force=hand)
 with RemotePlant(VirtualLink(twin), calibration=known) as plant:
     found = preflight(plant, find_scene(scene)().replace(period=plant.period, delay=plant.delay))
     assert not found.problem, found
-    report = Flight(plant, found.scene, bears=found.bears).run(1.0)
+    report = Flight(plant, found.scene, critical_delay=found.critical_delay).run(1.0)
     assert report.landing.at_rest and not report.landing.reason and report.ticks == 200, report
 assert twin.firmware.state == State.INACTIVE and not twin.firmware.faults and twin.pose[2] == -0.0045, twin.pose
 """

@@ -13,7 +13,7 @@ from typing import Any, NoReturn, TypeAlias
 
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.commissioning.calibration import Calibration
-from maglev_mj.bridge.connection import AGAIN, TAKEOVER, draw, exchange, profile_of
+from maglev_mj.bridge.connection import RETRY_INTERVAL, TAKEOVER, draw, exchange, profile_of
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight_guards import shown as pose_shown
 from maglev_mj.bridge.landing import Leader, Motion, straight
@@ -116,7 +116,7 @@ class Tester:
     def exchange(self, body: Any, patience: float = _PATIENCE, *, peer: int = 0, **header: int) -> Any:
         """Repeat a request until it is answered; return the answer, or None after `patience` [s]."""
         encode, receive = partial(self.encode, body, **header), partial(self.receive, peer=peer)
-        for frame in exchange(self.links[peer], encode, receive, AGAIN, patience):
+        for frame in exchange(self.links[peer], encode, receive, RETRY_INTERVAL, patience):
             if frame.body[0] == body[0] and isinstance(frame.body, _ANSWERS[type(body)]):  # nonce or request
                 return frame
         return None
@@ -301,12 +301,12 @@ class Tester:
             pose = self._locate(frame)
             return output.currents(leader.step(Sample(frame.sequence, frame.time * 1e-9, pose)), pose)[1]
 
-        def astray(pose: Sequence[float]) -> None:
+        def off_path(pose: Sequence[float]) -> None:
             if self.last.body.state == State.ACTIVE:
                 fail(f"the flotor does not follow: {pose_shown(pose)}")
 
         rest, led = self._rest(), round(1.5 * _LED * 1e9) // welcome.period
-        leader.aim(straight(rest, ZERO, _LED), astray)
+        leader.aim(straight(rest, ZERO, _LED), off_path)
         self.law = law
         try:
             same("state after ARM", self.ask(Operation.ARM, hover=calibration.hover.tolist()).state, State.ACTIVE)

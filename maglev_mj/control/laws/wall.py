@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control.laws.base import Answer, AxisLaw, Face, Gains, LinearController, choose, gain, setting
-from maglev_mj.control.timeline import checked_delay
+from maglev_mj.control.timeline import check_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component, Six, clipped
 from maglev_mj.parameters import flag, number, store
@@ -289,7 +289,7 @@ class ObserverWall(_LowerWall):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        store(self, _split=checked_delay(self.delay, self.period))
+        store(self, _split=check_delay(self.delay, self.period))
         flag("disturbance", self.disturbance)
         if not self.force_limit > 0.0:
             raise ParameterError(f"wall force_limit must be above 0, not {self.force_limit!r}")
@@ -394,7 +394,7 @@ class PassivityController(AxisLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        store(self, _split=checked_delay(self.delay, self.period))
+        store(self, _split=check_delay(self.delay, self.period))
 
     def start(self) -> list[_AxisState]:
         """Return the state before the first sample."""

@@ -26,12 +26,12 @@ from websockets.http11 import Request, Response
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
-from maglev_mj.session import Due, SnapshotSource, real_time
+from maglev_mj.session import FrameClock, SnapshotSource, real_time
 from maglev_mj.session.access import LOOPBACK, Access, is_loopback
 from maglev_mj.views.page.panel import Panel
 from maglev_mj.views.page.plots import Plots
 from maglev_mj.views.page.stage import VIEWS, Grab, Stage, look
-from maglev_mj.views.viewer_process import Front, Inbox
+from maglev_mj.views.viewer_process import Inbox, ViewerFunction
 
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
 """Origins that may embed the page: notebooks on this machine. Others could be used for clickjacking."""
@@ -41,7 +41,7 @@ _TITLE, _HEAD = b"<title>Viser</title>", Path(__file__).with_name("head.html").r
 
 
 @dataclass(frozen=True)
-class Door:
+class Endpoint:
     """Address and access control of the page.
 
     Args:
@@ -90,7 +90,7 @@ class Door:
 
 
 @contextmanager
-def guarded(endpoint: Door, listener: socket.socket) -> Iterator[None]:
+def guarded(endpoint: Endpoint, listener: socket.socket) -> Iterator[None]:
     """Apply access control to WebSocket servers that start in this context.
 
     viser calls `websockets.asyncio.server.serve` and accepts neither a listening socket nor a check of requests before
@@ -151,7 +151,7 @@ class PageServer(viser.ViserServer):
         listener: Listening socket.
     """
 
-    def __init__(self, endpoint: Door, listener: socket.socket) -> None:
+    def __init__(self, endpoint: Endpoint, listener: socket.socket) -> None:
         with guarded(endpoint, listener):
             super().__init__(host=endpoint.host, port=endpoint.port, label="maglev-mj", verbose=False)
         self._websock_server.unregister_handler(ShareUrlRequest)
@@ -188,7 +188,7 @@ class Page:
         with panel.add_tab("plots"):
             self._plots = Plots(gui, snapshot.scene)
         panel.dock_left()
-        self._frame, self._plot = Due(_FRAME), Due(_PLOT)
+        self._frame, self._plot = FrameClock(_FRAME), FrameClock(_PLOT)
         server.on_client_connect(_greet)
 
     def run(self) -> None:
@@ -234,7 +234,7 @@ async def _greet(client: viser.ClientHandle) -> None:
     client.camera.on_update(fit)
 
 
-def page(endpoint: Door, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> Front:
+def page(endpoint: Endpoint, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> ViewerFunction:
     """Return the viewer function of a page.
 
     Args:
@@ -246,7 +246,7 @@ def page(endpoint: Door, listener: socket.socket, *, drag: bool = True, settings
     return partial(_serve, endpoint, listener, {"drag": flag("drag", drag), "settings": flag("settings", settings)})
 
 
-def _serve(endpoint: Door, listener: socket.socket, options: Mapping[str, bool], source: SnapshotSource) -> None:
+def _serve(endpoint: Endpoint, listener: socket.socket, options: Mapping[str, bool], source: SnapshotSource) -> None:
     # no messages of viser or of failed handshakes on the terminal
     sys.stdout = open(os.devnull, "w", encoding="utf-8")
     logging.getLogger("websockets").setLevel(logging.CRITICAL)

@@ -13,7 +13,7 @@ from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
-from maglev_mj.session import CHOOSES, DEVICES_OWN, EMERGENCY_STOP, KEPT, REWINDS, Snapshot
+from maglev_mj.session import DEVICE_PARAMETERS, EMERGENCY_STOP, MAX_REWIND, REWIND_ACTIONS, SCENE_PREFIX, Snapshot
 from maglev_mj.session.actions import actions
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.magnifier import MAGNIFICATIONS
@@ -201,7 +201,7 @@ _ROWS = {
     "handle": ("centre", "drop", "record"),
     "time": ("pause", "step", "slower", "faster"),
     "replay": ("start", "step back", "end", "loop"),
-    "rewind": REWINDS[1:],
+    "rewind": REWIND_ACTIONS[1:],
     "skip": ("skip back", "skip forward"),
     "tour": ("back", "next"),
 }
@@ -237,8 +237,8 @@ class Panel:
             hint, bounds = "time in the recording", (0.0, snapshot.duration)
             self._time = Slider(gui, "time", "time [s]", hint, snapshot.time, bounds, ask, reference=snapshot.duration)
         elif snapshot.rewound is not None and settings:
-            hint, bounds = "time before now; pauses the scene", (0.0, KEPT)
-            self._time = Slider(gui, "rewind", "rewind [s]", hint, 0.0, bounds, ask, reference=KEPT)
+            hint, bounds = "time before now; pauses the scene", (0.0, MAX_REWIND)
+            self._time = Slider(gui, "rewind", "rewind [s]", hint, 0.0, bounds, ask, reference=MAX_REWIND)
             self._time.handle.order = 1.1
         self._add_views()
         self.show(snapshot)
@@ -265,10 +265,10 @@ class Panel:
         placed = {name for row in _ROWS.values() for name in row} | {
             EMERGENCY_STOP,
             "next scene",
-            REWINDS[0],
+            REWIND_ACTIONS[0],
             *actions(type(snapshot.scene)),
         }
-        others = tuple(name for name in available if name not in placed and not name.startswith(CHOOSES))
+        others = tuple(name for name in available if name not in placed and not name.startswith(SCENE_PREFIX))
         with self._buttons:
             for label, row in (_ROWS | {"more": others}).items():
                 if names := tuple(name for name in row if name in available):
@@ -307,12 +307,12 @@ class Panel:
         if not self._settings:
             return
         with self._parameters:
-            names = [name.removeprefix(CHOOSES) for name in snapshot.actions if name.startswith(CHOOSES)]
+            names = [name.removeprefix(SCENE_PREFIX) for name in snapshot.actions if name.startswith(SCENE_PREFIX)]
             if scene.name in names:
                 handle = gui.add_dropdown("scene", names, initial_value=scene.name, hint="scene to start")
                 choose = Choice("scene", handle, self._choose, str, {name: name for name in names})
                 self._controls.append((choose, lambda snapshot: snapshot.scene.name))
-            for item in sorted(scene.parameters(), key=lambda item: item.name in DEVICES_OWN):
+            for item in sorted(scene.parameters(), key=lambda item: item.name in DEVICE_PARAMETERS):
                 if item.live and (added := control(gui, item, scene, self._ask)) is not None:
                     self._controls.append((added, partial(_value, item.name)))
             hint, bounds = "stiffness of the spring between pointer and knob", (0.0, _MAX_STIFFNESS)
@@ -323,7 +323,7 @@ class Panel:
             self._controls.append((spring, lambda snapshot: snapshot.hand_stiffness))
 
     def _choose(self, _: str, values: Any) -> None:
-        self._ask("act", CHOOSES + values["scene"])
+        self._ask("act", SCENE_PREFIX + values["scene"])
 
 
 def _value(name: str, snapshot: Snapshot) -> Any:
@@ -334,7 +334,7 @@ def _banner(content: Banner | None, snapshot: Snapshot) -> str:
     """Return the banner as HTML."""
     if content is None:
         return ""
-    action = content.way_on
+    action = content.resume_action
     advice = f"press {action} {RESUME[action]}" if action in snapshot.actions else snapshot.remedy
     style = f"background:{hex_of(BAD if content.bad else _PAUSED)};color:#fff;font-weight:600;padding:.5em .7em"
     texts = f"{escape(content.text)}<br><small>{escape(advice)}</small>"

@@ -16,7 +16,17 @@ from trimesh.visual.material import PBRMaterial
 
 from maglev_mj.colours import DEVICE, FIRST, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import Array, quaternion, rotation_matrix
-from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, Shape, arrow_start, shapes, wall_plate
+from maglev_mj.plants.shapes import (
+    ARROW,
+    GRIP,
+    KNOB,
+    KNOB_BOTTOM,
+    MIN_ARROW_FORCE,
+    Shape,
+    arrow_start,
+    shapes,
+    wall_plate,
+)
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
 from maglev_mj.views.magnifier import magnified, motion_words, true_pose, widening
@@ -259,7 +269,7 @@ class Stage:
         self._ghost = scene.add_icosphere(
             "/stuck", 1.0, _bytes(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN
         )
-        rim = 0.0, 0.0, UNDER_KNOB + _RIM[1]
+        rim = 0.0, 0.0, KNOB_BOTTOM + _RIM[1]
         self._rim = scene.add_cylinder(
             "/handle/rim", _RIM[0], 2.0 * _RIM[1], _bytes(TOUCHED), position=rim, visible=False, **_PLAIN
         )
@@ -358,8 +368,8 @@ class _Arrow:
     def show(self, knob: Array, force: Array) -> None:
         """Show a force [N], (3,), at a position [m], (3,)."""
         size = float(np.linalg.norm(force))
-        update(self._arrow, visible=size >= LEAST_FORCE)
-        if size >= LEAST_FORCE:
+        update(self._arrow, visible=size >= MIN_ARROW_FORCE)
+        if size >= MIN_ARROW_FORCE:
             start = arrow_start(knob, force)
             end = start + force * min(ARROW, _MAX_ARROW / size)
             update(self._arrow, points=np.round([[start, end]], 5).astype(np.float32))

@@ -6,7 +6,7 @@ import os
 import sys
 from functools import cache
 
-from maglev_mj.errors import MaglevError, ParameterError, not_one_of
+from maglev_mj.errors import MaglevError, ParameterError, choice_message
 
 _LIBRARIES = {"linux": ("osmesa", "egl", "glfw"), "darwin": ("cgl", "glfw")}.get(sys.platform, ("glfw",))
 _WORDS = dict(zip(_LIBRARIES, _LIBRARIES)) | {"linux": {"glx": "glfw"}, "win32": {"wgl": "glfw"}}.get(sys.platform, {})
@@ -34,7 +34,7 @@ def check_mujoco_gl() -> str:
     value = os.environ.get("MUJOCO_GL", "")
     word = value.lower().strip()
     if word not in (*_WORDS, *_ON, *_OFF):
-        raise ParameterError(not_one_of("MUJOCO_GL", (*_WORDS, *_ON[1:], *_OFF), value, " or unset"))
+        raise ParameterError(choice_message("MUJOCO_GL", (*_WORDS, *_ON[1:], *_OFF), value, " or unset"))
     return word
 
 

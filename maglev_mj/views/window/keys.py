@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 
 import glfw
 
-from maglev_mj.session import CHOOSES, EMERGENCY_STOP, REWINDS
+from maglev_mj.session import EMERGENCY_STOP, REWIND_ACTIONS, SCENE_PREFIX
 
 SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY = "screenshot", "plot axis", "camera", "keys", "magnify motion"
 """Actions available in every window."""
@@ -43,7 +43,7 @@ _KEYS = (
     Key(glfw.KEY_LEFT, "Left", "step back", "pause"),
     Key(glfw.KEY_LEFT, "Left", "rewind", "pause", "rewind 1 s"),
     Key(glfw.KEY_RIGHT, "Right", "step", "pause", "single step"),
-    Key(glfw.KEY_DELETE, "Delete", REWINDS[2], "repeat"),
+    Key(glfw.KEY_DELETE, "Delete", REWIND_ACTIONS[2], "repeat"),
     Key(glfw.KEY_MINUS, "-", "slower", "speed"),
     Key(glfw.KEY_EQUAL, "=", "faster", "speed"),
     Key(glfw.KEY_DOWN, "Down", "skip back", "skip"),
@@ -88,7 +88,7 @@ _PAIRS: Mapping[tuple[str, str], tuple[int, int, str]] = {
 """Keys that raise and lower a parameter: names -> key codes and preferred parameter, as in `_SWITCHES`."""
 
 _Name = TypeVar("_Name")
-_FIXED = {*(key.action for key in _KEYS), *REWINDS}
+_FIXED = {*(key.action for key in _KEYS), *REWIND_ACTIONS}
 HAND = "drag the knob"
 """Mouse gesture that pulls the flotor."""
 
@@ -103,7 +103,7 @@ def _bound(actions: Sequence[str]) -> list[Key]:
             fixed.setdefault(key.code, key)
     numbers = [name.removesuffix(" up") for name in actions if name.endswith(" up")]
     switches = [name for name in actions if name not in _FIXED and not name.endswith((" up", " down"))]
-    switches = [name for name in switches if not name.startswith(CHOOSES)]
+    switches = [name for name in switches if not name.startswith(SCENE_PREFIX)]
     free = {names: pair for names, pair in _PAIRS.items() if not fixed.keys() & {*pair[:2]}}
     preferred = {name: parameter for name, (_, parameter) in _SWITCHES.items()}
     preferred_pairs = {names: parameter for names, (*_, parameter) in free.items()}

@@ -11,7 +11,7 @@ from maglev_mj.colours import DEVICE, FIRST, HAND, STOP, STUCK, TOUCHED, WALL, C
 from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
 from maglev_mj.lazy import mujoco
 from maglev_mj.plants.model import COILS, load_model
-from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, UNDER_KNOB, arrow_start, wall_plate
+from maglev_mj.plants.shapes import ARROW, GRIP, KNOB_BOTTOM, MIN_ARROW_FORCE, arrow_start, wall_plate
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
@@ -270,7 +270,7 @@ class Scenery:
     def _draw_ring(self, scene: Any, pose: Array, colour: _Shade) -> None:
         """Highlight the rim of the knob: contact with a wall or stop of a rotation."""
         rotation = rotation_matrix(pose[3:])
-        centre = pose[:3] + rotation @ [0.0, 0.0, UNDER_KNOB + 0.0012]
+        centre = pose[:3] + rotation @ [0.0, 0.0, KNOB_BOTTOM + 0.0012]
         _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
 
     def _draw_ghost(self, scene: Any, pose: Array, ghost: Array, colour: Colour) -> None:
@@ -290,7 +290,7 @@ class Scenery:
 
 def _draw_arrow(scene: Any, knob: Array, force: Array, colour: Colour) -> None:
     """Draw a force to scale from the surface of the knob; none below 0.05 N."""
-    if float(np.linalg.norm(force)) >= LEAST_FORCE:
+    if float(np.linalg.norm(force)) >= MIN_ARROW_FORCE:
         start = arrow_start(knob, force)
         # mjGEOM_ARROW is drawn at half the distance between its points
         _connect(scene, start, start + 2.0 * ARROW * force, 0.0016, colour)

@@ -336,6 +336,6 @@ class Screen:
 def _banner_texts(content: Banner, snapshot: Snapshot) -> tuple[list[str], str]:
     """Return the headings of a banner, longest first, with the key that resumes; and its reason."""
     title, _, reason = content.text.partition(": ")
-    key = key_of(content.way_on, snapshot.actions) if content.way_on else ""
-    heads = [f"{title}: press {key} {RESUME[content.way_on]}", f"{title}: press {key}"] if key else [title]
+    key = key_of(content.resume_action, snapshot.actions) if content.resume_action else ""
+    heads = [f"{title}: press {key} {RESUME[content.resume_action]}", f"{title}: press {key}"] if key else [title]
     return heads, ". ".join(part for part in (reason, content.remedy) if part)

@@ -24,7 +24,7 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP, KNOB
 from maglev_mj.process import interrupts_held
-from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
+from maglev_mj.session import FrameClock, Note, Snapshot, SnapshotSource, real_time
 from maglev_mj.views.magnifier import magnified, true_pose
 from maglev_mj.views.viewer_process import ShowReport
 from maglev_mj.views.window.backend import DisplayError
@@ -225,7 +225,7 @@ class _Window:
 
     def run(self, duration: float | None) -> ShowReport:
         """Run the ticks until the window is closed."""
-        session, handle, due = self._session, self._handle, Due(_FRAME)
+        session, handle, due = self._session, self._handle, FrameClock(_FRAME)
         ticks, wall_time = 0, 0.0
         for elapsed, passed in real_time(duration, _NAP):
             ticks, wall_time = ticks + session.tick(elapsed), passed

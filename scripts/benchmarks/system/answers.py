@@ -14,7 +14,7 @@ from maglev_mj.control import FiniteDifference, LowPass, VelocityEstimator, Wind
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes import BUILT_IN, find_scene
-from maglev_mj.session import settable, unstable_loop
+from maglev_mj.session import settable_parameters, unstable_loop
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import WallRequirements, design_wall, largest_stable_stiffness
 from maglev_mj.theory.closed_loop import LoopKeywords
@@ -56,7 +56,7 @@ def measure(quick: bool) -> dict[str, Table]:
         answer("boundary at a damping", partial(largest_stable_stiffness, 0.7 * float(best.damping), **loop))
     for scene in (find_scene(name)() for name in BUILT_IN):
         answer("margin", partial(margin, scene))
-        if "stiffness" in settable(scene):
+        if "stiffness" in settable_parameters(scene):
             unstable = scene.replace(stiffness=6e4)
             if answer("unstable scene", partial(unstable_loop, unstable)) is None:
                 raise ParameterError(f"{scene.name} must be unstable at 60000 N/m")

@@ -21,7 +21,7 @@ from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Session, real_time
 from maglev_mj.session.access import listen
-from maglev_mj.views.page.page import Door, page
+from maglev_mj.views.page.page import Endpoint, page
 from maglev_mj.views.page.stage import FIELD, placed
 from maglev_mj.views.viewer_process import RemoteViewer
 from system import Table, beside, child
@@ -68,7 +68,7 @@ def drive(url: str, seconds: float, size: str) -> None:
 def watched(rate: float, seconds: float, size: str, alone: bool) -> tuple[Run, dict[str, float]]:
     """Return the ticks of a session under a browser, and the columns beside them."""
     listener = listen(0)
-    door = Door("127.0.0.1", listener.getsockname()[1])
+    door = Endpoint("127.0.0.1", listener.getsockname()[1])
     session = Session(Joystick(period=1.0 / rate))
     viewer: Any = RemoteViewer(session.snapshot(), page(door, listener))
     browser = None if alone else child("web", door.url, seconds, size)
