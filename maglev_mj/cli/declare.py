@@ -306,5 +306,6 @@ def _value(name: str, about: Option, options: argparse.Namespace) -> Any:
     if about.bounds and value is not None:
         from maglev_mj.parameters import number  # imported here: --help does not need NumPy
 
-        number(about.name or name, value, **about.bounds)
+        bounds: Any = about.bounds
+        number(about.name or name, value, **bounds)
     return value

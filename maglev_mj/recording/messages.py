@@ -15,7 +15,7 @@ from foxglove import Channel, Context, Schema, messages
 from foxglove.channels import FrameTransformsChannel, LogChannel, SceneUpdateChannel
 
 from maglev_mj.frames import Array, quaternion, rotation_matrix
-from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
+from maglev_mj.plants.shapes import ARROW, GRIP, MIN_ARROW_FORCE, Shape, arrow_start, shapes, wall_plate
 from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, SEGMENT, SEGMENT_NUMBER, descriptor, packed
 from maglev_mj.recording.sample import FIELDS, Field, Rows, RunMetadata, Setup, Totals, schema
 
@@ -246,7 +246,7 @@ def _primitives(parts: Sequence[Shape]) -> dict[str, Any]:
 def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list[messages.ArrowPrimitive]:
     """Return a force arrow; an empty list if it is too small or NaN."""
     size = math.hypot(*force)
-    if not LEAST_FORCE <= size < math.inf:
+    if not MIN_ARROW_FORCE <= size < math.inf:
         return []
     # arrows point along x: rotate by half a turn about the bisector of x and the force
     x, y, z = force[0] / size + 1.0, force[1] / size, force[2] / size

@@ -406,7 +406,7 @@ class StabilityMap(GainMap):
         if self.simulated is not None and self.disagreement is not None:
             note.append(
                 f"simulation ({p.plant}): {self.simulated.sum()} stable; {(stable != self.simulated).sum()} differ from "
-                f"theory, {self.disagreement.sum()} of them outside ±0.5 % of the boundary ({self.near.sum()} inside)"
+                f"theory, {self.disagreement.sum()} outside ±0.5 % of the boundary ({self.near.sum()} cells inside)"
             )
         note.append("published bounds: at this damping, without a hand")
         head = "", "stiffness [N/m]", "ratio", ""

@@ -19,7 +19,8 @@ class Controller:
         mujoco.mj_forward(model, data)
         mujoco.mju_sparse2dense(coils, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
         self.currents = np.linalg.inv(coils.T * model.actuator_gainprm[:, 0])  # A per N and N m
-        self.pose, self.tick, self.time, self.switches = np.zeros(6), 0, 0.0, []
+        self.pose, self.tick, self.time = np.zeros(6), 0, 0.0
+        self.switches: list[tuple[float, np.ndarray]] = []
 
     def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Sample at each period, and set the currents when a command takes effect."""

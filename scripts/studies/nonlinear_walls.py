@@ -44,7 +44,7 @@ if __name__ == "__main__":
             "stable_by_theory": float(stable.mean()),
             "stable_that_does_not_settle": float((stable & ~settles).sum() / stable.sum()),
             "unstable_that_settles": float((~stable & settles).sum() / (~stable).sum()),
-            "unstable_that_gains": float((found.ending == Ending.GAINS)[~stable].mean()),
+            "unstable_that_gains": float((found.ending == Ending.RISES)[~stable].mean()),
             "median_swing_of_unstable": float(np.median(found.swing[~stable])),
             "largest_swing": float(found.swing.max()),
             "median_swing_of_settled": float(np.median(quiet)),

@@ -267,7 +267,7 @@ def flood(address: str, kind: str) -> None:
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.sched_setaffinity(0, range(os.cpu_count() or 1))
     url = parse_url(address)
-    data, to, link = FLOODS[kind], (url.place, url.number), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    data, to, link = FLOODS[kind], (url.host, url.number), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end = time.monotonic() + 1.0
     print("begun", flush=True)
     while data and time.monotonic() < end:

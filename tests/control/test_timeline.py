@@ -107,11 +107,11 @@ def test_the_gate_counts_the_heat_of_a_pulse_to_its_end() -> None:
     calibration, limits = Calibration.nominal(), Limits()
     gate, known = OutputLimiter(calibration.coils, limits, None, T), ThermalModel(limits)
     held, pulsed = [1.0] * 6, [8.0] * 6
-    gate.passed(held, pulsed, 1.5 * T)
-    gate.stay(3, held)
+    gate.add_command(held, pulsed, 1.5 * T)
+    gate.add_periods(3, held)
     known.add(((T, pulsed), (0.5 * T, pulsed), (0.5 * T, held), (2.0 * T, held)))
     assert gate.thermal.rises == pytest.approx(known.rises, rel=1e-12)
-    gate.passed(held, pulsed, 1.5 * T)
-    gate.stay(1, [0.0] * 6)  # switched off: that ends it
+    gate.add_command(held, pulsed, 1.5 * T)
+    gate.add_periods(1, [0.0] * 6)  # switched off: that ends it
     known.add(((T, pulsed), (T, [0.0] * 6)))
     assert gate.thermal.rises == pytest.approx(known.rises, rel=1e-12)

@@ -207,10 +207,14 @@ def test_a_worker_that_dies_between_two_jobs_costs_no_cell(window: int) -> None:
 def test_the_window_bounds_what_is_in_hand() -> None:
     started: list[Future[Any]] = []
 
+    def slowly(function: Any, *args: Any, **keywords: Any) -> Any:
+        time.sleep(0.01)
+        return function(*args, **keywords)
+
     class Watching(ThreadPoolExecutor):
         def submit(self, function: Any, /, *args: Any, **keywords: Any) -> Future[Any]:
             assert sum(not one.done() for one in started) < 3
-            started.append(super().submit(lambda: [time.sleep(0.01), function(*args, **keywords)][1]))
+            started.append(super().submit(slowly, function, *args, **keywords))
             return started[-1]
 
     cells: list[Cell] = [{"x": x} for x in range(20)]

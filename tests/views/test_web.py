@@ -40,7 +40,7 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.session.access import ListenError, check_origin, listen
-from maglev_mj.session.pacing import Due
+from maglev_mj.session.pacing import FrameClock
 from maglev_mj.session.replay import ACTIONS
 from maglev_mj.views.page.page import Endpoint, Page, PageServer
 from maglev_mj.views.page.panel import Choice, Control, Slider, control
@@ -451,7 +451,7 @@ def test_a_held_target_is_resent() -> None:
     page = RemoteSession(far, Snapshot(scene=Joystick()))
     page.hand.target = [1e-3] * 6
     now = [10.0]
-    page._due = Due(SILENCE / 5.0, lambda: now[0])
+    page._due = FrameClock(SILENCE / 5.0, lambda: now[0])
     while now[0] < 10.0 + SILENCE:
         page.tick(0.0)
         now[0] += 0.01

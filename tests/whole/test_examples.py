@@ -240,7 +240,8 @@ def test_a_callback_on_the_plain_model_moves_as_the_command_says(file: str) -> N
             mujoco.mj_step(model, data)
     finally:
         mujoco.set_mjcb_control(None)
-    result = run(find_scene("drop")(force_limit=60.0))
+    drop: Any = find_scene("drop")
+    result = run(drop(force_limit=60.0))
     assert min(height) < -0.0025
     np.testing.assert_allclose(height, result.motion(np.array(time))[0], rtol=0.0, atol=1e-4)
 
