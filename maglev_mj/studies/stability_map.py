@@ -404,8 +404,9 @@ class StabilityMap(GainMap):
         if stable.size == 1:
             note = [f"{'stable' if stable.all() else 'unstable'}: spectral radius {self.spectral_radius.item():.4g}"]
         if self.simulated is not None and self.disagreement is not None:
+            different = (stable != self.simulated).sum()
             note.append(
-                f"simulation ({p.plant}): {self.simulated.sum()} stable; {(stable != self.simulated).sum()} differ from "
+                f"simulation ({p.plant}): {self.simulated.sum()} stable; {different} differ from "
                 f"theory, {self.disagreement.sum()} outside ±0.5 % of the boundary ({self.near.sum()} cells inside)"
             )
         note.append("published bounds: at this damping, without a hand")

@@ -158,7 +158,7 @@ Fly = Callable[..., tuple[Flight, Wishes, Any]]
 @pytest.fixture
 def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
     """Return a function that flies with requests."""
-    monkeypatch.setattr("maglev_mj.session.snapshot.Due.__call__", lambda _: True)
+    monkeypatch.setattr("maglev_mj.session.snapshot.FrameClock.__call__", lambda _: True)
 
     def run(*wishes: tuple[int, Scene], make: Callable[[LinkReport], Any] = Judge) -> tuple[Flight, Wishes, Any]:
         asks = Wishes(wishes)
