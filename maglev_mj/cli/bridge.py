@@ -64,7 +64,7 @@ how to stop a flight, at any time from takeoff to landing:
   Ctrl-C twice         cut the currents immediately (emergency stop)
   SIGTERM, SIGHUP      land; repeating them changes nothing
   Esc in the window    cut the currents immediately; closing the window lands
-  Emergency stop       on the page: cut the currents; closing the tab does nothing
+  Emergency stop       on the page: cut the currents; closing a tab does not
   maglev-mj estop ADDRESS [--key FILE]
                        cut them from any terminal, even if this program hangs
   this program dies    the device's watchdog cuts the currents

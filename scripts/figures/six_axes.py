@@ -125,7 +125,7 @@ def run_six_axes(
         ParameterError: If a value is outside its bounds.
     """
     if plant not in PLANTS:
-        raise ParameterError(f"plant must be one of {', '.join(PLANTS)}, not {plant!r}")
+        raise ParameterError(f"plant must be one of {', '.join(PLANTS)} (got {plant!r})")
     ticks = max(round(number("duration", duration, above=0.0, at_most=1000.0) / number("period", period, above=0.0)), 1)
     stiffness, breakaway = 6000.0 * _RADIUS**2, 2.0 * _RADIUS
     law = StickSlip(stiffness=stiffness, damping=80.0 * _RADIUS**2, breakaway=breakaway, v_min=0.005 / _RADIUS)

@@ -369,9 +369,9 @@ def test_what_cannot_be_analysed_is_refused(session: Path, tmp_path: Path, capsy
         recording.save(tmp_path / f"{name}.maglev")
         assert main(["analyse", str(tmp_path / f"{name}.maglev")]) == 2
         said = capsys.readouterr().err
-        assert len(said.splitlines()) == 1 and "there is nothing in" in said
+        assert len(said.splitlines()) == 1 and "contains no segment" in said
     assert main(["analyse", str(session), "--from", "1"]) == 2
-    assert "choose one of 2 with --segment" in capsys.readouterr().err
+    assert "choose one of 2 by --segment" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("no_pixels")

@@ -99,7 +99,7 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "number of an axis": (lambda: m.Wall(axes=2, lower=0.0, stiffness=1.0, damping=1.0), "axis must be .*(not|got) 2"),
     "file as record": (
         lambda: m.drive(m.ExactPlant(), controller(), 5, record="x.maglev"),
-        r"record must be a function, as open_recording",
+        r"record must be a function, such as open_recording",
     ),
     "time of a session": (lambda: m.Session("box").tick("1"), r"elapsed must be a finite number \(got '1'"),
     "a scene to be found": (lambda: m.find_scene(DROP), "scene must be a name, .*(not|got) Drop"),
@@ -112,11 +112,14 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     ),
     "a number as file": (lambda: m.Recording.load(3), r"path must be a file path \(got 3"),
     "a setup": (lambda: m.rebuild("drop", None), "setup must be an object.*(not|got) 'drop'"),
-    "controller first": (lambda: m.drive(controller(), m.ExactPlant(), 5), r"plant must have read\(\), .*Controller"),
-    "scene to be driven": (lambda: m.drive(m.ExactPlant(), DROP, 5), r"controller must have step\(\), .*Drop"),
+    "controller first": (
+        lambda: m.drive(controller(), m.ExactPlant(), 5),
+        r"plant must have .* read\(\), .*Controller",
+    ),
+    "scene to be driven": (lambda: m.drive(m.ExactPlant(), DROP, 5), r"controller must have a method step\(\), .*Drop"),
     "number of samples": (lambda: m.drive(m.ExactPlant(), 5, controller()), "ticks must be .*Controller"),
     "address of a device": (lambda: m.RemotePlant("upd://127.0.0.1:5"), "address must be udp://.*'upd://127.0.0.1:5'"),
-    "link to be stopped": (lambda: m.estop(None), "link must be an address, .*(not|got) None"),
+    "link to be stopped": (lambda: m.estop(None), "link must be an address .*(not|got) None"),
     "twin": (lambda: m.Twin(3), r"parameters must be TwinParameters.*(not|got) 3"),
     "target, three numbers": (lambda: m.SpringHand(target=[0, 0, 0]), r"target must be a pose .*(not|got) \[0, 0, 0\]"),
     "target of a device": (

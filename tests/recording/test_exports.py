@@ -240,8 +240,8 @@ def test_an_export_that_cannot_be_is_one_line_and_an_older_file_stays(
         (line,) = capfd.readouterr().err.splitlines()
         assert status == 1 and "File too large" in line and other.read_bytes() == b"that of before"
     refused = (
-        (path, path, "out must be another file than the recording"),
-        (path, tmp_path, "out must be a file in a folder"),
+        (path, path, "out must not overwrite the recording"),
+        (path, tmp_path, "out must be a file in an existing folder"),
     )
     for source, out, words in (*refused, (tmp_path / "none.maglev", other, "cannot be read: No such file")):
         assert main(["export", str(source), "--to", kind, "--out", str(out)]) == 2

@@ -260,7 +260,7 @@ def test_a_law_of_one_s_own_is_executed_only_by_leave(folder: Path, say: Any) ->
         (folder / "law executed").unlink()
     script.write_text(text.replace("4.0", "5.0"))
     status, said, wrong = say("replay", name, "--check", "--scene", "script.py")
-    assert status == 1 and "has changed since, or is another" in wrong and " equal: command; first" in said
+    assert status == 1 and "differs from the recorded file" in wrong and " equal: command; first" in said
 
 
 def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder: Path, say: Any) -> None:
@@ -310,7 +310,7 @@ def test_a_plant_of_one_s_own_is_left_out_in_one_line(folder: Path, say: Any) ->
     status, said, wrong = say("replay", "run.maglev", "--check")
     assert (status, wrong) == (0, "") and "80 of 80 equal: command, pulse, pulse_width" in said
     assert "recorded only, not replayed: tick, time, position, applied," in unwrapped(said)
-    told = "test_recording_alone.Mine, cannot be made here: the controller's answers alone are compared"
+    told = "test_recording_alone.Mine is not available: only the controller's commands were compared"
     assert unwrapped(said).endswith(told)
     assert say("analyse", "run.maglev")[0] == 0
 
@@ -498,7 +498,7 @@ def test_other_code_is_shown_with_a_note_or_with_other_answers_refused_in_one_li
     monkeypatch.setattr("maglev_mj.cli.recordings._COMPARED", 1000)  # fewer than some of them have
     status, said, wrong = say("replay", str(path))
     assert (status, wrong, len(shown)) == (0, "", 1)
-    same = f"the first {1000 // len(segments)} answers of each segment are the same"
+    same = f"the first {1000 // len(segments)} commands of each segment are identical"
     assert f"recorded by other code ({difference}); {same}" in unwrapped(said)
 
     def heavier(self: Any, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
@@ -509,8 +509,8 @@ def test_other_code_is_shown_with_a_note_or_with_other_answers_refused_in_one_li
     monkeypatch.setattr(Bias, "__call__", heavier)
     status, _, wrong = say("replay", str(path))
     assert (status, len(shown), wrong.count("\n")) == (1, 1, 1)
-    first = f"whose command is another from tick {int(segments[0].tick[0])} of segment 1 on"
-    assert f"recorded by other code ({difference}), {first}" in wrong and OTHER["sources"] in wrong
+    first = f"command differs from tick {int(segments[0].tick[0])} of segment 1"
+    assert f"recorded by other code ({difference}); {first}" in wrong and OTHER["sources"] in wrong
 
 
 def test_laws_of_one_s_own_of_other_code_are_shown_and_said_to_be(
@@ -519,9 +519,9 @@ def test_laws_of_one_s_own_of_other_code_are_shown_and_said_to_be(
     run_script(folder, "run.maglev")
     of_other_code(monkeypatch, Path("run.maglev"))
     status, said, wrong = say("replay", "run.maglev")
-    assert (status, wrong, len(shown)) == (0, "", 1) and "its laws were not run again" in said
+    assert (status, wrong, len(shown)) == (0, "", 1) and "its user-defined laws were not executed" in said
     said = unwrapped(say("replay", "run.maglev", "--scene", "attached")[1])
-    assert "answers of each segment are the same here" in said
+    assert "commands of each segment are identical" in said
     assert not (folder / "executed").exists()
 
 

@@ -327,7 +327,7 @@ def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_che
     assert "bit-identical" in capsys.readouterr().out
     (tmp_path / "elsewhere.py").write_text(OWN.replace("damping=40.0", "damping=41.0"))
     assert main(["replay", str(path), "--check", *again]) == 1
-    assert "has changed since, or is another" in capsys.readouterr().err
+    assert "differs from the recorded file" in capsys.readouterr().err
 
 
 def test_a_plant_that_does_not_tell_its_delay_is_refused_without_it() -> None:

@@ -114,6 +114,6 @@ def test_a_figure_that_is_flat_has_no_panel() -> None:
     figure = spread(found)
     titles = [panel.get_title(loc="left") for panel in figure.axes]
     assert "final height (mm)" not in titles and titles[:2] == ["penetration (mm)", "rebound (mm)"]
-    assert figure.get_suptitle() == "not shown (constant): final z"
+    assert figure.get_suptitle() == "not shown (constant): final height"
     marked = [panel for panel in figure.axes for line in panel.lines if [*line.get_ydata()] == [60.0, 60.0]]
     assert [panel.get_title(loc="left") for panel in marked] == ["peak force (N)"]

@@ -81,7 +81,7 @@ def assert_checked_with_the_scene_alone(say: Say, name: str) -> None:
         assert (status, wrong) == (0, "") and ("equal: " in said or "simulation" in said)
     file.write_text(text + "# later\n")
     os.utime(file, ns=(1, 1))
-    assert "has changed since, or is another" in say("replay", name, "--check", "--scene", "detents.py")[2]
+    assert "differs from the recorded file" in say("replay", name, "--check", "--scene", "detents.py")[2]
     file.write_text(text)
 
 

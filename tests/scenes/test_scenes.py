@@ -184,7 +184,7 @@ def test_phases_outside_their_bounds_are_refused() -> None:
             with pytest.raises(ParameterError, match=words):
                 call(phases)
     for phase in (-0.1, 1.0, math.nan, "x", None):
-        with pytest.raises(ParameterError, match=r"phase must be a finite number at least 0 and below 1.* \(got "):
+        with pytest.raises(ParameterError, match=r"phase must be .*at least 0 and below 1.* \(got "):
             run(Fall(), plant="exact", phase=phase)  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match=r"phase must be a number on mujoco; use run_phases"):
         run(Fall(), plant="mujoco", phase=[0.0, 0.5])

@@ -119,6 +119,6 @@ def test_mujoco_gl_takes_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
         assert drawing_library("glfw") == drawing_library() == library
         assert os.environ["MUJOCO_GL"] == word
     monkeypatch.setenv("MUJOCO_GL", "nothing")
-    with pytest.raises(ParameterError, match="or unset, not 'nothing'"):
+    with pytest.raises(ParameterError, match=r"or unset \(got 'nothing'"):
         drawing_library()
     assert not tried

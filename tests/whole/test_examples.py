@@ -181,18 +181,21 @@ LOOP = Controller([SPRING], period=0.005)
 WRONG: Any = {"a": object()}
 MISUSES: dict[str, tuple[Callable[[], object], str]] = {
     "laws": (lambda: Controller(SPRING, period=0.005), "laws must be a list of laws"),  # type: ignore[arg-type]
-    "share": (lambda: run_phases(DROP(), 2, plant="exact").percentile(150.0), "share must be .* at most 100, not 150"),
+    "share": (
+        lambda: run_phases(DROP(), 2, plant="exact").percentile(150.0),
+        r"share must be between 0 and 100",
+    ),
     "no controller": (lambda: judge(SPRING, delay=0.0), "controller must be a Controller"),  # type: ignore[arg-type]
-    "poses": (lambda: linearise(LOOP, [0.0] * 3), r"poses must be \(6,\) or \(P, 6\), not \(3,\)"),
+    "poses": (lambda: linearise(LOOP, [0.0] * 3), r"poses must have shape \(6,\) or \(P, 6\) \(got \(3,\)"),
     "inertia": (
         lambda: linearise(LOOP, [0.0] * 6)[0].closed_loop(delay=0.0, inertia=[0.7]),
-        r"inertia must be \(6,\), not \(1,\)",
+        r"inertia must have shape \(6,\) \(got \(1,\)",
     ),
     "coils": (lambda: MuJoCoPlant(coil_map=WRONG), "coil_map must be a CoilMap"),
     "sensor": (lambda: ExactPlant(sensor=WRONG), r"sensor must have start\(\)"),
     "components": (lambda: MuJoCoPlant(sensor=WrongSensor()).read(), "a sensor must return 6 components, not 5"),
-    "function": (lambda: run_cells(WRONG, [{}]), "function must be one from cells to results"),
-    "results": (lambda: run_cells(lambda cells: [], [{}]), "a result for each of its 1 cells"),
+    "function": (lambda: run_cells(WRONG, [{}]), "function must map cells to results"),
+    "results": (lambda: run_cells(lambda cells: [], [{}]), r"must return one result per cell \(1\)"),
     "cell": (lambda: run_cells(lambda cells: [0], [WRONG]), "a cell must hold values of JSON"),
     "workers": (lambda: run_cells(lambda cells: [0], [{}], workers=-1), "workers must be at least 0, not -1"),
     "values": (lambda: sweep(DROP, {"height": 0.001}), "vary must give a list of values for height"),  # type: ignore[dict-item]

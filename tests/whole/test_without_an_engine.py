@@ -50,9 +50,9 @@ DONE = [
     "maglev-mj sweep drop --vary height=1e-3:4e-3:2 --vary plant=exact --workers 0 --record cells",
 ]
 LACKING = {
-    "maglev-mj drop": "mujoco, which cannot be imported here; scenes do without it by `--plant exact`.*",
-    "maglev-mj twin --plant exact": "mujoco, which cannot be imported here; .*devices by `--calibration FILE`",
-    "maglev-mj sweep drop --vary height=1e-3:2e-3:2": "multiprocessing, .*; sweeps do without it by `--workers 0`",
+    "maglev-mj drop": "mujoco, which cannot be imported; without it, use `--plant exact`.*",
+    "maglev-mj twin --plant exact": "mujoco, .*`--calibration FILE` for devices",
+    "maglev-mj sweep drop --vary height=1e-3:2e-3:2": "multiprocessing, .*`--workers 0`.*",
     "maglev-mj view --web": "multiprocessing, which cannot .*",
 }
 OWN = "maglev-mj stability own.py"
@@ -94,7 +94,7 @@ def test_commands_and_python_need_no_engine(answers: dict[str, tuple[int, str]])
 def test_what_is_lacking_is_one_line(answers: dict[str, tuple[int, str]]) -> None:
     for line, said in LACKING.items():
         status, errors = answers[line]
-        assert status == 1 and re.fullmatch(f"maglev-mj: this needs {said}\n", errors), (line, errors)
+        assert status == 1 and re.fullmatch(f"maglev-mj: requires {said}\n", errors), (line, errors)
 
 
 def test_what_a_file_of_one_s_own_lacks_is_told_as_any_error(answers: dict[str, tuple[int, str]]) -> None:
