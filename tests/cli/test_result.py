@@ -130,7 +130,7 @@ def test_the_series_of_a_run_are_those_of_its_trace() -> None:
         one.plot(picture="x")
     with pytest.raises(ParameterError, match="this picture needs sampling phases: see run_phases"):
         one.plot(picture="drop_phases")
-    with pytest.raises(ParameterError, match="has no figures to draw"):
+    with pytest.raises(ParameterError, match="this picture needs figures"):
         run_phases("corner", 2, plant="exact").plot()
 
 
