@@ -347,7 +347,7 @@ def alike(quoted: str, said: str, numbers: bool) -> bool:
 def test_what_a_page_quotes_is_what_its_commands_print(page: str, commands: list[str], quoted: str) -> None:
     own = "" if commands == [*PRESS] else page  # which two pages have
     words = (said_by(*commands, page=own) if commands else "\n".join(run_page(page).lines)).split()
-    numbers, start = "milliseconds" not in quoted, 0  # of a flight, times
+    numbers, start = "latency [ms]" not in quoted, 0  # of a flight, times
     for line in quoted.splitlines():
         wanted = line.split()
         if line.startswith("  sample age"):  # has none in lockstep
