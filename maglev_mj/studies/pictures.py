@@ -193,22 +193,25 @@ def design_map(result: DesignResult) -> Any:
         MissingPackageError: If matplotlib is not installed.
         ParameterError: If neither mass nor delay has a range.
     """
+    from matplotlib.ticker import MaxNLocator
+
     wall = result.wall
     needs, worst = wall.requirements, wall.worst
     sizes = result.masses.size, result.delays.size
     if sizes == (1, 1):
         raise ParameterError("mass or delay must be a range to draw a chart")
     figure, (panel,) = new_figure(1, 1, 5.6)
-    marked = f"worst case: {wall.spectral_radius:.4f}, hand {worst.hand}"
+    marked = f"worst case: {wall.spectral_radius:.4g}, hand {worst.hand}"
     if min(sizes) > 1:
         low, high = float(result.map.min()), float(result.map.max())
-        levels = np.linspace(low, high, 9)
+        inner = [level for level in MaxNLocator(8).tick_values(low, high) if low < level < high]
+        levels = [low, *inner, high]
         panel.contourf(
             result.delays * 1e3, result.masses, result.map, levels=levels, cmap="GnBu", vmax=2.0 * high - low
         )
-        lines = panel.contour(result.delays * 1e3, result.masses, result.map, levels=levels[1:-1], colors=[REFERENCE])
+        lines = panel.contour(result.delays * 1e3, result.masses, result.map, levels=inner, colors=[REFERENCE])
         panel.plot([], [], color=REFERENCE, label="contours: spectral radius")
-        panel.clabel(lines, fmt="%.3f", fontsize=8.5)
+        panel.clabel(lines, fmt="%g", fontsize=8.5)
         panel.plot(worst.delay * 1e3, worst.mass, label=marked, **_STAR)
         panel.set(xlabel="delay (ms)", ylabel="mass (kg)")
     else:

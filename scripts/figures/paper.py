@@ -18,7 +18,7 @@ from maglev_mj import AXES
 from maglev_mj.analysis.pictures import staircases
 from maglev_mj.cli.declare import Parser
 from maglev_mj.cli.output import script_options
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, unit_of
 from maglev_mj.pictures import SECOND, TITLE, PictureFolder, name_curves, new_figure, save
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
@@ -131,7 +131,8 @@ def figure_9(pictures: PictureFolder, quick: bool) -> Path:
         print(f"{stiffness:>6.0f} N/m{count:>8}{low:>8.2f}{fifth:>8.2f}{middle:>8.2f}   {len(found)} of {tried}")
     labels = {}
     for index, steps in enumerate(result.steps()):
-        between = f", resting places {steps.min() * 1e3:.2g} to {steps.max() * 1e3:.2g} apart" if steps.size else ""
+        span = f"{steps.min() * 1e3:.2g} to {steps.max() * 1e3:.2g} {unit_of('mm', index)}" if steps.size else ""
+        between = f", resting places {span} apart" if span else ""
         labels[index] = f"{int(result.slips[index])} slips{between}"
     anchors = np.where(result.stuck, result.anchor, np.nan)
     return save(staircases(result.time, result.position, anchors, labels), pictures.path("fig9_six_axes"))

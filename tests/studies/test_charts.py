@@ -219,7 +219,7 @@ def test_the_chart_of_a_recording_that_differs_can_be_read() -> None:
 def test_staircases_have_a_panel_for_each_axis_that_moves(count: int, quiet: int) -> None:
     time, position = np.linspace(0.0, 1.0, 50), np.random.default_rng(1).normal(size=(50, 6)) * 1e-3
     position[:, 1 : 1 + quiet] *= 1e-9  # rounding
-    said = {axis: "3 slips, resting places 0.73 to 2.3 apart" for axis in range(count)}
+    said = {axis: "3 slips, resting places 0.73 to 2.3 mrad apart" for axis in range(count)}
     figure = staircases(time, position, position, said)
     out = ["y", "z", "rx"][: min(quiet, count - 1)]
     assert sum(panel.axison for panel in figure.axes) == count - len(out) and complaints(figure) == []
