@@ -1,7 +1,8 @@
 """Print tables of the braking pulse's effect on drops, with both readings of its size.
 
-The paper prints 220 N s/m for the pulse. Its equation (9) adds the pulse to the damping of 80: 300 in all. Read as
-both together, 220 is nearly the m/T_pulse = 233 N s/m that stops the flotor. The device gives 60 N at most.
+The paper states a pulse of 220 N s/m. Its equation (9) adds the pulse to the damping of 80 N s/m: +220 N s/m
+(300 total). With the damping included, 220 N s/m total is close to m/T_pulse = 233 N s/m, which stops the flotor.
+The force limit of the device is 60 N.
 
 One drop proves nothing: the figures depend on the phase, the time from the crossing to the next sample. A cell is
 the median (5 to 95 %) over 100 phases; the last rows count the phases. Hardness is the extended rate-hardness: the
@@ -25,16 +26,17 @@ parser.add_argument("--quick", action="store_true", help="the first table from t
 quick = parser.parse_args().quick
 HEIGHTS = (*(() if quick else (0.001, 0.002, 0.003)), Spec.translation_range.value)
 PHASES = 100
-IN_ALL: dict[str, Any] = {"pulse": 220.0 - Drop.damping}
-FURTHER: dict[str, Any] = {"pulse": 220.0}
+TOTAL: dict[str, Any] = {"pulse": 220.0 - Drop.damping}
+ADDED: dict[str, Any] = {"pulse": 220.0}
 LIMIT: dict[str, Any] = {"force_limit": Spec.largest_vertical_force.value}
 CARRY = LIMIT | {"carry": True}
+ADDED_LABEL, TOTAL_LABEL = [label for label in Drop().variants() if label != "no pulse"]
 PLAIN: dict[str, dict[str, Any]] = {"no pulse": {"pulse": 0.0}}  # below 60 N at every phase, limit or not
 TABLES = (
     PLAIN
-    | {"220 in all": IN_ALL, "220 further": FURTHER}
-    | {"in all, 60 N": IN_ALL | LIMIT, "further, 60 N": FURTHER | LIMIT},
-    PLAIN | {"in all, 60 N, rest carried over": IN_ALL | CARRY, "further, the same": FURTHER | CARRY},
+    | {TOTAL_LABEL: TOTAL, ADDED_LABEL: ADDED}
+    | {f"{TOTAL_LABEL}, 60 N": TOTAL | LIMIT, f"{ADDED_LABEL}, 60 N": ADDED | LIMIT},
+    PLAIN | {f"{TOTAL_LABEL}, 60 N, carry": TOTAL | CARRY, f"{ADDED_LABEL}, 60 N, carry": ADDED | CARRY},
 )
 
 
@@ -45,7 +47,7 @@ def figures(**options: Any) -> dict[str, Array]:
     return {
         "penetration (mm)": bounce["penetration"] * 1e3,
         "rebound (mm)": bounce["rebound"] * 1e3,
-        "settling, 2 % (ms)": bounce["settling_time"] * 1e3,
+        "settling time, 2 % (ms)": bounce["settling_time"] * 1e3,
         "peak force (N)": bounce["peak_force"],
         "hardness, 5 ms (kN/m)": perceived_hardness(trace, 0.005).extended / 1e3,
         "hardness, 10 ms (kN/m)": perceived_hardness(trace, 0.01).extended / 1e3,
@@ -65,11 +67,11 @@ def print_table(height: float, columns: Mapping[str, dict[str, Any]]) -> None:
     rows = {name: [spread(drop[name], 2 if "mm" in name else 0) for drop in drops] for name in plain}
     for name in plain:
         if "hardness" in name:
-            rows[f"{name[:-7]}, times"] = [spread(drop[name] / plain[name], 1) for drop in drops]
+            rows[name[:-7].replace("hardness", "hardness ratio")] = [spread(drop[name] / plain[name], 1) for drop in drops]
     counted = {
         "less penetration": [drop["penetration (mm)"] < plain["penetration (mm)"] for drop in drops],
         "more rebound": [drop["rebound (mm)"] > plain["rebound (mm)"] for drop in drops],
-        "settled sooner": [drop["settling, 2 % (ms)"] < plain["settling, 2 % (ms)"] for drop in drops],
+        "settled sooner": [drop["settling time, 2 % (ms)"] < plain["settling time, 2 % (ms)"] for drop in drops],
         "peak above 80 N": [drop["peak force (N)"] > 80.0 for drop in drops],
     }
     rows |= {f"{name}, phases": [str(int(phases.sum())) for phases in counts] for name, counts in counted.items()}
