@@ -39,8 +39,8 @@ for delay, own in CASES[1::2] if options.quick else CASES:
     curves = [("exact", damping, exact), ("Gil et al.", damping, gil), ("Minsky et al.", damping, minsky)]
     if own or delay == 0.0:
         curves.append(("Colgate & Schenkel (passivity)", damping, colgate))
-    title = f"delay {delay * 1e3:g} ms, damping of its own {own:g} N s/m"
-    labels = ("virtual damping B (N s/m)", "largest stiffness (N/m)")
+    title = f"delay {delay * 1e3:g} ms, physical damping {own:g} N s/m"
+    labels = ("virtual damping B (N s/m)", "critical stiffness (N/m)")
     panels.append(Panel(title=title, labels=labels, curves=curves, top=1.6 * float(exact.max())))
     for place in (5.0, 20.0, 60.0):
         at = {name: float(np.interp(place, damping, values)) for name, _, values in curves}
@@ -81,11 +81,12 @@ for delay in LOOPS:
         percent = shift(kind, delay, aligned=True)
         if kind == "euler":  # the other semi-implicit ones are the same to the last digit here
             curves.append((f"delay {delay * 1e3:g} ms", steps * 1e3, percent))
-labels = ("time step (ms)", "stiffest wall too stiff by (%)")
+labels = ("time step (ms)", "error of critical stiffness (%)")
 title = "Euler, implicit, discrete; steps end\nat switches (RK4: 0)"
 by_step.append(Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
-fixed = [(kind, steps * 1e3, shift(kind, DELAY, aligned=False)) for kind in ("rk4", "euler")]
-title = "fixed step, the switch seen late\n(delay 1.5 ms)"
+names = {"rk4": "RK4", "euler": "Euler"}
+fixed = [(name, steps * 1e3, shift(kind, DELAY, aligned=False)) for kind, name in names.items()]
+title = "fixed step that misses the switch\n(delay 1.5 ms)"
 by_step.append(Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
 data = {"bounds": rows, "integrators": shifts, "versions": versions()}
 pictures.path("stability_bounds", "json").write_text(json.dumps(data, indent=1) + "\n")
