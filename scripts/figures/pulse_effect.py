@@ -67,7 +67,8 @@ def print_table(height: float, columns: Mapping[str, dict[str, Any]]) -> None:
     rows = {name: [spread(drop[name], 2 if "mm" in name else 0) for drop in drops] for name in plain}
     for name in plain:
         if "hardness" in name:
-            rows[name[:-7].replace("hardness", "hardness ratio")] = [spread(drop[name] / plain[name], 1) for drop in drops]
+            label = name.removesuffix(" (kN/m)").replace("hardness", "hardness ratio")
+            rows[label] = [spread(drop[name] / plain[name], 1) for drop in drops]
     counted = {
         "less penetration": [drop["penetration (mm)"] < plain["penetration (mm)"] for drop in drops],
         "more rebound": [drop["rebound (mm)"] > plain["rebound (mm)"] for drop in drops],
