@@ -17,11 +17,11 @@ QUANTUM, LIMIT, PULSE = 5e-6, 60.0, 220.0
 SOFTEST = 1000.0  # boundaries below are met by walls too soft to come to rest in time
 CASES: dict[str, dict[str, Any]] = {
     "linear: released at the edge": {"height": 0.0},
-    "a drop from 4.5 mm: the edge alone": {},
-    f"with the sensor's steps of {QUANTUM * 1e6:g} µm": {"quantize": QUANTUM},
-    f"with a limit of {LIMIT:g} N": {"force_limit": LIMIT},
-    f"with a pulse of {PULSE:g} N s/m": {"pulse": PULSE},
-    "with all three": {"quantize": QUANTUM, "force_limit": LIMIT, "pulse": PULSE},
+    "drop from 4.5 mm": {},
+    f"sensor resolution {QUANTUM * 1e6:g} µm": {"quantize": QUANTUM},
+    f"force limit {LIMIT:g} N": {"force_limit": LIMIT},
+    f"pulse {PULSE:g} N s/m": {"pulse": PULSE},
+    "resolution, limit and pulse": {"quantize": QUANTUM, "force_limit": LIMIT, "pulse": PULSE},
 }
 
 if __name__ == "__main__":
