@@ -209,7 +209,4 @@ def test_help_and_refusals_know_the_parameters_of_the_scene(file: Path, capsys: 
     with pytest.raises(SystemExit, match="2"):
         main(["fidelity", str(file)])
     said = capsys.readouterr().err
-    assert (
-        said.count("\n") == 1
-        and "scene magnet is not supported by this command: argument --share" in said
-    )
+    assert said.count("\n") == 1 and "scene magnet is not supported by this command: argument --share" in said
