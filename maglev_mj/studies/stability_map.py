@@ -400,7 +400,8 @@ class StabilityMap(GainMap):
         rows = [("stiffest stable wall", best, 1.0, f"at {damping:.1f} N s/m{remark}" if best else "no wall is stable")]
         rows += [(name, float(one), float(one) / best if best else math.nan, sense) for name, one, sense in published]
         stable = theory.is_stable(self.spectral_radius)
-        note = [f"grid: {stable.sum()} of {stable.size} cells stable by theory"]
+        ranges = f"damping {_span(self.damping)} N s/m, stiffness {_span(self.stiffness)} N/m"
+        note = [f"grid: {stable.sum()} of {stable.size} cells stable by theory; {ranges}"]
         if stable.size == 1:
             note = [f"{'stable' if stable.all() else 'unstable'}: spectral radius {self.spectral_radius.item():.4g}"]
         if self.simulated is not None and self.disagreement is not None:
@@ -409,9 +410,17 @@ class StabilityMap(GainMap):
                 f"simulation ({p.plant}): {self.simulated.sum()} stable; {different} differ from "
                 f"theory, {self.disagreement.sum()} outside ±0.5 % of the boundary ({self.near.sum()} cells inside)"
             )
-        note.append("published bounds: at this damping, without a hand")
+        note.append(
+            f"published bounds: at {damping:.1f} N s/m, without a hand; those above the first row neglect delay or "
+            "damping, 0 means not passive without physical damping"
+        )
         head = "", "stiffness [N/m]", "ratio", ""
         return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note))
+
+
+def _span(values: Array) -> str:
+    ends = dict.fromkeys(f"{float(f'{value:.4g}'):g}" for value in (np.min(values), np.max(values)))  # no exponent
+    return " to ".join(ends)
 
 
 def run_stability(

@@ -105,7 +105,7 @@ class WallRequirements(Parameters):
         """One-line summary of the requirements."""
         lag = " with driver lag" if self.driver_lag else ""
         mass, delay = _span(self.mass, 1.0), _span(self.delay, 1e3)
-        return f"mass {mass} kg, delay {delay} ms{lag}, hands {', '.join(self.hands)}"
+        return f"mass {mass} kg, delay {delay} ms{lag}, hand: {', '.join(self.hands)}"
 
     def grid(self, points: int) -> list[Case]:
         """Return cases on a grid over masses and delays for each hand, corners included."""
