@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Returns:
-        Exit status: 0 success, 1 failed run, 2 invalid input, 130 Ctrl-C, 141 closed output pipe.
+        Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe.
     """
     if arguments is None:  # as a program: skip garbage collection at exit, which takes 25 ms
         atexit.register(gc.freeze)
@@ -248,7 +248,7 @@ def program_parser() -> Parser:
     parser.epilog = (
         "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] sets --period [s]. "
         "In Python, help(maglev_mj) lists all names. Figure numbers are those of Salcudean & Vlaar (1997).\n\n"
-        "Exit status: 0 success, 1 failed run, 2 invalid input, 130 Ctrl-C, 141 closed output pipe."
+        "Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe."
     )
     command = parser.add_argument(
         "command", metavar="COMMAND", nargs=argparse.PARSER, choices=COMMANDS, help=argparse.SUPPRESS

@@ -220,7 +220,7 @@ def test_the_command_prints_and_writes_a_design(drawn: bool, tmp_path: Any, caps
     arguments = ["design", "--mass", "0.6:0.8", "--hand", "arm", "--pulse", *(["--out", str(tmp_path)] * drawn)]
     assert main([*arguments, "--json", str(tmp_path / "design.json")]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "mass 0.6 to 0.8 kg, delay 1.5 ms" in said and "hands none, arm" in said and "not settling: none" in said
+    assert "mass 0.6 to 0.8 kg, delay 1.5 ms" in said and "hand: none, arm" in said and "not settling: none" in said
     assert not drawn or (tmp_path / "design.png").read_bytes().startswith(b"\x89PNG")
     data = json.loads((tmp_path / "design.json").read_text())
     assert data["wall"]["requirements"]["hands"] == ["none", "arm"] and data["wall"]["spectral_radius"] <= 0.97 * (
