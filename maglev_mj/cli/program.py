@@ -247,7 +247,7 @@ def program_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     parser.epilog = (
         "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] sets --period [s]. "
-        "In Python, help(maglev_mj) lists all names. Figure numbers are those of Salcudean & Vlaar (1997).\n\n"
+        "help(maglev_mj) lists all names. Figure numbers: Salcudean & Vlaar (1997).\n\n"
         "Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe."
     )
     command = parser.add_argument(
