@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Returns:
-        Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe.
+        Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe
     """
     if arguments is None:  # as a program: skip garbage collection at exit, which takes 25 ms
         atexit.register(gc.freeze)
@@ -247,8 +247,8 @@ def program_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     parser.epilog = (
         "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] sets --period [s]. "
-        "help(maglev_mj) lists all names. Figure numbers: Salcudean & Vlaar (1997).\n\n"
-        "Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe."
+        "help(maglev_mj) lists names. Figures: Salcudean & Vlaar (1997).\n\n"
+        "Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe"
     )
     command = parser.add_argument(
         "command", metavar="COMMAND", nargs=argparse.PARSER, choices=COMMANDS, help=argparse.SUPPRESS
