@@ -191,8 +191,8 @@ class FaultRecord(Result):
         first: Names of the first faults.
         message: One line of explanation.
         fault_time: Device time of the first fault [s]; NaN if unknown.
-        tick: Number of the last sample.
-        lost: Samples that did not arrive. Without a fault: missing cycles, lost or skipped.
+        tick: Index of the last sample since the handshake. Without a fault: the device's number of it.
+        lost: Samples that did not arrive, since the handshake. Without a fault: missing cycles, lost or skipped.
         skipped: Samples not answered because a newer one had arrived.
         period: Sample period [s].
         values: Values by name, (N,) each, NaN if missing: sample, time [s], state, faults, spot0 to spot5
@@ -246,10 +246,13 @@ class FaultRecord(Result):
         state, sample = values["state"], values["sample"]
         changes = [index for index in range(first, count) if index == first or state[index] != state[index - 1]]
         states = [f"{_state_name(state[index])} from sample {sample[index]:.0f}" for index in changes]
+        states += [f"last sample {sample[-1]:.0f}"] if count else []
+        # the host counts from the handshake, the device from its start
+        counted = "these cycles" if math.isnan(self.fault_time) else f"{self.tick + 1} since the handshake"
         remarks = [
             *([f"last {_ROWS} of {count} cycles; --all shows all"] if first else []),
             ", ".join(states),
-            f"last sample {self.tick} at {1.0 / self.period:g} Hz; {self.lost} lost, {self.skipped} skipped",
+            f"{1.0 / self.period:g} Hz; {self.lost} samples lost, {self.skipped} skipped in {counted}",
             f"faults {self.faults}; first {self.first}{when}",
             *fault_meanings(self.faults),
         ]

@@ -275,7 +275,8 @@ class GuardedPlant:
         """Raise PlantError unless the device is inactive."""
         self._check_open()
         if self.state is not _INACTIVE:
-            raise PlantError(f"no takeoff: device state {self.state.name}, faults {fault_names(self.faults)}")
+            remedy = ": find the cause, then clear the fault with --reset or reset()" if self.state is _FAULT else ""
+            raise PlantError(f"no takeoff: device state {self.state.name}, faults {fault_names(self.faults)}{remedy}")
 
     def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO) -> None:
         self._check_open()

@@ -33,7 +33,7 @@ def last_cycles(record: FaultRecord) -> Any:
     for index, held in enumerate(record.six("held").T):
         axes[2].plot(time, held, ".", color=SERIES[index], markersize=2.5)
     spans = np.stack([columns["delay"], columns["latency"]], axis=-1) * 1e3
-    _curves(axes[3], time, spans, ("loop delay, device clock", "host latency"), "delay (ms)")
+    _curves(axes[3], time, spans, ("loop delay", "host latency"), "delay (ms)")
     first = (record.fault_time - columns["time"][-1]) * 1e3 if len(time) else np.nan
     for axis in axes:
         if len(time) and time[0] <= first <= time[-1]:

@@ -84,7 +84,7 @@ class LoopTiming:
         kinds = {
             "host latency, arrival to answer": self.answer,
             "sample age when answered": self.age,
-            "loop delay, device clock": self.delay,
+            "loop delay, sample to effect": self.delay,
         }
         return {name: histogram for name, histogram in kinds.items() if histogram.count}
 

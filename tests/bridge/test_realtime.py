@@ -187,7 +187,7 @@ def test_clock_drift_does_not_count_as_age() -> None:
         taken = tick * 5_000_000
         timing.add(Sampled(tick, taken, round(taken * (1.0 + 1e-4)), 100_000))  # type: ignore[arg-type]
     assert 1e-4 <= timing.age.max < 6e-4
-    assert not timing.delay.count and "loop delay, device clock" not in timing.kinds
+    assert not timing.delay.count and "loop delay, sample to effect" not in timing.kinds
 
 
 def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
     assert timing.delay.count > 90 and timing.delay.p50 == pytest.approx(0.008 + plant.delay, abs=3e-4)
     assert timing.age.max < 1.1e-3 < timing.delay.p50
     told = [event for event in Recording.load(tmp_path / "run.maglev").events if event.startswith("timing: ")]
-    assert any("loop delay, device clock: median 9." in event for event in told)
+    assert any("loop delay, sample to effect: median 9." in event for event in told)
     assert any("samples lost" in event for event in told)
 
 

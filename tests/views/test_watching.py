@@ -54,7 +54,7 @@ def test_escape_in_the_window_of_a_twin_cuts_the_currents_in_flight() -> None:
             waited(cut, PATIENCE)
             stopped = host.end(None)
             assert stopped.status == 1 and "ESTOP: " in stopped.output + stopped.errors
-            assert "fault, faults: ESTOP" in twin.end().output
+            assert "final state: fault, faults ESTOP" in twin.end().output
 
 
 def stopping(source: SnapshotSource) -> None:
@@ -71,7 +71,7 @@ def test_an_emergency_stop_in_a_hosts_window_cuts_the_currents(tmp_path: Path) -
     with twin("--watchdog", "1") as (device, address), patch.object(PageOptions, "front", lambda *_, **__: stopping):
         status, said = said_by("bridge", address, *WEAK, "--seconds", "60", "--out", str(tmp_path), "--view")
         assert status == 1 and "ESTOP: " in said, said
-        assert "fault, faults: ESTOP" in device.end().output
+        assert "final state: fault, faults ESTOP" in device.end().output
 
 
 class ViewerHere(RemoteViewer):

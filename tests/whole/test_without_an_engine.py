@@ -116,4 +116,4 @@ def test_the_command_of_a_twin_needs_no_engine(tmp_path: Path) -> None:
     Calibration.nominal().save(tmp_path / "device.json")
     words = "twin --plant exact --calibration device.json --listen udp://127.0.0.1:0 --seconds 0.2"
     done = run(sys.executable, "-c", COMMAND, *words.split(), cwd=tmp_path)
-    assert done.status == 0 and "inactive, faults: none" in done.output, done
+    assert done.status == 0 and "final state: inactive, no faults" in done.output, done

@@ -301,6 +301,22 @@ _AGAIN, _LOOK = 0.02, 0.05
 _LET_GO, _COMPUTES = 2.0, 60.0
 """Timeout for a host in lockstep [s], in flight and before it, when the host checks the scene's stability."""
 
+_IGNORED = {
+    "short": "too short",
+    "magic": "not of this protocol",
+    "version": "other protocol version",
+    "type": "unknown type",
+    "length": "wrong length",
+    "crc": "wrong checksum",
+    "tag": "wrong key",
+    "direction": "sent by a device",
+    "session": "other session",
+    "old": "outdated or repeated",
+    "busy": "other host connected",
+    "inactive": "device inactive",
+}
+"""Meanings of the reasons to ignore a frame."""
+
 _MOST, _FEW = 4096, 32
 _ESTOP = b"\x07"
 """Frame type of ESTOP, the fourth byte."""
@@ -334,9 +350,10 @@ class ServerReport(NamedTuple):
             median, most = self.latency.p50 * 1e6, self.latency.p99 * 1e3
             lines.append(f"  sample latency: median {median:.0f} µs, 99th percentile {most:.2f} ms")
         if self.ignored:
-            counts = ", ".join(f"{count} for {reason}" for reason, count in sorted(self.ignored.items()))
+            counts = ", ".join(f"{count} ({_IGNORED[reason]})" for reason, count in sorted(self.ignored.items()))
             lines += wrapped(f"frames ignored: {counts}", further="    ")
-        lines += wrapped(f"{self.state.name.lower()}, faults: {fault_names(self.faults)}", further="    ")
+        faults = f"faults {fault_names(self.faults)}" if self.faults else "no faults"
+        lines += wrapped(f"final state: {self.state.name.lower()}, {faults}", further="    ")
         return "\n".join(lines)
 
 
