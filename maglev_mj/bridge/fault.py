@@ -245,14 +245,16 @@ class FaultRecord(Result):
         when = "" if math.isnan(self.fault_time) else f" at {self.fault_time:.4f} s (device clock)"
         state, sample = values["state"], values["sample"]
         changes = [index for index in range(first, count) if index == first or state[index] != state[index - 1]]
-        states = [f"{_state_name(state[index])} from sample {sample[index]:.0f}" for index in changes]
-        states += [f"last sample {sample[-1]:.0f}"] if count else []
+        states = [  # the first row need not be a change
+            f"{_state_name(state[index])} {'at' if index == first else 'from'} {sample[index]:.0f}" for index in changes
+        ]
+        states = [f"device's sample numbers: {', '.join(states)}, last {sample[-1]:.0f}"] if count else []
         # the host counts from the handshake, the device from its start
-        counted = "these cycles" if math.isnan(self.fault_time) else f"{self.tick + 1} since the handshake"
+        since = "these cycles" if math.isnan(self.fault_time) else "since the handshake, with the preflight check"
         remarks = [
             *([f"last {_ROWS} of {count} cycles; --all shows all"] if first else []),
-            ", ".join(states),
-            f"{1.0 / self.period:g} Hz; {self.lost} samples lost, {self.skipped} skipped in {counted}",
+            *states,
+            f"{1.0 / self.period:g} Hz; {since}: {self.lost} samples lost, {self.skipped} skipped",
             f"faults {self.faults}; first {self.first}{when}",
             *fault_meanings(self.faults),
         ]

@@ -205,7 +205,9 @@ def test_the_table_says_what_when_and_the_last_cycles(failed: Failed) -> None:
     first = f"first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s (device clock)"
     assert f"faults COIL_NOT_FOLLOWING; {first}" in table.note.splitlines()
     assert table.title == record.message and "COIL_NOT_FOLLOWING: a measured current" in table.note
-    assert f", fault from sample {rig.plant.samples.tick}" in table.note and "active from sample " in table.note
+    number = rig.plant.samples.tick
+    assert f", fault from {number}, last {number}" in table.note and "device's sample numbers: active at " in table.note
+    assert "200 Hz; since the handshake, with the preflight check: 0 samples lost, 0 skipped" in table.note
     assert [row[0] for row in (table.rows[-2], table.rows[-1])] == ["-5.0", "0.0"] and len(table.rows) == 200
     assert "last 20 of 200 cycles" in record.table().note and len(record.table().rows) == 20
     lines = str(table).splitlines()
