@@ -57,7 +57,10 @@ LAWS: Mapping[str, LawMaker] = {
 
 _MARGINS = {"stiffness": "N/m", "noise": "N", "spectral_radius": "", "critical_stiffness": "N/m", "margin": ""}
 """Unit of each figure of `Comparison.margins`."""
-_AT_REST = "at rest in the wall: static stiffness, force noise, spectral radius, critical stiffness and margin"
+_MARGIN_HEADS = {"stiffness": "static stiffness", "critical_stiffness": "critical gain"}
+"""Column heads that differ from the figure's name."""
+_AT_REST = "at rest in the wall"
+_MARGIN_NOTE = "margin = critical gain / gain in use"
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +110,21 @@ class Comparison(Variants):
             for label, phases in self.phases.items()
         ]
         head = [with_unit(name.replace("_", " "), one.unit) for name, one in figures.items()]
-        still = ["law", *(with_unit(name.replace("_", " "), unit) for name, unit in _MARGINS.items())]
-        below = Table(_AT_REST, still, [[label, *one.values()] for label, one in self.margins.items()])
+        named = {name: _MARGIN_HEADS.get(name, name.replace("_", " ")) for name in _MARGINS}
+        still = ["law", *(with_unit(named[name], unit) for name, unit in _MARGINS.items())]
+        below = Table(_AT_REST, still, [[label, *one.values()] for label, one in self.margins.items()], _MARGIN_NOTE)
         count = len(next(iter(self.phases.values())).phases)
         over = f"plant {self.first.plant}: median (10th to 90th percentile) over {count} sampling phases"
-        return Table(f"{self.scene.describe()}, {over}", ["law", *head], rows, below=[below])
+        return Table(f"{self._describe()}, {over}", ["law", *head], rows, below=[below])
+
+    def _describe(self) -> str:
+        """Return the scene's description, with its pulse only for the laws that have one."""
+        text: str = self.scene.replace(pulse=0.0).describe().removesuffix(", no pulse")
+        first = {label: phases.scene.laws()[0] for label, phases in self.phases.items()}
+        pulsed = [label for label, law in first.items() if np.any(getattr(law, "pulse", 0.0))]
+        if not pulsed:
+            return text
+        return f"{text}, pulse {self.scene.pulse:g} N s/m for law{'s' * (len(pulsed) > 1)} {', '.join(pulsed)}"
 
 
 def compare(

@@ -28,7 +28,7 @@ from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, scene_from_reference, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
-from maglev_mj.scenes.results import Figure, parameters_json
+from maglev_mj.scenes.results import Figure, figure_head, parameters_json
 from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Study, Workers, chosen_workers
@@ -138,12 +138,15 @@ class Sweep(Result):
             for kind, some in zip(kinds, values.reshape(len(kinds), -1), strict=True):
                 if (finite := some[np.isfinite(some)] * one.scale).size:
                     spread, unit = np.percentile(finite, _SHARES).tolist(), self.unit_along(one.unit, one.along)
-                    rows.append((name, *[kind] * bool(choices), *spread, unit, finite.size))
-        notes = [f"{self.resumed} cells resumed from {self.record}"] if self.record else []
-        count = "1 cell" if len(failed) == 1 else f"{len(failed)} cells"
-        notes += [f"{count} failed, first error: {self.results[failed[0]]['error']}"] if failed else []
+                    rows.append((figure_head(name), *[kind] * bool(choices), *spread, unit, finite.size))
+        notes = []
+        if self.record:
+            total = _count(len(self.results))
+            place = f"in {self.record}, {self.resumed} resumed" if self.resumed else f"written to {self.record}"
+            notes.append(f"{total} {place}")
+        notes += [f"{_count(len(failed))} failed, first error: {self.results[failed[0]]['error']}"] if failed else []
         head = "", *([", ".join(choices)] if choices else []), "min", "median", "max", "unit", "cells"
-        title = f"Sweep of {self.scene.name} over {over}: {len(self.results)} cells"
+        title = f"Sweep of {self.scene.name} over {over}: {_count(len(self.results))}"
         return Table(title, head, rows, "\n".join(notes))
 
     @property
@@ -219,6 +222,10 @@ def sweep(
     results = study.run(_cells_a_job(len(cells), executor.window, {*cells.axes["plant"]} == {"exact"}))
     varied = {name: list(values) for name, values in vary.items()}
     return Sweep(type(chosen), varied, cells, results, resumed, file)
+
+
+def _count(cells: int) -> str:
+    return "1 cell" if cells == 1 else f"{cells} cells"
 
 
 def _cells_a_job(missing: int, window: int, batches: bool) -> int:

@@ -201,6 +201,9 @@ def test_the_table_names_every_law_and_an_observer_knows_the_force_limit(drops: 
     depths = 1e3 * drops.phases["pd"].figures["penetration"]
     low, middle, high = (f"{value:.2f}" for value in np.percentile(depths, [10, 50, 90]))
     assert f"{middle} ({low} to {high})" in str(drops.table())
+    assert "N s/m, pulse 220 N s/m for law pulse, plant exact" in " ".join(str(drops.table()).split())
+    assert "pulse" not in many.table().title and "static stiffness" in str(many.table())
+    assert "margin = critical gain / gain in use" in str(many.table())
     assert many.phases["a law called number 0"].scene.laws()[0].force_limit == 60.0
 
 

@@ -119,7 +119,7 @@ def test_the_command_sweeps_a_file_on_processes(file: Path, count: str, monkeypa
     assert main([*command, "--workers", count, "--json", "all.json"]) == 0
     said = capsys.readouterr().out
     assert "Sweep of magnet over stiffness (2): 2 cells\n" in said
-    assert "\n  0 cells resumed from magnet-sweep-" in said
+    assert "\n  2 cells written to magnet-sweep-" in said
     data = json.loads((file.parent / "all.json").read_text())
     assert data["scene"] == "magnet" and data["varied"] == {"stiffness": [500.0, 1000.0]}
     assert [cell["damping"] for cell in data["cells"]] == [20.0, 20.0]
