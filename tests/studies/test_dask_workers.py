@@ -137,7 +137,7 @@ def test_workers_of_other_code_are_refused_by_name_before_any_cell(
     with cluster.worker() as good:
         for what, code in (
             ("sources", gravity(tmp_path / "a")),
-            ("not known", copy_of_package(tmp_path / "b", "versions.py", "del versions")),
+            ("code not available", copy_of_package(tmp_path / "b", "versions.py", "del versions")),
         ):
             with cluster.worker(code) as bad:
                 assert main(command) == 1
@@ -225,7 +225,8 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
     last = [line for line in said.splitlines() if not re.match(rf"{command}( drop)?: \d+ of \d+", line)]
     assert len(last) == 1, said
     found = re.search(
-        rf"the Dask scheduler at {mortal.address} is no longer reachable; (\d+) cells are in (\S+), the same", last[0]
+        rf"the Dask scheduler at {mortal.address} is no longer reachable; (\d+) cells saved in (\S+); to resume",
+        last[0],
     )
     (record,) = tmp_path.glob(pattern)
     assert found and found[2] == record.name

@@ -228,7 +228,7 @@ def test_a_worker_that_dies_costs_its_own_cells_and_a_cell_that_always_kills_is_
     cells[3] |= {"kill": "always"}
     cells[0] |= {"kill": "once", "note": str(tmp_path / "seen")}  # first: a job that waits is lost by another's death
     results = run_cells(deadly, cells, record=Record(path), workers=local_workers(1), together=2)
-    assert results[3] == {"error": "its worker died 2 times"}
+    assert results[3] == {"error": "worker died twice"}
     assert [results[place] for place in range(12) if place != 3] == [{"square": x**2} for x in range(12) if x != 3]
     assert np.flatnonzero(~kept(path, cells).done).tolist() == [3]  # so that a rerun tries it again
 

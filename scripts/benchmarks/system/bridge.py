@@ -132,7 +132,7 @@ def in_real_time(seconds: float) -> Table:
             except MaglevError as error:  # a busy machine stalls a takeoff or a flight
                 print(f"no row for {rate} Hz: {error}", file=sys.stderr)
                 continue
-        ((wall, samples, stalled),) = re.findall(r"([\d.]+) s, (\d+) samples, \d+ a second, (\d+) periods", report[0])
+        ((wall, samples, stalled),) = re.findall(r"([\d.]+) s, (\d+) samples, \d+ Hz, (\d+) periods", report[0])
         runs[f"{rate} Hz"] = Run(float(wall), 1, int(samples))  # of the device: takeoff and landing too
         rows[f"{rate} Hz"] = {
             "stalled periods": int(stalled),
