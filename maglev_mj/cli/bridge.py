@@ -112,7 +112,10 @@ def bridge(
         bool, option(f"preflight check only: measure the link latency for {_MEASURED:g} s, currents off")
     ] = False,
     as_written: Annotated[
-        bool, option(f"keep the scene's walls even if they are stable for less than {MARGIN:g} times the link latency")
+        bool,
+        option(
+            f"keep the scene's walls even if they are unstable at the device's delay plus {MARGIN:g} times the link latency"
+        ),
     ] = False,
     anyway: Annotated[
         bool, option("fly despite a failed preflight check; a device needs --max-current of at most half its limit")

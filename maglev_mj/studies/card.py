@@ -85,7 +85,7 @@ class DeviceCard(Result):
             for hand, wall, mass in zip(self.hands, self.walls, self.masses)
         ]
         heads = "hand", *(f"delay {delay * 1e3:g} ms" for delay in self.delays), "min. mass [kg]", "max."
-        title = "Stiffest stable wall [N/m] at its damping [N s/m]; virtual mass (- for unlimited)"
+        title = "Stiffest stable wall [N/m] at its damping [N s/m]; range of the apparent mass (- for unlimited)"
         note = "stable, not passive: a flotor without physical damping renders no passive wall"
         some = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
         tables = (

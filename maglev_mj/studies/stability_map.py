@@ -411,8 +411,8 @@ class StabilityMap(GainMap):
                 f"theory, {self.disagreement.sum()} outside ±0.5 % of the boundary ({self.near.sum()} cells inside)"
             )
         note.append(
-            f"published bounds: at {damping:.1f} N s/m, without a hand; those above the first row neglect delay or "
-            "damping, 0 means not passive without physical damping"
+            f"published bounds: at {damping:.1f} N s/m, without a hand; larger ones than the first row neglect delay "
+            "or damping, 0 means not passive without physical damping"
         )
         head = "", "stiffness [N/m]", "ratio", ""
         return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note))
