@@ -113,9 +113,7 @@ def bridge(
     ] = False,
     as_written: Annotated[
         bool,
-        option(
-            f"keep the scene's walls even if they are unstable at the device's delay plus {MARGIN:g} times the link latency"
-        ),
+        option(f"keep the scene's walls even if unstable at the device's delay plus {MARGIN:g} times the link latency"),
     ] = False,
     anyway: Annotated[
         bool, option("fly despite a failed preflight check; a device needs --max-current of at most half its limit")
