@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from maglev_mj.errors import check_instance, check_one_of, file_path, require
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording.journal import InvalidRecordingError
-from maglev_mj.recording.recording import RECORDING_TYPE, Recording, aside
+from maglev_mj.recording.recording import RECORDING_TYPE, Recording, atomic_path
 from maglev_mj.recording.sample import ARRAYS, FIELDS, TOTALS, is_recorded, units
 from maglev_mj.versions import versions
 
@@ -54,7 +54,7 @@ def export(recording: Recording, kind: str, path: Path | str) -> None:
     check_one_of("to", EXPORTS, kind)
     check_instance("recording", recording, Recording, RECORDING_TYPE)
     path = file_path(path)
-    with aside(path) as partial:
+    with atomic_path(path) as partial:
         EXPORTS[kind](recording, partial, path)
 
 
@@ -181,7 +181,7 @@ def _encoded(recording: Recording) -> dict[str, Any]:
 
 def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
     columns = _columns(recording)
-    with aside(path.with_name(f"{path.name}.json")) as context:
+    with atomic_path(path.with_name(f"{path.name}.json")) as context:
         context.write_text(json.dumps(_encoded(recording), indent=1), encoding="utf-8")
         with partial.open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)

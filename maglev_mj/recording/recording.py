@@ -217,7 +217,7 @@ class Recording(Result):
         path = file_path(path)
         if path.suffix != SUFFIX:
             raise ParameterError(f"path must end in {SUFFIX}, not {path.name!r}: for other formats use export")
-        with aside(path) as partial, partial.open("wb") as file:
+        with atomic_path(path) as partial, partial.open("wb") as file:
             file.write(header())
             for block in self._blocks():
                 file.write(block + checksum_record(block))
@@ -313,7 +313,7 @@ def refused(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def aside(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path: moved to `path` on success, removed on failure."""
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:

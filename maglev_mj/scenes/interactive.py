@@ -168,12 +168,12 @@ class InteractiveScene(Scene):
     Rotational gains are scaled by inertia.
 
     Class attributes:
-        says: Short description.
+        summary: Short description.
         pose: Pose at the start [m, rad].
         script: Trajectory of the scripted hand; None without a hand.
     """
 
-    says: ClassVar[str] = ""
+    summary: ClassVar[str] = ""
     pose: ClassVar[Sequence[float]] = ZERO
     script: ClassVar[Trajectory | None] = None
 
@@ -233,7 +233,7 @@ class InteractiveScene(Scene):
 
     def describe(self) -> str:
         """Return a one-line description."""
-        return self.says
+        return self.summary
 
     @property
     def end(self) -> float:
@@ -251,7 +251,7 @@ _EDGES = (0.0035,) * 3 + (math.radians(4.5),) * 3
 class Joystick(InteractiveScene):
     """Joystick in a box of walls."""
 
-    says: ClassVar = "soft centring on six axes in a box of walls; optional friction"
+    summary: ClassVar = "soft centring on six axes in a box of walls; optional friction"
     model: ClassVar = "scenes/joystick"
     shown_axis: ClassVar = "x"
     script: ClassVar = Trajectory(
@@ -281,7 +281,7 @@ class Joystick(InteractiveScene):
 class Table(InteractiveScene):
     """Block with friction on a table (figures 8, 9)."""
 
-    says: ClassVar = "block with dry friction on a table (figures 8 and 9)"
+    summary: ClassVar = "block with dry friction on a table (figures 8 and 9)"
     model: ClassVar = "scenes/table"
     shown_axis: ClassVar = "x"
     script: ClassVar = Trajectory(
@@ -309,7 +309,7 @@ BOX_WALLS = (0.003,) * 3 + (math.radians(4.0),) * 3
 class Box(InteractiveScene):
     """Box of stiff walls on all six axes."""
 
-    says: ClassVar = "box of walls on all six axes"
+    summary: ClassVar = "box of walls on all six axes"
     model: ClassVar = "scenes/box"
     shown_axis: ClassVar = "x"
     script: ClassVar = Trajectory(
@@ -341,7 +341,7 @@ _INTO = ("x", "z", "ry")
 class Corner(InteractiveScene):
     """Corner of two walls and a rotation stop."""
 
-    says: ClassVar = "spring into a corner of two walls and a rotation stop"
+    summary: ClassVar = "spring into a corner of two walls and a rotation stop"
     model: ClassVar = "scenes/corner"
     pose: ClassVar = (0.003, 0.0, 0.003, 0.0, 0.04, 0.0)
     script: ClassVar = Trajectory(

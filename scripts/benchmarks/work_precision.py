@@ -25,7 +25,6 @@ _BESIDE = (
     *((9, 0), (0, 9), (0, -9), (-9, 0), (9, 9), (9, -9)),
     *((24, 24), (24, -24), (-24, -24), (0, -36), (36, -36), (0, -54), (-36, -54), (36, -54)),
 )
-_LEADER = {"arrowstyle": "-", "color": REFERENCE, "linewidth": 0.7}
 _PARTS = np.linspace(0.1, 0.9, 9)  # of a line that labels keep off
 
 

@@ -150,10 +150,10 @@ class Calibration:
         Raises:
             CalibrationError: If it cannot be written.
         """
-        from maglev_mj.recording.recording import aside  # not needed to load a calibration
+        from maglev_mj.recording.recording import atomic_path  # not needed to load a calibration
 
         try:
-            with aside(Path(path)) as partial, partial.open("w", encoding="utf-8") as file:
+            with atomic_path(Path(path)) as partial, partial.open("w", encoding="utf-8") as file:
                 file.write(_pretty(self.as_json()) + "\n")
                 file.flush()
                 os.fsync(file.fileno())  # a power failure must not leave an empty file

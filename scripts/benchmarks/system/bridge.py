@@ -54,7 +54,7 @@ class Timed(VirtualLink):
 
 
 def cycles(count: int) -> tuple[list[float], list[float]]:
-    """Return the host's own time in each cycle until the answer is sent, and in all [s]."""
+    """Return the host's own time in each cycle until the answer is sent, and total [s]."""
     link = Timed(Twin(TwinParameters()))
     answers, wholes = [], []
     with TemporaryDirectory() as folder, realtime("ignore"):
