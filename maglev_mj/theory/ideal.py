@@ -164,9 +164,9 @@ def karnopp(
 
     m x'' = f_ext - k_v x' + f_stick, with the spring force f_ext = spring (target - x).
 
-    The mass starts at 0, at rest and stuck. Stuck: f_stick = -f_ext, until |f_ext| > breakaway. Sliding: f_stick = 0,
-    until |x'| < v_min and |f_ext| <= breakaway, when the speed is set to 0. Without the second condition it would stick
-    again at the instant of breakaway.
+    The mass starts at 0, at rest and stuck. Stuck: f_stick = -f_ext, until abs(f_ext) > breakaway. Sliding:
+    f_stick = 0, until abs(x') < v_min and abs(f_ext) <= breakaway, when the speed is set to 0. Without the second
+    condition it would stick again at the instant of breakaway.
 
     Args:
         time: Times of the result [s], ascending, (M,).

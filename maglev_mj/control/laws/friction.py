@@ -96,8 +96,8 @@ class Friction(AxisLaw):
 class StickSlip(Friction):
     """Karnopp stick-slip friction rendered by a PD spring.
 
-    Stuck at x_s: f = k (x_s - x) - b v until |k (x_s - x)| > breakaway. Sliding: f = -b v until |v| < v_min. The state
-    changes at most once per sample.
+    Stuck at x_s: f = k (x_s - x) - b v until abs(k (x_s - x)) > breakaway. Sliding: f = -b v until abs(v) < v_min.
+    The state changes at most once per sample.
 
     Args:
         v_min: Speed below which a sliding axis sticks [m/s, rad/s], above 0.
@@ -161,7 +161,7 @@ class StickSlip(Friction):
 class SpringReset(Friction):
     """Friction spring that resets to zero force at its limit.
 
-    f = k (x_s - x) while |f| <= breakaway; otherwise f = 0 and x_s = x.
+    f = k (x_s - x) while abs(f) <= breakaway; otherwise f = 0 and x_s = x.
 
     The law uses no velocity, so it jumps instead of sliding. While the flotor moves, its force is a sawtooth with mean
     breakaway / 2; it vanishes if the travel per sample stretches the spring past the limit.
@@ -230,7 +230,7 @@ class _Bristle(Friction):
     def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
         """Return the deflection [m, rad] after a travel [m, rad].
 
-        The default solves dz = dx - |dx| z / limit, which tends to the limit in the direction of travel.
+        The default solves dz = dx - abs(dx) z / limit, which tends to the limit in the direction of travel.
         """
         limit = self.limit(velocity, gains) / gains.stiffness
         end = choose(travel > 0.0, limit, -limit)
@@ -265,7 +265,7 @@ class Dahl(_Bristle):
 class LuGre(_Bristle):
     """LuGre friction with Stribeck effect and bristle damping.
 
-    dz/dt = v - s0 |v| z / g(v), f = -(s0 z + s1 dz/dt),
+    dz/dt = v - s0 abs(v) z / g(v), f = -(s0 z + s1 dz/dt),
     g(v) = breakaway (c + (1 - c) exp(-(v / v_s)²)), with s0 = `stiffness`.
 
     Args:
@@ -301,7 +301,7 @@ class LuGre(_Bristle):
 class ElastoPlastic(_Bristle):
     """Elasto-plastic friction, free of creep under small loads.
 
-    dz/dx = 1 - alpha(z) |z| / z_ss, f = -k z, with z_ss = breakaway / k. If z and dx have the same sign, alpha rises
+    dz/dx = 1 - alpha(z) abs(z) / z_ss, f = -k z, with z_ss = breakaway / k. If z and dx have the same sign, alpha rises
     from 0 to 1 as half a sine between elastic z_ss and z_ss; otherwise alpha = 0.
 
     Args:
@@ -326,7 +326,7 @@ class ElastoPlastic(_Bristle):
 class HaywardArmstrong(_Bristle):
     """Hayward-Armstrong displacement-based friction, nearly free of drift.
 
-    dw = alpha(z) |dx| z for the anchor w = x - z, |z| <= z_max = breakaway / k, f = -k z, with
+    dw = alpha(z) abs(dx) z for the anchor w = x - z, abs(z) <= z_max = breakaway / k, f = -k z, with
     alpha(z) = z^8 / (z_stick^8 + z^8) / z_max: almost 0 while stuck, so small load cycles hardly creep.
 
     Args:
