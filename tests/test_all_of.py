@@ -127,7 +127,7 @@ def test_a_run_is_the_same_again_after_a_reset_and_is_refused_before_it(law: str
         return seen
 
     first = moved()
-    with pytest.raises(ParameterError, match=r"tick must be above the previous tick \d+, not 0; call reset\(\)"):
+    with pytest.raises(ParameterError, match=r"tick must be above the previous tick \d+ [(]got 0[)]; call reset\(\)"):
         moved()
     controller.reset()
     assert moved() == first

@@ -139,4 +139,4 @@ def test_cells_of_other_code_are_not_continued(
         assert main(arguments) == 2
         said = capsys.readouterr().err
         assert len(said.splitlines()) == 1
-        assert f"record must be of this code, not {str(plan.parent)!r}: {words}" in said
+        assert f"record must be of this code (got {str(plan.parent)!r}): {words}" in said

@@ -89,7 +89,7 @@ def reconstruct(segment: Segment) -> Motion:
         InvalidRecordingError: If it has less than two samples, or they are not in order.
     """
     if len(segment.tick) < 2:
-        raise InvalidRecordingError(f"a segment must have at least 2 samples for analysis, not {len(segment.tick)}")
+        raise InvalidRecordingError(f"a segment must have at least 2 samples for analysis (got {len(segment.tick)})")
     if not (np.diff(segment.time) > 0.0).all():
         raise InvalidRecordingError("samples must be in time order")
     metadata = segment.metadata

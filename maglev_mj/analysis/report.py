@@ -204,7 +204,7 @@ class SegmentReport(Result):
             moving = [AXES[index] for index in np.flatnonzero(figures.travel > _STILL)]
             if name not in moving:
                 allowed = f"one of those with motion ({', '.join(moving)})" if moving else "omitted, as none has motion"
-                raise ParameterError(f"axis must be {allowed}, not {name!r}")
+                raise ParameterError(f"axis must be {allowed} (got {name!r})")
             return AXES.index(name)
         touched = [face.axis for face in figures.faces]
         if touched:
@@ -292,7 +292,7 @@ def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:
     final = float(time[-1]) if end is None else number("to", end, above=begin)
     inside = np.flatnonzero((time >= begin - _STILL) & (time <= final + _STILL))
     if len(inside) < 2:
-        raise ParameterError(f"from and to must have at least 2 samples between them, not {begin:g} and {final:g}")
+        raise ParameterError(f"from and to must have at least 2 samples between them (got {begin:g} and {final:g})")
     return int(inside[0]), int(inside[-1])
 
 

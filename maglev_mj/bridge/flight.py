@@ -94,7 +94,7 @@ class Flight:
         judge: SideAnswers | None = None,
     ) -> None:
         if scene.period != plant.period:
-            raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
+            raise ParameterError(f"period must be the device's {plant.period:g} s (got {scene.period:g})")
         self._plant, self._scene, self._file = plant, scene, file
         self._publishers, self._since = session.Publishers(publishers), 0
         self._motion, self._note = SampledMotion(), _NOTE

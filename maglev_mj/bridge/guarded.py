@@ -192,7 +192,7 @@ class GuardedPlant:
         """
         frame = self._answered_frame("drive")
         if safety.command_fault(self.limits, currents, currents, 0.0):
-            raise ParameterError(f"currents must be within ±{self.limits.current_limit:g} A, not {list(currents)}")
+            raise ParameterError(f"currents must be within ±{self.limits.current_limit:g} A (got {list(currents)})")
         self._answer(frame, currents, None, 0.0)
         wrench = self.calibration.coils.wrench(np.asarray(currents)).tolist()
         self._hand.answered(self.samples.tick, Command(wrench), currents, None, 0.0)

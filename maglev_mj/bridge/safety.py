@@ -100,7 +100,7 @@ class Profile:
             if values[name] > values[bound]:
                 scale, unit = (1e-9, "s") if isinstance(values[bound], int) else (1, "A")
                 value, most = (f"{values[key] * scale:.9g} {unit}" for key in (name, bound))
-                raise ParameterError(f"{name} must be at most {bound}, {most}, not {value}")
+                raise ParameterError(f"{name} must be at most {bound}, {most} (got {value})")
 
     @property
     def stated(self) -> dict[str, Any]:
@@ -166,7 +166,7 @@ class HostLimits(Parameters):
 
 def _by_name(values: Any) -> dict[str, Any]:
     if not isinstance(values, dict):
-        raise ParameterError(f"must be a JSON object of limits by name, not {values!r:.60}")
+        raise ParameterError(f"must be a JSON object of limits by name (got {values!r:.60})")
     return values
 
 
@@ -178,12 +178,12 @@ def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits:
     largest = max(map(abs, hover))
     force, least, current = own.force_limit, _HEADROOM * largest, limits.current_limit
     if force is not None and force <= _HEADROOM * weight:
-        return f"force_limit must be above {_HEADROOM * weight:.3g} N, not {force:g}: the weight is {weight:.3g} N"
+        return f"force_limit must be above {_HEADROOM * weight:.3g} N (got {force:g}): the weight is {weight:.3g} N"
     if current < least:
         needs = f"hovering needs {largest:.3g} A plus 25 % for control"
-        return f"max_current must be at least {least:.3g} A, not {current:g}: {needs}"
+        return f"max_current must be at least {least:.3g} A (got {current:g}): {needs}"
     if limits.hover_limit < largest:
-        return f"the hover limit must be at least {largest:.3g} A to carry the weight, not {limits.hover_limit:g}"
+        return f"the hover limit must be at least {largest:.3g} A to carry the weight (got {limits.hover_limit:g})"
     return ""
 
 
@@ -398,7 +398,7 @@ class OutputLimiter:
         force, extra, limit = command.force, command.extra, self._limit
         width = 0.0 if extra is None else command.pulse_width
         if len(force) != 6 or not math.isfinite(sum(force) + width + (0.0 if extra is None else sum(extra))):
-            raise PlantError(f"a command must be six finite numbers, not {list(force)}, pulse {extra} of {width:g} s")
+            raise PlantError(f"a command must be six finite numbers (got {list(force)}, pulse {extra} of {width:g} s)")
         inverse_map = self._inverse_turned(*position[3:])
         if limit is not None:
             force = [clipped(x, bound) for x, bound in zip(force, limit)]

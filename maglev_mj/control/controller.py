@@ -58,7 +58,7 @@ class Controller:
         self.laws = tuple(map(as_law, laws))
         widths = {law.pulse_width for law in self.laws if law.pulse_width > 0.0}
         if len(widths) > 1:
-            raise ParameterError(f"laws must share one pulse_width, not {sorted(widths)}")
+            raise ParameterError(f"laws must share one pulse_width (got {sorted(widths)})")
         self._pulse_width = widths.pop() if widths else 0.0
         self.velocity = velocity or FiniteDifference()
         self._estimate = self.velocity.__call__
@@ -121,7 +121,7 @@ class Controller:
             calls = self._first_calls
         if tick <= last:
             raise ParameterError(
-                f"sample tick must be above the previous tick {last}, not {tick}; call reset() before a new run"
+                f"sample tick must be above the previous tick {last} (got {tick}); call reset() before a new run"
             )
         # more than one period after a lost sample
         time, self._tick = (tick - last) * self.period, tick
@@ -148,11 +148,11 @@ class Controller:
 
     def _check(self, position: Six) -> None:
         if len(position) != len(AXES):
-            raise ParameterError(f"a sample must have {len(AXES)} position components, not {len(position)}")
+            raise ParameterError(f"a sample must have {len(AXES)} position components (got {len(position)})")
         batch = np.broadcast_shapes(*(np.shape(part) for part in position if part.__class__ is not float))
         for law in self.laws:
             if law.batch and law.batch != batch:
-                raise ParameterError(f"samples must have the batch shape {law.batch} of the laws, not {batch}")
+                raise ParameterError(f"samples must have the batch shape {law.batch} of the laws (got {batch})")
 
 
 _DEVICES, _SAMPLES, _PERIOD = 7, 60, 0.005

@@ -69,7 +69,7 @@ class ControlLoop:
     ) -> None:
         for name, part, method in (("plant", plant, "read"), ("controller", controller, "step")):
             if isinstance(part, type) or not hasattr(part, method):
-                raise ParameterError(f"{name} must have a method {method}(), not {one_line(part)}")
+                raise ParameterError(f"{name} must have a method {method}() (got {one_line(part)})")
         for name, function in (("observe", observe), ("record", record)):
             if not (function is None or callable(function)):
                 raise ParameterError(
@@ -77,7 +77,7 @@ class ControlLoop:
                 )
         if controller.period != plant.period:
             raise ParameterError(
-                f"controller period must equal the plant's {plant.period:g} s, not {controller.period:g} s"
+                f"controller period must equal the plant's {plant.period:g} s (got {controller.period:g} s)"
             )
         self._plant, self._controller, self._observe, self._record = plant, controller, observe, record
         self._cycles: deque[tuple[Sample, Command]] = deque(maxlen=_HISTORY)

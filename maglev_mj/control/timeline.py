@@ -99,21 +99,21 @@ class Timing:
         delay = np.asarray((numbers if np.ndim(self.delay) else number)("delay", self.delay, at_least=0.0))
         phase = numbers("phase", self.phase, at_least=0.0)
         if not (phase < 1.0).all():
-            raise ParameterError(f"phase must be at least 0 and below 1, not {float(phase.max()):g}")
+            raise ParameterError(f"phase must be at least 0 and below 1 (got {float(phase.max()):g})")
         if (delay / period > MAX_DELAY_PERIODS).any():
             raise ParameterError(
-                f"delay must be at most {MAX_DELAY_PERIODS} periods of {period:g} s, not {float(delay.max()):g} s"
+                f"delay must be at most {MAX_DELAY_PERIODS} periods of {period:g} s (got {float(delay.max()):g} s)"
             )
         periods, rest = map(np.asarray, split_delay(delay, period))
         if np.ptp(periods):
             raise ParameterError(
-                f"delay must have the same number of whole periods of {period:g} s on all devices, not "
-                f"{float(delay.min()):g} to {float(delay.max()):g} s"
+                f"delay must have the same number of whole periods of {period:g} s on all devices "
+                f"(got {float(delay.min()):g} to {float(delay.max()):g} s)"
             )
         jitter = number("jitter", self.jitter, at_least=0.0)
         largest = float(np.minimum(rest, period - rest).min())
         if jitter > largest:
-            raise ParameterError(f"jitter must be at most {largest:g} s at this delay and period, not {jitter:g} s")
+            raise ParameterError(f"jitter must be at most {largest:g} s at this delay and period (got {jitter:g} s)")
         parts = {"delay": delay, "phase": phase, "rest": rest}
         store(self, **{name: part if part.ndim else float(part) for name, part in parts.items()})
         store(self, period=period, jitter=jitter, seed=whole("seed", self.seed))

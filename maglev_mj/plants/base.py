@@ -114,7 +114,7 @@ class SampledPlant(ABC):
         self._intervals_of = self._timeline.period
         self._answer: tuple[Any, Any, float] | None = None
         if np.shape(timing.delay) not in ((), batch):
-            raise ParameterError(f"delay must be a number or have the shape {batch}, not {np.shape(timing.delay)}")
+            raise ParameterError(f"delay must be a number or have the shape {batch} (got {np.shape(timing.delay)})")
         self._limits = self._limit is not None
 
     @abstractmethod
@@ -181,7 +181,7 @@ class SampledPlant(ABC):
         if self._measure is not None:
             position = self._measure(position)
             if len(position) != 6:
-                raise PlantError(f"a sensor must return 6 components, not {len(position)}")
+                raise PlantError(f"a sensor must return 6 components (got {len(position)})")
         return Sample(tick, time, position)
 
     def write(self, command: Command) -> Command:
@@ -198,7 +198,7 @@ class SampledPlant(ABC):
             total = [held + pulse for held, pulse in zip(total, command.extra)]
             width = command.pulse_width
             if not 0.0 < width < math.inf:
-                raise PlantError(f"pulse_width must be finite and above 0, not {width:g}")
+                raise PlantError(f"pulse_width must be finite and above 0 (got {width:g})")
         check = sum(total)  # finite only if all terms are, short of overflow
         if len(total) != 6 or not (isfinite(check) if check.__class__ is float else self._valid(check)):
             raise _invalid(total, self._tick, self.batch)
@@ -219,7 +219,7 @@ class SampledPlant(ABC):
     ) -> None:
         """Switch currents; see `MuJoCoPlant.drive`."""
         if self._tick < 0 or not isfinite(sum(currents) + sum(pulsed or ()) + width):
-            raise PlantError(f"currents must be finite and follow a sample, not {tuple(currents)} for {width:g} s")
+            raise PlantError(f"currents must be finite and follow a sample (got {tuple(currents)} for {width:g} s)")
         held = drive_of(currents)
         self._timeline.answer(self._tick, held, held if pulsed is None else drive_of(pulsed), width, after=after)
 
@@ -375,14 +375,14 @@ def _within(force: Sequence[float], limit: Sequence[float]) -> bool:
 def _invalid(force: Six, tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:
     """Return the error for the first invalid component of a wrench, called `what` in the message."""
     if len(force) != 6:
-        return PlantError(f"{what} must have 6 components, not {len(force)}")
+        return PlantError(f"{what} must have 6 components (got {len(force)})")
     wrench = join(force)
     if wrench.shape[:-1] not in ((), batch):
-        return PlantError(f"{what} must have the batch shape {batch} of the plant, not {wrench.shape[:-1]}")
+        return PlantError(f"{what} must have the batch shape {batch} of the plant (got {wrench.shape[:-1]})")
     index = tuple(np.argwhere(~np.isfinite(wrench))[0])
     device = f", device {index[:-1]}" if len(index) > 1 else ""
     name = what.removeprefix("a ")
-    return PlantError(f"{name} at tick {tick} must be finite, not {wrench[index]:g} along {AXES[index[-1]]}{device}")
+    return PlantError(f"{name} at tick {tick} must be finite (got {wrench[index]:g} along {AXES[index[-1]]}{device})")
 
 
 def _escaped(

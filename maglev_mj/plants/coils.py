@@ -57,7 +57,7 @@ class CoilMap:
         for name in ("points", "directions", "force_constants"):
             store(self, **{name: np.array(getattr(self, name), dtype=np.float64)})
         if self.points.shape != (6, 3) or self.directions.shape != (6, 3):
-            raise ModelError(f"six coils are needed for six axes, not {len(self.points)}")
+            raise ModelError(f"six coils are needed for six axes (got {len(self.points)})")
         forces = self.directions * self.force_constants[:, None]
         upright = np.concatenate([forces.T, np.cross(self.points, forces).T])
         if np.linalg.matrix_rank(upright) < len(upright):
@@ -116,7 +116,7 @@ class CoilMap:
             ParameterError: If the current is negative.
         """
         if current < 0.0:
-            raise ParameterError(f"current must be at least 0, not {current:g}")
+            raise ParameterError(f"current must be at least 0 (got {current:g})")
         return np.asarray(current / np.abs(self.current_per_wrench).max(axis=0))
 
     def condition_number(self, length: float) -> float:

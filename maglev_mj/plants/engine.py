@@ -101,7 +101,7 @@ def prepared(
     options.integrator = mujoco.mjtIntegrator.__members__[INTEGRATORS[integrator]]
     acceleration = numbers("gravity", gravity)
     if acceleration.shape not in ((), (3,)):
-        raise ParameterError(f"gravity must be a number or (3,), not {acceleration.shape}")
+        raise ParameterError(f"gravity must be a number or (3,) (got {acceleration.shape})")
     options.gravity[:] = acceleration if acceleration.ndim else (0.0, 0.0, -float(acceleration))
     if not _has_passive_forces(loaded.model):  # both flags together disable all passive forces
         options.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER

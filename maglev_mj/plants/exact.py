@@ -118,7 +118,7 @@ class ExactPlant(SampledPlant):
         rub = None if dry_friction is None else six("dry_friction", dry_friction, self.batch, finite=True)
         held = hand.indices if hand is not None else ()
         if hand is not None and hand.shape not in ((), self.batch):
-            raise ParameterError(f"hand must be scalar or of batch shape {self.batch}, not {hand.shape}")
+            raise ParameterError(f"hand must be scalar or of batch shape {self.batch} (got {hand.shape})")
         if rub is not None and self._lag:
             raise ParameterError("dry_friction and driver_lag cannot be combined: no closed form")
         if self._lag:
@@ -215,15 +215,15 @@ def _start(
     shapes = (start.shape, motion.shape, (*np.shape(timing.phase), 6))
     if moments.shape != (3,) or any(shape[-1:] != (6,) for shape in shapes):
         raise ParameterError(
-            f"pose and twist must be (..., 6) and inertia (3,), not {start.shape}, {motion.shape} and {moments.shape}"
+            f"pose and twist must be (..., 6) and inertia (3,) (got {start.shape}, {motion.shape} and {moments.shape})"
         )
     try:
         shape = np.broadcast_shapes(*shapes)
     except ValueError:
-        raise ParameterError(f"pose, twist and phase must have one batch shape, not {shapes}") from None
+        raise ParameterError(f"pose, twist and phase must have one batch shape (got {shapes})") from None
     masses = numbers("mass", mass) if np.ndim(mass) else number("mass", mass, above=0.0)
     if np.shape(masses) not in ((), shape[:-1]) or not np.all(masses > 0.0):
-        raise ParameterError(f"mass must be above 0, a number or of batch shape {shape[:-1]}, not {mass!r}")
+        raise ParameterError(f"mass must be above 0, a number or of batch shape {shape[:-1]} (got {mass!r})")
     body = [masses] * 3 + [number("inertia", value, above=0.0) for value in moments]
     return np.broadcast_to(start, shape), np.broadcast_to(motion, shape), body
 

@@ -254,9 +254,9 @@ class Trajectory:
     def __post_init__(self) -> None:
         times, poses = numbers("path times", self.times), numbers("path poses", self.poses)
         if times.ndim != 1 or not times.size or poses.shape != (times.size, len(AXES)):
-            raise ParameterError(f"path must have times (N,) and poses (N, 6), not {times.shape} and {poses.shape}")
+            raise ParameterError(f"path must have times (N,) and poses (N, 6) (got {times.shape} and {poses.shape})")
         if not (np.diff(times) > 0.0).all():
-            raise ParameterError(f"path times must increase, not {times.tolist()}")
+            raise ParameterError(f"path times must increase (got {times.tolist()})")
         store(self, _times=times.tolist(), _poses=poses.tolist())
 
     def at(self, time: float) -> list[float]:
@@ -353,7 +353,7 @@ class SpringHand:
         for name in ("target", "device_target"):
             goal = getattr(self, name)
             if not isinstance(goal, Trajectory | None) and numbers(f"hand {name}", goal).shape != (len(AXES),):
-                raise ParameterError(f"hand {name} must be a pose (6,), a Trajectory or None, not {goal!r}")
+                raise ParameterError(f"hand {name} must be a pose (6,), a Trajectory or None (got {goal!r})")
 
     @classmethod
     def of_mouse(cls) -> SpringHand:
@@ -401,7 +401,7 @@ class RecordedHand:
     def __post_init__(self) -> None:
         rows = numbers("hand wrenches", self.wrenches)
         if rows.ndim != 2 or rows.shape[1] != len(AXES):
-            raise ParameterError(f"hand wrenches must be (N, 6), not {rows.shape}")
+            raise ParameterError(f"hand wrenches must be (N, 6) (got {rows.shape})")
         store(self, _rows=rows.tolist())
 
     def __call__(self, tick: int, time: Component, state: State) -> Six:

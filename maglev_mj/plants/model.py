@@ -215,7 +215,7 @@ def load_model(
 def _moments(inertia: ArrayLike) -> tuple[float, ...]:
     moments = numbers("inertia", inertia)
     if moments.shape != (3,) or not (moments > 0.0).all():
-        raise ParameterError(f"inertia must be three numbers above 0, not {moments.tolist()}")
+        raise ParameterError(f"inertia must be three numbers above 0 (got {moments.tolist()})")
     return tuple(moments.tolist())
 
 
@@ -390,7 +390,7 @@ def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:
 def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
     """Add a hand to the joints, or by tendons for a soft grip."""
     if hand.shape or max(hand.indices) > 2:
-        raise ParameterError(f"a hand in MuJoCo must have scalar values and act on x, y or z, not {hand!r}")
+        raise ParameterError(f"a hand in MuJoCo must have scalar values and act on x, y or z (got {hand!r})")
     mass, damping, stiffness, grip_damping, grip_stiffness = (float(value) for value in hand.values)
     body = spec.worldbody.add_body(name="hand", gravcomp=1.0) if hand.soft else None
     if body is not None:

@@ -484,10 +484,10 @@ class MuJoCoBatchPlant(SampledPlant):
         start, motion = numbers("pose", pose), numbers("twist", twist)
         if start.ndim != 2 or start.shape[1] != 6 or np.shape(timing.phase) not in ((), start.shape[:1]):
             raise ParameterError(
-                f"pose must be (N, 6) and phase a number or (N,), not {start.shape} and {np.shape(timing.phase)}"
+                f"pose must be (N, 6) and phase a number or (N,) (got {start.shape} and {np.shape(timing.phase)})"
             )
         if motion.shape not in ((6,), start.shape):
-            raise ParameterError(f"twist must be (6,) or {start.shape}, not {motion.shape}")
+            raise ParameterError(f"twist must be (6,) or {start.shape} (got {motion.shape})")
         count = int(number("threads", threads, at_least=0))
         if driver_lag and not coils:
             raise ParameterError("driver_lag needs coils=True")

@@ -52,7 +52,7 @@ class Beams:
     def __post_init__(self) -> None:
         shapes = self.leds.shape, self.directions.shape, self.diodes.shape, self.across.shape
         if shapes != ((3, 3), (3, 3), (3, 3), (3, 2, 3)):
-            raise ModelError(f"three LEDs and three diodes are needed, not {shapes}")
+            raise ModelError(f"three LEDs and three diodes are needed (got {shapes})")
         if np.abs(np.einsum("ka,ka->k", self.directions, self.normals)).min() < 1e-6:
             raise ModelError("every beam must meet its diode; one is parallel to it")
         if np.linalg.matrix_rank(self._spots(np.zeros(6))[1]) < 6:
@@ -425,7 +425,7 @@ def measuring(sensor: PoseSensor) -> Measure:
     start = None if isinstance(sensor, type) else getattr(sensor, "start", None)
     measure = start() if callable(start) else None
     if not callable(measure):
-        raise ParameterError(f"sensor must have start() that returns a function of six components, not {sensor!r}")
+        raise ParameterError(f"sensor must have start() that returns a function of six components (got {sensor!r})")
     return measure  # type: ignore[no-any-return]
 
 

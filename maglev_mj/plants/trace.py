@@ -82,7 +82,7 @@ class Trace(Result):
             ParameterError: If the trace is not of one device on six axes.
         """
         if self.pose.ndim != 2 or self.pose.shape[1] != len(AXES):
-            raise ParameterError(f"trace must be of one device on six axes, (K, 6), not {self.pose.shape}")
+            raise ParameterError(f"trace must be of one device on six axes, (K, 6) (got {self.pose.shape})")
         return dict(zip(self.units, [self.time, *self.pose.T, *self.twist.T, *self.wrench.T], strict=True))
 
     def plot(self, path: Path | None = None) -> Any:
@@ -110,10 +110,11 @@ class Trace(Result):
         """
         times = np.atleast_1d(numbers("time", time))
         if times.ndim > 1:
-            raise ParameterError(f"time must be a number or (M,), not {times.shape}")
+            raise ParameterError(f"time must be a number or (M,) (got {times.shape})")
         first, last = float(self.time[0].max()), float(self.time[-1].min())
         if times.size and not (first - 1e-12 <= times.min() and times.max() <= last + 1e-12):
-            raise ParameterError(f"time must be from {first:g} to {last:g} s, not {times.min():g} to {times.max():g} s")
+            extremes = f"{times.min():g} to {times.max():g} s"
+            raise ParameterError(f"time must be from {first:g} to {last:g} s (got {extremes})")
         knots = self.time.reshape(len(self.time), -1)
         # tolerance of 1 ps: switch times and grid times round differently
         index = np.stack([np.searchsorted(column, times + 1e-12, side="right") - 1 for column in knots.T], axis=-1)

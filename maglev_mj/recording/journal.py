@@ -375,7 +375,8 @@ def open_journal(path: Path) -> JournalContent:
     entries = parse_json(line)
     name, version, offset = (value_in(entries, key) for key in ("format", "version", "offset"))
     if (name, version) != (FORMAT, VERSION):
-        raise ParameterError(f"format and version must be {FORMAT} {VERSION}, not {str(name)[:40]} {str(version)[:40]}")
+        actual = f"{str(name)[:40]} {str(version)[:40]}"
+        raise ParameterError(f"format and version must be {FORMAT} {VERSION} (got {actual})")
     if offset != len(line):
         raise ParameterError(f"offset must be the header's length, {len(line)} bytes")
     kind = _dtype(value_in(entries, "dtype", dict))

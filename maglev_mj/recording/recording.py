@@ -216,7 +216,7 @@ class Recording(Result):
         """
         path = file_path(path)
         if path.suffix != SUFFIX:
-            raise ParameterError(f"path must end in {SUFFIX}, not {path.name!r}: for other formats use export")
+            raise ParameterError(f"path must end in {SUFFIX} (got {path.name!r}): for other formats use export")
         with atomic_path(path) as partial, partial.open("wb") as file:
             file.write(header())
             for block in self._blocks():
@@ -409,5 +409,5 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
     names = list(_FIELDS) if fields is None else list(fields)
     unknown = [name for name in names if name not in _FIELDS]
     if unknown:
-        raise ParameterError(f"fields must be among {', '.join(_FIELDS)}, not {unknown[0]!r}")
+        raise ParameterError(f"fields must be among {', '.join(_FIELDS)} (got {unknown[0]!r})")
     return _read(path, frozenset({"tick", *names})).samples(names)

@@ -339,7 +339,7 @@ def _face(values: Any) -> Face:
     edge = number("edge", values.get("edge"), at_least=-1e3, at_most=1e3)
     normal = number("normal", values.get("normal"))
     if abs(normal) != 1.0:
-        raise ParameterError(f"normal must be 1 or -1, not {normal:g}")
+        raise ParameterError(f"normal must be 1 or -1 (got {normal:g})")
     return axis, normal, edge
 
 
@@ -413,7 +413,7 @@ def value_in(holder: Any, name: str, kind: type | None = None) -> Any:
         raise ParameterError(f"{name} is missing in a message")
     value = holder[name]
     if kind is not None and not isinstance(value, kind):
-        raise ParameterError(f"{name} must be {_KINDS[kind]}, not {_short(value)}")
+        raise ParameterError(f"{name} must be {_KINDS[kind]} (got {_short(value)})")
     return value
 
 
@@ -456,7 +456,7 @@ def check_rows(rows: Mapping[str, Array], first: int = 0) -> None:
         raise ParameterError(f"tick must increase, not go from {tick[row]:g} to {tick[row + 1]:g}")
     missing = int(steps.sum()) - len(steps)
     if missing > _MAX_MISSING:
-        raise ParameterError(f"at most {_MAX_MISSING} samples may be missing, not {missing}")
+        raise ParameterError(f"at most {_MAX_MISSING} samples may be missing (got {missing})")
     commanded = [field.name for field in FIELDS if field.array == "command"]
     rejected = not all(np.isfinite(rows[name][-1:]).all() for name in commanded)
     if rejected and any(rows[field.name][-1:].any() for field in FIELDS if field.array == "applied"):
@@ -477,15 +477,15 @@ def _check_field(field: Field, values: Array, first: int) -> None:
     if not valid.all():
         row = first + int(np.argmin(valid.reshape(len(valid), -1).all(axis=1)))
         allowed = f"finite and at most {field.at_most:g}"
-        raise ParameterError(f"{field.name} must be {allowed}, not {values[~valid].flat[0]:g} in row {row}")
+        raise ParameterError(f"{field.name} must be {allowed} (got {values[~valid].flat[0]:g} in row {row})")
     if not (values >= field.at_least).all():
-        raise ParameterError(f"{field.name} must be at least {field.at_least:g} in all rows, not {values.min():g}")
+        raise ParameterError(f"{field.name} must be at least {field.at_least:g} in all rows (got {values.min():g})")
 
 
 def _check_count(values: Array, name: str) -> None:
     valid = (values >= 0.0) & (values < _MAX_INTEGER) & (values == np.floor(values))
     if not valid.all():
-        raise ParameterError(f"{name} must be integers of at least 0, not {values[~valid][0]:g}")
+        raise ParameterError(f"{name} must be integers of at least 0 (got {values[~valid][0]:g})")
 
 
 def _short(value: Any) -> str:
@@ -497,4 +497,4 @@ def _short(value: Any) -> str:
 
 
 def _reject_constant(constant: str) -> None:
-    raise ParameterError(f"numbers must be finite, not {constant}")
+    raise ParameterError(f"numbers must be finite (got {constant})")

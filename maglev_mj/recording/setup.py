@@ -311,11 +311,11 @@ def _object(slot: str, description: Any, own: CodeLoader | None, extra: Mapping[
         extra: Additional constructor arguments.
     """
     if slot in _OBJECTS and description is not None and not isinstance(description, dict):
-        raise ParameterError(f"{slot} must be an object, not {str(description)[:40]!r}")
+        raise ParameterError(f"{slot} must be an object (got {str(description)[:40]!r})")
     if isinstance(description, list):
         limit = _MAX_LAWS if slot == "laws" else _MAX_ENTRIES
         if len(description) > limit:
-            raise ParameterError(f"{slot} must have at most {limit} entries, not {len(description)}")
+            raise ParameterError(f"{slot} must have at most {limit} entries (got {len(description)})")
         return [_object(slot, part, own) for part in description]
     if isinstance(description, dict):
         name = value_in(description, "class", str)
@@ -327,7 +327,7 @@ def _object(slot: str, description: Any, own: CodeLoader | None, extra: Mapping[
     if slot in _OWN_SLOTS and isinstance(description, str):
         raise UserCodeError(f"{description} cannot be rebuilt: it is not part of this package")
     if slot == "model" and description not in (None, *model_names()):
-        raise ParameterError(f"model must be one of {', '.join(model_names())}, not {description!r}")
+        raise ParameterError(f"model must be one of {', '.join(model_names())} (got {description!r})")
     if isinstance(description, int | float) and not isinstance(description, bool):
         number(slot, description, at_least=_MIN_STEP if slot == "longest_step" else -_MAX_VALUE, at_most=_MAX_VALUE)
     return _INFINITE.get(description, description) if isinstance(description, str) else description
@@ -342,11 +342,11 @@ def _user_defined(slot: str, name: str, own: CodeLoader | None) -> Any:
     """
     if slot not in _OWN_SLOTS or "@" not in name:
         allowed = ", ".join(cls.__name__ for cls in _SLOTS.get(slot, ()))
-        raise ParameterError(f"{slot} must be of class {allowed or 'none'}, not {name[:60]!r}")
+        raise ParameterError(f"{slot} must be of class {allowed or 'none'} (got {name[:60]!r})")
     if own is None:
         file = name.partition(":")[0][:60]
         raise UserCodeError(f"user code {name[:80]!r} was not executed: {ALLOW_HINT.format(file)}")
     definition = own(name)
     if isinstance(definition, type) and "__call__" not in dir(definition):  # its arguments come from the recording
-        raise ParameterError(f"{slot} must be of a class with __call__, not {name[:60]!r}")
+        raise ParameterError(f"{slot} must be of a class with __call__ (got {name[:60]!r})")
     return definition

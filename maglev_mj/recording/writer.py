@@ -194,11 +194,11 @@ def check_name(path: Path) -> None:
     if path.suffix in _EXPORTED:
         journal, kind = path.with_suffix(SUFFIX), path.suffix[1:]
         raise ParameterError(
-            f"record must end in {SUFFIX}, not {path.suffix}: record to {journal}, then run "
+            f"record must end in {SUFFIX} (got {path.suffix}): record to {journal}, then run "
             f"`maglev-mj export {journal} --to {kind}`"
         )
     if path.suffix != SUFFIX:
-        raise ParameterError(f"record must be a file that ends in {SUFFIX}, not {str(path)!r}")
+        raise ParameterError(f"record must be a file that ends in {SUFFIX} (got {str(path)!r})")
 
 
 def open_recording(path: Path | str, *, wait: bool = False) -> RecordingFile:

@@ -207,7 +207,7 @@ def checked_phase(phase: object) -> float:
 def _phases(phases: Any) -> Array:
     if isinstance(phases, Integral):
         if not 1 <= int(phases) <= _MOST_PHASES:
-            raise ParameterError(f"phases must be at least 1 and at most {_MOST_PHASES}, not {phases}")
+            raise ParameterError(f"phases must be at least 1 and at most {_MOST_PHASES} (got {phases})")
         return np.arange(int(phases)) / int(phases)
     chosen = numbers("phases", phases, at_least=0.0)
     if chosen.ndim != 1 or not chosen.size:

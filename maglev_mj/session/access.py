@@ -29,7 +29,7 @@ def resolve(host: str) -> str:
         addresses = socket.getaddrinfo(host, 0, socket.AF_INET, socket.SOCK_DGRAM) if host else []
         return str(addresses[0][4][0])
     except (OSError, ValueError, IndexError):  # ValueError: malformed name
-        raise ParameterError(f"host must be a name or IPv4 address, not {host!r}") from None
+        raise ParameterError(f"host must be a name or IPv4 address (got {host!r})") from None
 
 
 def is_loopback(host: str) -> bool:
@@ -49,7 +49,7 @@ def check_host(host: str, key: bytes | None) -> str:
     """
     address = resolve(host)
     if key is None and not is_loopback(address):
-        raise ParameterError(f"host must be a loopback address, such as 127.0.0.1, unless a key is set, not {host!r}")
+        raise ParameterError(f"host must be a loopback address, such as 127.0.0.1, unless a key is set (got {host!r})")
     return address
 
 
@@ -60,7 +60,7 @@ def check_port(port: int) -> int:
         ParameterError: If it is not an integer from 0 to 65535.
     """
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port <= 65535:
-        raise ParameterError(f"port must be a whole number from 0 to 65535, not {port!r}")
+        raise ParameterError(f"port must be a whole number from 0 to 65535 (got {port!r})")
     return port
 
 
@@ -92,7 +92,7 @@ def check_origin(text: str) -> str:
     """
     if not re.fullmatch(_ORIGIN, text, re.IGNORECASE):
         raise ParameterError(
-            f"origin must be a URL without a path, such as http://192.168.0.5:8080, file:// or null, not {text!r}"
+            f"origin must be a URL without a path, such as http://192.168.0.5:8080, file:// or null (got {text!r})"
         )
     return text
 
@@ -122,7 +122,7 @@ class Access:
             origins: Origin headers of the request.
         """
         if len(hosts) != 1 or not re.fullmatch(self.hosts, hosts[0], re.IGNORECASE):
-            return f"Host must be {self.named}, not {', '.join(hosts)!r}"
+            return f"Host must be {self.named} (got {', '.join(hosts)!r})"
         pattern = "|".join((f"https?://{re.escape(hosts[0])}", *map(re.escape, self.allowed)))
         wrong = [origin for origin in origins if not re.fullmatch(pattern, origin, re.IGNORECASE)]
-        return f"Origin must be {', '.join(('the page itself', *self.allowed))}, not {wrong[0]!r}" if wrong else ""
+        return f"Origin must be {', '.join(('the page itself', *self.allowed))} (got {wrong[0]!r})" if wrong else ""

@@ -86,7 +86,7 @@ def changed(
             raise ParameterError(f"{fixed[0]} is set by the device or the local user; other programs cannot change it")
         live = (*(DEVICE_PARAMETERS if own else ()), *settable_parameters(scene))
         if unknown := sorted(set(change) - set(live)):
-            raise ParameterError(f"parameters must be among {', '.join((*live, *besides))}, not {', '.join(unknown)}")
+            raise ParameterError(f"parameters must be among {', '.join((*live, *besides))} (got {', '.join(unknown)})")
         return scene.replace(**change)
 
 

@@ -450,7 +450,7 @@ class Replay:
         least, most = _SCALES[0], _SCALES[-1]
         scale = number("time_scale", changes.pop("time_scale", self._scale), at_least=least, at_most=most)
         if changes:
-            raise ParameterError(f"parameters must be among time, time_scale (recording), not {', '.join(changes)}")
+            raise ParameterError(f"parameters must be among time, time_scale (recording) (got {', '.join(changes)})")
         self._scale = scale
         self._seek(time)
 

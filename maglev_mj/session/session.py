@@ -423,7 +423,7 @@ class Session:
             if self._stopped == EMERGENCY_STOP:  # only the user may restart
                 raise ParameterError("settings are refused after an emergency stop, until the user restarts the scene")
             if type(request.scene) is not type(scene):
-                raise ParameterError(f"settings must be of scene {scene.name}, not {request.scene.name}")
+                raise ParameterError(f"settings must be of scene {scene.name} (got {request.scene.name})")
             if self._changed:  # apply the user's changes first
                 self._rebuild()
             requested = changed(scene, request.scene)

@@ -142,7 +142,7 @@ def local_workers(count: int | None = None) -> Workers:
         [1, 4, 9]
     """
     if count is not None and count < 0:
-        raise ParameterError(f"workers must be at least 0, not {count}")
+        raise ParameterError(f"workers must be at least 0 (got {count})")
     number = len(os.sched_getaffinity(0)) if count is None and hasattr(os, "sched_getaffinity") else count
     number = (os.cpu_count() or 1) if number is None else number
     return Workers(partial(_Processes, number), 2 * number) if number else Workers(_Inline, 1)
@@ -159,7 +159,7 @@ def chosen_workers(workers: Workers | int | None) -> Workers:
     if isinstance(workers, int | Integral):
         return local_workers(int(workers))
     if not isinstance(workers, Workers | None):
-        raise ParameterError(f"workers must be a number of processes or dask_workers(...), not {workers!r}")
+        raise ParameterError(f"workers must be a number of processes or dask_workers(...) (got {workers!r})")
     return workers or local_workers(0)
 
 
@@ -191,7 +191,7 @@ def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ())
     try:
         client = _client(address)
     except (OSError, TimeoutError, ValueError) as error:
-        raise ParameterError(f"scheduler must be the address of a Dask scheduler, not {address!r}: {error}") from None
+        raise ParameterError(f"scheduler must be the address of a Dask scheduler (got {address!r}): {error}") from None
     with client:
         threads = sum(client.nthreads().values())
         _check_code(client)
@@ -347,7 +347,7 @@ def _in_columns(function: Callable[[Any], Any], cells: Sequence[Cell]) -> Column
     output = function(cells)
     results = list(output) if isinstance(output, Iterable) else []
     if len(results) != len(cells):
-        raise ParameterError(f"function must return one result per cell ({len(cells)}), not {output!r}")
+        raise ParameterError(f"function must return one result per cell ({len(cells)}) (got {output!r})")
     return pack(results)
 
 
@@ -358,7 +358,7 @@ def _send(client: Any, file: Path) -> None:
             raise ValueError("not a .py, .zip or .egg file")
         client.upload_file(str(file))
     except Exception as error:  # an import can raise anything
-        raise ParameterError(f"files must be modules that workers can import, not {str(file)!r}: {error}") from None
+        raise ParameterError(f"files must be modules that workers can import (got {str(file)!r}): {error}") from None
 
 
 def _client(address: str) -> Any:

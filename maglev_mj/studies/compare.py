@@ -163,12 +163,12 @@ def compare(
     """
     chosen = get_scene(scene)
     if not isinstance(chosen, WallScene) or not isinstance(chosen.laws()[0], Wall):
-        raise ParameterError(f"scene must have a wall as its first law, such as drop or press, not {chosen.name}")
+        raise ParameterError(f"scene must have a wall as its first law, such as drop or press (got {chosen.name})")
     number("stiffness", chosen.stiffness, above=0.0)
     named = [(label, _named(law)[1]) for label, law in laws.items()] if isinstance(laws, Mapping) else map(_named, laws)
     variants = {label: _with_law(chosen, label, law) for label, law in named}
     if len(variants) < max(len(laws), 1):
-        raise ParameterError(f"laws must be at least one, without duplicates, not {', '.join(variants) or 'none'}")
+        raise ParameterError(f"laws must be at least one, without duplicates (got {', '.join(variants) or 'none'})")
     margins = {label: _margins(variant) for label, variant in variants.items()}
     result = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
     return Comparison(result.runs, result.phases, margins=margins, scene=chosen)

@@ -82,7 +82,7 @@ def json_text(what: str, value: Any, **keywords: Any) -> str:
     try:
         return json.dumps(value, default=plain, **keywords)
     except (TypeError, ValueError) as error:
-        raise ParameterError(f"{what} must hold values of JSON, not {value!r}: {error}") from None
+        raise ParameterError(f"{what} must hold values of JSON (got {value!r}): {error}") from None
 
 
 class Record(Sequence[Any]):
@@ -224,14 +224,14 @@ def _check(path: Path, plan: Mapping[str, Any]) -> None:
     except (OSError, ValueError, TypeError):
         old = "; maglev_mj 0.2.0 reads a file of JSON lines" if path.is_file() else ""
         raise ParameterError(
-            f"record must be a new or empty folder, or one with {_PLAN}, not {str(path)!r}{old}"
+            f"record must be a new or empty folder, or one with {_PLAN} (got {str(path)!r}{old})"
         ) from None
     code = validated_versions(stored.pop("versions", None)) or {}
     others = [name for name in {**plan, **stored} if name != "versions" and stored.get(name) != plan.get(name)]
     if others:
-        raise ParameterError(f"record must be of this study, not {str(path)!r}, which differs in {', '.join(others)}")
+        raise ParameterError(f"record must be of this study (got {str(path)!r}, which differs in {', '.join(others)})")
     if other := differences(code, plan["versions"]):
-        raise ParameterError(f"record must be of this code, not {str(path)!r}: {other}")
+        raise ParameterError(f"record must be of this code (got {str(path)!r}): {other}")
 
 
 def _checksum(table: Columns) -> int:

@@ -298,7 +298,7 @@ class StabilityParameters(Parameters):
         """See `Parameters`."""
         if self.delay > MAX_DELAY_PERIODS * self.period:
             raise ParameterError(
-                f"delay must be at most {MAX_DELAY_PERIODS} periods of {self.period:g} s, not {self.delay:g}"
+                f"delay must be at most {MAX_DELAY_PERIODS} periods of {self.period:g} s (got {self.delay:g})"
             )
         get_hand(self.hand)
 

@@ -173,7 +173,7 @@ class Sweep(Result):
         """
         check_one_of("figure", self.names, name)
         if (values := self.results.numbers(name)) is None:
-            raise ParameterError(f"figure must be one number per cell, not {name}")
+            raise ParameterError(f"figure must be one number per cell (got {name})")
         return values.reshape([len(one) for one in self.varied.values()])
 
 
@@ -266,10 +266,10 @@ class Grid(Sequence[Cell]):
         check_instance("vary", vary, Mapping, "lists of values by parameter")
         for name, values in vary.items():
             if isinstance(values, str) or not isinstance(values, Collection) or not len(values):
-                raise ParameterError(f"vary must give a list of values for {name}, not {values!r}")
+                raise ParameterError(f"vary must give a list of values for {name} (got {values!r})")
             _check_name(type(scene), name)
         if (count := math.prod(len(values) for values in vary.values())) > MOST_CELLS:
-            raise ParameterError(f"a sweep must have at most {MOST_CELLS} cells, not {count}")
+            raise ParameterError(f"a sweep must have at most {MOST_CELLS} cells (got {count})")
         checks: dict[str, Callable[[Any], Any]] = {one.name: one.checked for one in scene.parameters()}
         checks |= {"plant": partial(checked_plant, scene), "phase": checked_phase}
         derived = {one.name for one in scene.parameters() if one.derive}  # computed from others if None

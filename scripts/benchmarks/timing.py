@@ -46,7 +46,7 @@ def columns(runs: Mapping[str, Run | Sequence[Run]], counted: str = "tick") -> d
     for name, some in rows.items():
         sizes = {(run.devices, run.ticks) for run in some}
         if len(sizes) != 1:
-            raise ValueError(f"{name}: runs must count the same devices and {counted}s, not {sorted(sizes)}")
+            raise ValueError(f"{name}: runs must count the same devices and {counted}s (got {sorted(sizes)})")
     first = {name: some[0] for name, some in rows.items()}
     devices: dict[str, float] = {name: run.devices for name, run in first.items() if run.devices is not None}
     seconds = {name: statistics.median(run.seconds for run in some) for name, some in rows.items()}

@@ -51,7 +51,7 @@ def test_each_grid_has_a_record_of_its_own_and_is_found_again(
         assert re.search(rf"\n  {note}\n", capsys.readouterr().out)
     one, _ = tmp_path.iterdir()
     assert main([*heights, "--set", "mass=0.6", "--record", one.name]) == 2
-    assert f"record must be of this study, not '{one.name}', which differs in mass, " in capsys.readouterr().err
+    assert f"record must be of this study (got '{one.name}', which differs in mass, " in capsys.readouterr().err
 
 
 def test_a_map_without_a_stable_wall_is_still_a_map(capsys: pytest.CaptureFixture[str]) -> None:

@@ -114,9 +114,9 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "a setup": (lambda: m.rebuild("drop", None), "setup must be an object.*(not|got) 'drop'"),
     "controller first": (
         lambda: m.drive(controller(), m.ExactPlant(), 5),
-        r"plant must have .* read\(\), .*Controller",
+        r"plant must have .* read\(\) .*Controller",
     ),
-    "scene to be driven": (lambda: m.drive(m.ExactPlant(), DROP, 5), r"controller must have a method step\(\), .*Drop"),
+    "scene to be driven": (lambda: m.drive(m.ExactPlant(), DROP, 5), r"controller must have a method step\(\) .*Drop"),
     "number of samples": (lambda: m.drive(m.ExactPlant(), 5, controller()), "ticks must be .*Controller"),
     "address of a device": (lambda: m.RemotePlant("upd://127.0.0.1:5"), "address must be udp://.*'upd://127.0.0.1:5'"),
     "link to be stopped": (lambda: m.estop(None), "link must be an address .*(not|got) None"),

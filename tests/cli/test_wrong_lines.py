@@ -41,7 +41,7 @@ DEVICE = "udp://127.0.0.1:9"
 TABLE = """
 # scenes, studies and recordings
 render pub --out a.png                              | scene must be one of joystick
-render box --out a.bmp                              | out must end in .png, .gif or .mp4, not 'a.bmp'
+render box --out a.bmp                              | out must end in .png, .gif or .mp4 (got 'a.bmp'
 render box --out nowhere/a.png                      | out must be a file in an existing folder (got 'nowhere/a.png')
 render box --out a.png --size 1x1                   | size must be WxH, e.g. 1200x750, 160 to 4000 pixels each
 fidelity moon                                       | scene must be one of joystick, drop, press,
@@ -78,7 +78,7 @@ fidelity drop --boundary-tolerance 0                | boundary must be above 0 (
 stability --grid 1                                  | grid must be
 stability --grid 3 --force-limit 0 | force_limit must be above 0 and at most 1e6 N (got 0
 stability --grid 3 --quantize 2 | quantize must be between 0 and 1 m (got 2
-drop --phases 0                                     | phases must be at least 1 and at most 10000, not 0
+drop --phases 0                                     | phases must be at least 1 and at most 10000 (got 0
 drop --rate 0                                       | argument --rate: must be a finite number above 0 (got '0')
 press --hits 0                                      | hits must be
 stick-slip --breakaway 0                            | breakaway must be
@@ -100,8 +100,8 @@ drop --plant exct                                   | (got 'exct'); did you mean
 # maps of stability
 stability --damping -5:3 | damping must be between 0 and 1e6 (got -5
 stability --stiffness 9 3                           | stiffness must be in ascending order, low to high (got 9 to 3)
-stability --delay 1                                 | delay must be at most 10 periods of 0.005 s, not 1
-stability --workers -1 --plant exact                | workers must be at least 0, not -1
+stability --delay 1                                 | delay must be at most 10 periods of 0.005 s (got 1
+stability --workers -1 --plant exact                | workers must be at least 0 (got -1
 stability --hand 1e-300,0,0,0,1e10                  | hand grip_stiffness must be at most 1e+07
 stability --hand 0,0,1e300                          | hand stiffness must be at most 1e+07
 stability --hand 0.2,0,0,1,0                        | grip_stiffness above 0 in a soft grip
@@ -121,11 +121,11 @@ sweep drop --set mass=true                          | mass must be a finite numb
 sweep drop --set carry=2                            | carry must be true or false (got '2')
 sweep wall --vary period=0.005 --set hand=5         | hand must be one of none, arm
 sweep stick-slip --vary period=0.005 --set axis=1   | axis must be one of x, y, z, rx, ry, rz (got '1')
-sweep wall --vary period=0.005 --scheduler moon     | scheduler must be the address of a Dask scheduler, not 'moon'
+sweep wall --vary period=0.005 --scheduler moon     | scheduler must be the address of a Dask scheduler (got 'moon'
 sweep wall --vary period=0.005 --workers 2 --scheduler tcp://x:1 | workers and scheduler are mutually exclusive
 # files
 stick-slip --format pdf | format requires out, the output folder (got format 'pdf' alone)
-bridge DEVICE --record a.foo                        | record must be a file that ends in .maglev, not 'a.foo'
+bridge DEVICE --record a.foo                        | record must be a file that ends in .maglev (got 'a.foo'
 # servers and pages
 twin --plant euler                                  | plant must be one of exact, mujoco (got 'euler')
 view --allow-origin http://a/b | argument --allow-origin: origin must be a URL without a path, such as

@@ -114,19 +114,19 @@ def test_write_returns_what_was_applied(plant_type: Callable[..., SampledPlant])
 def test_a_command_that_is_not_finite_is_refused(plant_type: Callable[..., SampledPlant], bad: float) -> None:
     plant = plant_type()
     plant.read()
-    with pytest.raises(PlantError, match=f"command at tick 0 must be finite, not {bad} along z"):
+    with pytest.raises(PlantError, match=f"command at tick 0 must be finite [(]got {bad} along z"):
         plant.write(push(bad))
     limited = plant_type(wrench_limit=60.0)
     limited.read()
     with pytest.raises(PlantError, match="must be finite"):
         limited.write(push(bad))
-    with pytest.raises(PlantError, match="must have 6 components, not 3"):
+    with pytest.raises(PlantError, match="must have 6 components [(]got 3"):
         plant.write(Command([0.0] * 3))
-    with pytest.raises(PlantError, match=r"batch shape \(\) of the plant, not \(2,\)"):
+    with pytest.raises(PlantError, match=r"batch shape \(\) of the plant [(]got \(2,\)"):
         plant.write(Command([np.zeros(2)] * 6))
     with pytest.raises(PlantError, match="must be finite"):
         plant.write(push(1.0, bad, 0.001))
-    with pytest.raises(PlantError, match="pulse_width must be finite and above 0, not 0"):
+    with pytest.raises(PlantError, match="pulse_width must be finite and above 0 [(]got 0"):
         plant.write(push(1.0, 1.0))
 
 
@@ -153,7 +153,7 @@ def test_the_diverged_device_of_a_batch_is_named() -> None:
     commanded.read()
     force = np.zeros(5)
     force[4] = math.nan
-    with pytest.raises(PlantError, match=r"not nan along z, device \(.*4.*\)"):
+    with pytest.raises(PlantError, match=r"got nan along z, device \(.*4.*\)"):
         commanded.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))
 
 
@@ -210,9 +210,9 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
     refused: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
         (Timing, {"period": 0.0}, r"period must be above 0.* \(got 0.0"),
         (Timing, {"delay": -0.001}, r"delay must be at least 0.* \(got -0.001"),
-        (Timing, {"delay": 1e12}, r"delay must be at most 10000 periods of 0.005 s, not 1e.12 s"),
+        (Timing, {"delay": 1e12}, r"delay must be at most 10000 periods of 0.005 s [(]got 1e.12 s"),
         (Timing, {"delay": [0.001, 0.006]}, "delay must have the same number of whole periods"),
-        (Timing, {"phase": 1.0}, "phase must be at least 0 and below 1, not 1"),
+        (Timing, {"phase": 1.0}, "phase must be at least 0 and below 1 [(]got 1"),
         (ExactPlant, {"mass": 0.0}, "mass must be above 0"),
         (ExactPlant, {"pose": np.zeros((3, 6)), "mass": [0.7, 0.7]}, r"mass must be above 0, .* batch shape \(3,\)"),
         (ExactPlant, {"pose": np.zeros((3, 6)), "twist": np.zeros((2, 6))}, "must have one batch shape"),

@@ -431,4 +431,4 @@ def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
     late.wanted = find_scene("box")().replace(stiffness=3000.0, period=0.001)
     after(session, 0.1)
     assert session.snapshot().scene == find_scene("box")().replace(stiffness=3000.0)
-    assert late.answers == ["settings must be of scene box, not joystick", session.snapshot().since]
+    assert late.answers == ["settings must be of scene box (got joystick)", session.snapshot().since]

@@ -193,11 +193,11 @@ MISUSES: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "coils": (lambda: MuJoCoPlant(coil_map=WRONG), "coil_map must be a CoilMap"),
     "sensor": (lambda: ExactPlant(sensor=WRONG), r"sensor must have start\(\)"),
-    "components": (lambda: MuJoCoPlant(sensor=WrongSensor()).read(), "a sensor must return 6 components, not 5"),
+    "components": (lambda: MuJoCoPlant(sensor=WrongSensor()).read(), "a sensor must return 6 components [(]got 5"),
     "function": (lambda: run_cells(WRONG, [{}]), "function must map cells to results"),
     "results": (lambda: run_cells(lambda cells: [], [{}]), r"must return one result per cell \(1\)"),
     "cell": (lambda: run_cells(lambda cells: [0], [WRONG]), "a cell must hold values of JSON"),
-    "workers": (lambda: run_cells(lambda cells: [0], [{}], workers=-1), "workers must be at least 0, not -1"),
+    "workers": (lambda: run_cells(lambda cells: [0], [{}], workers=-1), "workers must be at least 0 [(]got -1"),
     "values": (lambda: sweep(DROP, {"height": 0.001}), "vary must give a list of values for height"),  # type: ignore[dict-item]
 }
 

@@ -220,7 +220,7 @@ class AxisLaw(Law):
             )
         if not _takes(cls.force, 5):
             signature = inspect.signature(cls.force)
-            raise ParameterError(f"{cls.__name__}.force must take (self, x, v, gains, state), not {signature}")
+            raise ParameterError(f"{cls.__name__}.force must take (self, x, v, gains, state) (got {signature})")
 
     def __post_init__(self) -> None:
         name, indices = self._title or type(self).__name__, axis_indices(self.axes)
@@ -289,7 +289,7 @@ class FunctionLaw(Law):
         try:
             x, y, z, rx, ry, rz = parts
         except (TypeError, ValueError):
-            raise ParameterError(f"law {self.name} must return six wrench components, not {parts!r}") from None
+            raise ParameterError(f"law {self.name} must return six wrench components (got {parts!r})") from None
         wrench[:] = (
             wrench[0] + x,
             wrench[1] + y,
@@ -311,7 +311,7 @@ def as_law(candidate: Law | Callable[..., Any]) -> Law:
         return candidate
     if not isinstance(candidate, type) and callable(candidate) and _takes(candidate, 2):
         return FunctionLaw(candidate)
-    raise ParameterError(f"a law must be a Law, an AxisLaw or a function f(position, velocity), not {candidate!r}")
+    raise ParameterError(f"a law must be a Law, an AxisLaw or a function f(position, velocity) (got {candidate!r})")
 
 
 def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
@@ -329,7 +329,7 @@ def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Comp
     except Exception as error:
         raise ParameterError(f"{name} raises {type(error).__name__}: {error}") from error
     if not (isinstance(result, tuple) and len(result) == 2):
-        raise ParameterError(f"{name} must return (next state, pulse or None), not {result!r}")
+        raise ParameterError(f"{name} must return (next state, pulse or None) (got {result!r})")
     after = [*position, *velocity]
     if not (len(after) == len(before) and all(map(_same, after, before))):
         raise ParameterError(f"{name} must not modify its arguments position and velocity")
@@ -347,16 +347,16 @@ def _same(a: Component, b: Component) -> bool:
 def _check(name: str, what: str, parts: Six, batch: tuple[int, ...]) -> None:
     """Raise ParameterError unless `parts` are six finite components, each a number or of the batch shape."""
     if not hasattr(parts, "__len__") or len(parts) != len(AXES):
-        raise ParameterError(f"{name} must have six {what} components, not {parts!r}")
+        raise ParameterError(f"{name} must have six {what} components (got {parts!r})")
     for axis, part in zip(AXES, parts):
         if part.__class__ is float and math.isfinite(part):
             continue  # fast path: arrays take ten times as long
         array = np.asarray(part)
         if array.dtype.kind not in "fiu" or array.shape not in ((), batch):
             shape = f"of shape {batch}" if batch else "a number"
-            raise ParameterError(f"{name}: {what} on {axis} must be {shape}, not {part!r}")
+            raise ParameterError(f"{name}: {what} on {axis} must be {shape} (got {part!r})")
         if (wrong := array[~np.isfinite(array)]).size:
-            raise ParameterError(f"{name}: {what} on {axis} must be finite, not {wrong.flat[0]}")
+            raise ParameterError(f"{name}: {what} on {axis} must be finite (got {wrong.flat[0]})")
 
 
 def _takes(function: Callable[..., Any], count: int) -> bool:
@@ -470,7 +470,7 @@ class Bias(Law):
     def __post_init__(self) -> None:
         wrench = numbers("bias wrench", self.wrench)
         if wrench.shape[-1:] != (len(AXES),):
-            raise ParameterError(f"bias wrench must be (..., 6), not {wrench.shape}")
+            raise ParameterError(f"bias wrench must be (..., 6) (got {wrench.shape})")
         store(self, batch=wrench.shape[:-1], _parts=per_axis("bias wrench", wrench, len(AXES)))
 
     def __call__(self, position: Six, velocity: Six, state: None, wrench: list[Component]) -> tuple[None, None]:

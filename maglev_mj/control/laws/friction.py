@@ -125,7 +125,7 @@ class StickSlip(Friction):
         if self.coupled and any(np.ptp(np.atleast_1d(getattr(self, name)), axis=-1).any() for name in self.per_device):
             raise ParameterError("coupled axes share their parameters: give one number per parameter")
         if self.coupled and not set(self.indices) <= {0, 1, 2}:
-            raise ParameterError(f"coupled axes must be translations (x, y, z), not {self.axes!r}")
+            raise ParameterError(f"coupled axes must be translations (x, y, z) (got {self.axes!r})")
 
     def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Return force and next state of one axis; see `Friction`."""

@@ -155,7 +155,7 @@ class AdaptiveWindow:
     def __post_init__(self) -> None:
         store(self, longest=whole("longest", self.longest, at_least=1, at_most=_LONGEST))
         if len(self.noise) != len(AXES):
-            raise ParameterError(f"noise must have {len(AXES)} numbers, not {len(self.noise)}")
+            raise ParameterError(f"noise must have {len(AXES)} numbers (got {len(self.noise)})")
         for value in self.noise:
             number("noise", value, at_least=0.0)
 

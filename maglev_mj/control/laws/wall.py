@@ -91,10 +91,10 @@ class Wall(AxisLaw):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not np.less(self.lower, self.upper).all():
-            raise ParameterError(f"wall lower must be below upper, not {self.lower!r} and {self.upper!r}")
+            raise ParameterError(f"wall lower must be below upper (got {self.lower!r} and {self.upper!r})")
         width = number("wall pulse_width", self.pulse_width, at_least=0.0)
         if width == 0.0 and np.any(self.pulse):
-            raise ParameterError("wall pulse_width must be above 0 with a pulse, not 0")
+            raise ParameterError("wall pulse_width must be above 0 with a pulse (got 0)")
         lower = [_face(axis, 1.0, law.lower, law) for axis, law in self._each]
         upper = [_face(axis, -1.0, law.upper, law) for axis, law in self._each]
         faces = tuple(face for face in (*lower, *upper) if face is not None)
@@ -292,7 +292,7 @@ class ObserverWall(_LowerWall):
         store(self, _split=check_delay(self.delay, self.period))
         flag("disturbance", self.disturbance)
         if not self.force_limit > 0.0:
-            raise ParameterError(f"wall force_limit must be above 0, not {self.force_limit!r}")
+            raise ParameterError(f"wall force_limit must be above 0 (got {self.force_limit!r})")
 
     def force(self, x: Component, v: Component, gains: Any, state: _Estimate | None) -> tuple[Component, _Estimate]:
         """Return the force on one axis and its observer state.

@@ -48,7 +48,7 @@ def checked_name(path: Path) -> Path:
         MissingPackageError: If the package that writes clips is not installed.
     """
     if path.suffix not in (".png", *CLIPS):
-        raise ParameterError(f"out must end in .png, .gif or .mp4, not {str(path)!r}")
+        raise ParameterError(f"out must end in .png, .gif or .mp4 (got {str(path)!r})")
     if path.suffix in CLIPS:
         _imageio()
     return path

@@ -28,7 +28,7 @@ def available(names: Iterable[str] | None = None) -> tuple[list[Variant], list[s
     missing: list[str] = []
     for name in PEERS if names is None else names:
         if name not in PEERS:
-            raise ValueError(f"peer must be one of {', '.join(PEERS)}, not {name!r}")
+            raise ValueError(f"peer must be one of {', '.join(PEERS)} (got {name!r})")
         try:
             module = importlib.import_module(f"peers.{name}_peer")
         except ImportError:
