@@ -361,7 +361,7 @@ def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
 
 def test_what_cannot_be_analysed_is_refused(session: Path, tmp_path: Path, capsys: Any) -> None:
     segment = recorded(Drop())
-    with pytest.raises(RecordingError, match="at least 2 samples for analysis [(]got 1"):
+    with pytest.raises(RecordingError, match=r"at least 2 samples for analysis [(]got 1"):
         analysed(segment[:1])
     with pytest.raises(RecordingError, match="in time order"):
         analysed(segment.replace(time=segment.time[::-1]))

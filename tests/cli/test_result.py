@@ -217,7 +217,7 @@ def test_a_sweep_has_a_row_for_each_cell_and_a_line_for_each_value() -> None:
     with pytest.raises(ParameterError, match=r"vary must give .* one parameter, not \{\}; see run\(\)"):
         sweep(Drop(), {}, plant="exact")
     pressed = sweep(Press(), {"stiffness": [4000.0]}, plant="exact")
-    with pytest.raises(ParameterError, match="figure must be one number per cell [(]got peak_force"):
+    with pytest.raises(ParameterError, match=r"figure must be one number per cell [(]got peak_force"):
         pressed.figure("peak_force")
     with pytest.raises(ParameterError, match=r"figure must be one of penetration, .*got 'penetraton'\); did you mean"):
         found.figure("penetraton")

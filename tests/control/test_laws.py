@@ -160,7 +160,7 @@ def test_samples_must_fit_the_laws() -> None:
     law = Wall(lower=np.zeros((3, 6)), stiffness=K, damping=B)
     with pytest.raises(ParameterError, match=r"batch shape \(3,\) of the laws [(]got \(\)"):
         Controller([law], period=T).step(Sample(0, 0.0, [0.0] * 6))
-    with pytest.raises(ParameterError, match="6 position components [(]got 3"):
+    with pytest.raises(ParameterError, match=r"6 position components [(]got 3"):
         Controller([wall()], period=T).step(Sample(0, 0.0, [0.0] * 3))
 
 

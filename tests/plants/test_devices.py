@@ -306,7 +306,7 @@ def test_inertia_of_ones_own_turns_the_flotor_as_it_says() -> None:
         load_model("maglev", inertia=[2e-4, 1e-3, 1e-3])
     with pytest.raises(ParameterError, match=r"inertia \[0.001, 0.0001, 0.0001\] kg m² is impossible"):
         MuJoCoPlant(inertia=[1e-3, 1e-4, 1e-4])
-    with pytest.raises(ParameterError, match="inertia must be three numbers above 0 .got"):
+    with pytest.raises(ParameterError, match=r"inertia must be three numbers above 0 .got"):
         MuJoCoPlant(inertia=[1e-3, 1e-3])
 
 

@@ -120,13 +120,13 @@ def test_a_command_that_is_not_finite_is_refused(plant_type: Callable[..., Sampl
     limited.read()
     with pytest.raises(PlantError, match="must be finite"):
         limited.write(push(bad))
-    with pytest.raises(PlantError, match="must have 6 components [(]got 3"):
+    with pytest.raises(PlantError, match=r"must have 6 components [(]got 3"):
         plant.write(Command([0.0] * 3))
     with pytest.raises(PlantError, match=r"batch shape \(\) of the plant [(]got \(2,\)"):
         plant.write(Command([np.zeros(2)] * 6))
     with pytest.raises(PlantError, match="must be finite"):
         plant.write(push(1.0, bad, 0.001))
-    with pytest.raises(PlantError, match="pulse_width must be finite and above 0 [(]got 0"):
+    with pytest.raises(PlantError, match=r"pulse_width must be finite and above 0 [(]got 0"):
         plant.write(push(1.0, 1.0))
 
 

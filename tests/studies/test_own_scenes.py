@@ -76,7 +76,9 @@ def test_a_changed_file_is_not_what_the_record_has(file: Path, tmp_path: Path) -
     assert cells[1] == cells[0] | {"damping": 40.0}
     first = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
     file.write_text(FILE.replace("FURTHER", "* 2.0"))
-    with pytest.raises(ParameterError, match=r"record must be of this study [(]got '.*cells', which differs in scene[)]$"):
+    with pytest.raises(
+        ParameterError, match=r"record must be of this study [(]got '.*cells', which differs in scene[)]$"
+    ):
         sweep(find_scene(str(file)), GRID, plant="exact", record=record)
     changed = sweep(find_scene(str(file)), GRID, plant="exact")
     assert first.figure("left").shape == (3, 2)

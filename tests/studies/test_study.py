@@ -118,7 +118,7 @@ def test_every_result_of_json_is_kept_as_it_is(suffix: str, together: int, tmp_p
 
 
 def test_results_that_are_no_json_are_refused() -> None:
-    with pytest.raises(ParameterError, match="a result must hold values of JSON [(]got <object"):
+    with pytest.raises(ParameterError, match=r"a result must hold values of JSON [(]got <object"):
         run_cells(lambda cells: [{"a": object()}], CELLS[:1])
 
 
@@ -154,7 +154,10 @@ def test_a_changed_bit_in_a_shard_is_no_result_and_no_error(suffix: str, step: i
 
 @pytest.mark.parametrize("change", ["other cells", "no plan", "torn plan", "a file of an old version"])
 def test_what_is_no_record_of_the_study_is_refused_and_left_alone(change: str, tmp_path: Path) -> None:
-    path, words = tmp_path / "record", "record must be a new or empty folder, or one with plan.json [(]got '.*record'[)]$"
+    path, words = (
+        tmp_path / "record",
+        "record must be a new or empty folder, or one with plan.json [(]got '.*record'[)]$",
+    )
     run_cells(squares, CELLS[: 9 if change == "other cells" else 10], record=Record(path))
     if change == "other cells":
         words = "record must be of this study [(]got '.*record', which differs in cells"
@@ -370,10 +373,10 @@ def test_workers_never_hear_ctrl_c() -> None:
 
 
 def test_bad_workers_are_refused() -> None:
-    with pytest.raises(ParameterError, match="workers must be at least 0 [(]got -1"):
+    with pytest.raises(ParameterError, match=r"workers must be at least 0 [(]got -1"):
         local_workers(-1)
     assert local_workers(0).window == 1
-    with pytest.raises(MaglevError, match="address of a Dask scheduler [(]got 'moon'"):
+    with pytest.raises(MaglevError, match=r"address of a Dask scheduler [(]got 'moon'"):
         dask_workers("moon")
 
 
