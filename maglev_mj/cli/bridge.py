@@ -67,6 +67,7 @@ how to stop a flight, at any time from takeoff to landing:
   Emergency stop       on the page: cut the currents; closing a tab does not
   maglev-mj estop ADDRESS [--key FILE]
                        cut them from any terminal, even if this program hangs
+                       (UDP only: a serial link has one user)
   this program dies    the device's watchdog cuts the currents
 A cut latches a fault; --reset shows and clears it. None of this replaces a
 switch that cuts the amplifiers' power. Exit status: 0 landed; 1 cut, refused,
@@ -109,7 +110,7 @@ def bridge(
     scene: _FlownScene,
     reset: Annotated[bool, option("show and clear the latched faults, then exit")] = False,
     check: Annotated[
-        bool, option(f"preflight check only: measure the link latency for {_MEASURED:g} s, currents off")
+        bool, option(f"preflight check only: loop delay and stability, measured for {_MEASURED:g} s with currents off")
     ] = False,
     as_written: Annotated[
         bool,
@@ -118,7 +119,7 @@ def bridge(
     anyway: Annotated[
         bool, option("fly despite a failed preflight check; a device needs --max-current of at most half its limit")
     ] = False,
-    view: Annotated[bool, option("3D window (read-only: the hand is at the device)")] = False,
+    view: Annotated[bool, option("3D window; keys change settings, the mouse does nothing")] = False,
     page: PageOptions,
     calibration: CalibrationFile,
     key: Key = None,

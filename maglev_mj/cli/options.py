@@ -181,7 +181,7 @@ Record: TypeAlias = Annotated[
 ]
 Folder: TypeAlias = Annotated[Path, option("output folder for recordings and screenshots", "output", "DIR")]
 Recorded: TypeAlias = Annotated[Path, option("recording written by run, view or bridge", "", "FILE")]
-Seconds: TypeAlias = Annotated[float | None, option("duration [s]", above=0.0)]
+Seconds: TypeAlias = Annotated[float | None, option("duration [s] (default: until stopped)", above=0.0)]
 Shown: TypeAlias = Annotated[float | None, option("duration [s] (default: no limit)", above=0.0)]
 Address: TypeAlias = Annotated[str, option("device: udp://HOST:PORT or serial:///PATH?baud=RATE", "", "ADDRESS")]
 CalibrationFile: TypeAlias = Annotated[

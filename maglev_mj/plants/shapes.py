@@ -183,7 +183,7 @@ class DeviceReport(Result):
         needed = (payload + flotor) * GRAVITY / per_ampere
         return [
             f"Payload: {payload:g} kg plus the flotor's {flotor:g} kg need {needed:.2f} A per vertical coil, above the "
-            f"continuous current of {current:g} A, which supports {_payload(figures):.2f} kg.",
+            f"continuous current of {current:g} A, which carries a payload of {_payload(figures):.2f} kg.",
             "Force bandwidth: above 3 kHz in Table 1, current control to about 2 kHz in section 2. "
             "The model's driver lag follows section 2.",
             "10 A per coil: peak current in Table 1, continuous maximum of the drivers in section 2.",
@@ -268,8 +268,8 @@ def _rows(figures: Mapping[str, Any]) -> list[tuple[str, float | str, float, str
     largest = figures["largest_at_peak_current"][2]
     hold = "hold 6000 N/m, 80 N s/m at 200 Hz, 1.5 ms"
     return [
-        ("envelope radius", spec.radius.value * mm, figures["radius"] * mm, "mm", ""),
-        ("envelope height", spec.height.value * mm, figures["height"] * mm, "mm", "without handle"),
+        ("outer radius", spec.radius.value * mm, figures["radius"] * mm, "mm", ""),
+        ("outer height", spec.height.value * mm, figures["height"] * mm, "mm", "without handle"),
         ("stator mass", spec.stator_mass.value, figures["stator_mass"], "kg", ""),
         ("flotor mass", spec.flotor_mass.value, figures["flotor_mass"], "kg", ""),
         ("moving mass", spec.moving_mass.value, moving, "kg", "handle included"),
@@ -278,7 +278,7 @@ def _rows(figures: Mapping[str, Any]) -> list[tuple[str, float | str, float, str
         ("rotation range ±", spec.rotation_range.value, figures["rotation_range"], "deg", ""),
         ("sensor resolution, translation", "< 5", math.nan, "µm", option),
         ("sensor resolution, rotation", "< 10", math.nan, "µrad", option),
-        ("force bandwidth", "> 3", figures["driver_bandwidth"] / 1e3, "kHz", "see below"),
+        ("force bandwidth, coil drivers", "> 3", figures["driver_bandwidth"] / 1e3, "kHz", "see below"),
         ("position bandwidth, translation", "> 30", figures["translation_bandwidth"], "Hz", hold),
         ("position bandwidth, rotation", "> 15", figures["rotation_bandwidth"], "Hz", "8 N m/rad, 0.1 N m s/rad"),
         ("force constant", spec.force_constant.value, figures["force_constant"], "N/A", ""),

@@ -13,7 +13,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.pictures import HEAD, SHADE, TITLE, broken, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.results import RunResult, Variants, figure_head, percentile_rank
+from maglev_mj.scenes.results import RunResult, Variants, figure_head, rank_text
 from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.spec import Spec
 
@@ -263,8 +263,8 @@ def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]
     p, label = columns[0][0].scene, columns[0][0].style["label"]
     result, shaded = variants.runs[label], ""
     if (band := variants.bands.get(label)) is not None:
-        rank = percentile_rank(band.figures["penetration"], result.figures["penetration"])
-        shaded = f" ({rank} of depth); band: {len(band.phase)} phases"
+        rank = rank_text(band.figures["penetration"], result.figures["penetration"])
+        shaded = f" (depth {rank} of the phases); band: {len(band.phase)} phases"
     lines = f"lines: sampling phase {result.phase:g}{shaded}"
     figure.suptitle(f"{p.height * 1e3:g} mm drop, {_loop_of(variants)}\n{lines}", **HEAD)
 

@@ -423,8 +423,8 @@ class Variants(Result):
     def _rank(self) -> Iterator[str]:
         for label, name in zip([x for x in self.runs if x in self.phases], list(self.first.scene.figures)[:1]):
             if (values := self.phases[label].figures[name]).ndim == 1:
-                rank = percentile_rank(values, self.runs[label].figures[name])
-                yield f"{label}: {figure_head(name)} at phase {self.runs[label].phase:g} is the {rank}"
+                rank = rank_text(values, self.runs[label].figures[name])
+                yield f"{label}: {figure_head(name)} at phase {self.runs[label].phase:g} {rank} of the phases"
 
     def _missing(self) -> Iterator[str]:
         for label, swept in self.phases.items():
@@ -520,11 +520,9 @@ def share_below(values: Array, value: float) -> float:
     return float(np.mean(values < value - 1e-9))
 
 
-def percentile_rank(values: Array, value: float) -> str:
-    """Return the rank of a value among others, such as "94th percentile"."""
-    rank = round(100.0 * share_below(values, value))
-    ending = {1: "st", 2: "nd", 3: "rd"}.get(rank % 10, "th")
-    return f"{rank}{'th' if 10 < rank < 14 else ending} percentile"
+def rank_text(values: Array, value: float) -> str:
+    """Return the share of values below another, such as "exceeds 94 %"."""
+    return f"exceeds {100.0 * share_below(values, value):.0f} %"
 
 
 def parameters_json(scene: Any, plant: str, phase: Any) -> dict[str, Any]:

@@ -77,15 +77,18 @@ class DeviceCard(Result):
 
     def table(self) -> Table:
         """Return figures, walls and masses of each hand, and impedances."""
-        figures = [("transparency bandwidth, 3 dB", self.transparent, "Hz")]
-        figures += [("force bandwidth, 3 dB", self.force_bandwidth, "Hz")]
+        figures = [("transparency bandwidth (impedance within 3 dB of target)", self.transparent, "Hz")]
+        figures += [("force bandwidth of hold and drivers, 3 dB", self.force_bandwidth, "Hz")]
         figures += [("force resolution (one sensor step)", self.force_resolution, "N")]
         hands = [
             (hand, *(f"{k:.0f} at {b:.0f}" for k, b in zip(wall.stiffness, wall.damping)), *mass.tolist())
             for hand, wall, mass in zip(self.hands, self.walls, self.masses)
         ]
-        heads = "hand", *(f"delay {delay * 1e3:g} ms" for delay in self.delays), "min. mass [kg]", "max."
-        title = "Stiffest stable wall [N/m] at its damping [N s/m]; range of the apparent mass (- for unlimited)"
+        heads = "hand", *(f"delay {delay * 1e3:g} ms" for delay in self.delays), "min. mass [kg]", "max. mass [kg]"
+        title = (
+            "Stiffest stable wall [N/m] at its damping [N s/m]; virtual masses that are stable behind the target's "
+            "spring and damper (- for unlimited)"
+        )
         note = "stable, not passive: a flotor without physical damping renders no passive wall"
         some = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
         tables = (

@@ -117,13 +117,13 @@ class DesignResult(Result):
         wall, contact, needs = self.wall, self.contact, self.wall.requirements
         law = "PD wall" if wall.pole is None else f"{wall.law} wall, poles at {wall.pole:g},"
         slow = "" if wall.pole is None else f"static stiffness {wall.rendered:.0f} N/m"
-        far = "outside the range of motion" if self.depth > RANGE[2] else "worst over corners, hands, phases"
+        far = "outside the range of motion" if self.depth > RANGE[2] else "largest over mass, delay, hands, phases"
         limit = "at the force limit" if contact.force_limit is not None and self.peak >= contact.force_limit else ""
         rows: list[tuple[str, float, str, str]] = [
             ("stiffness", wall.stiffness, "N/m", slow),
             ("damping", wall.damping, "N s/m", ""),
             ("spectral radius", wall.spectral_radius, "", str(wall.worst)),
-            ("minimum dynamic stiffness", wall.dynamic_stiffness, "N/m", str(wall.softest)),
+            ("min. dynamic stiffness over frequency", wall.dynamic_stiffness, "N/m", str(wall.softest)),
             ("force noise at rest", self.hum, "N", f"{contact.quantize * 1e6:g} µm sensor, hand {needs.hands[0]}"),
             (f"penetration at {contact.speed:g} m/s", self.depth * 1e3, "mm", far),
             (f"peak force at {contact.speed:g} m/s", self.peak, "N", limit),
@@ -228,13 +228,15 @@ def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *
 
 
 def hardest_contact(wall: DesignedWall, contact: Contact) -> tuple[float, float]:
-    """Return the largest penetration [m] and force [N].
+    """Return the largest penetration [m] and force [N] over mass, delay, hands and 8 phases.
 
-    At the approach speed, over corners, hands and 8 phases.
+    The flotor starts above the wall, so that one sample is outside it, and gravity brings it to the approach speed at
+    the edge; where that fall is too fast, it starts at rest.
     """
     cases = [case for case in wall.requirements.grid(2) for _ in range(_PHASES)]
-    above = 1.5 * contact.speed * wall.requirements.period  # so that one sample is above the wall
-    starts = np.full(len(cases), above), np.full(len(cases), contact.speed)
+    above = min(1.5 * contact.speed * wall.requirements.period, contact.speed**2 / (2.0 * GRAVITY))
+    slower = math.sqrt(max(contact.speed**2 - 2.0 * GRAVITY * above, 0.0))
+    starts = np.full(len(cases), above), np.full(len(cases), slower)
     depth, peak = 0.0, 0.0
     for _, plant in _plants(wall, contact, cases, *starts, np.arange(len(cases)) % _PHASES / _PHASES, record=True):
         with plant:

@@ -84,7 +84,7 @@ def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float) -
     depth = run(DROP, plant="exact", phase=phase).figures["penetration"]
     others = run_phases(DROP, BANDS, plant="exact").figures["penetration"]
     share = 100.0 * float(np.mean(others < depth))
-    words = f"lines: sampling phase {phase:g} ({share:.0f}th percentile of depth); band: {BANDS} phases"
+    words = f"lines: sampling phase {phase:g} (depth exceeds {share:.0f} % of the phases); band: {BANDS} phases"
     assert words in figure.get_suptitle()
 
 

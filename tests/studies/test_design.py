@@ -15,6 +15,9 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import HANDS, get_hand
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.run import run_phases
+from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall, growing_cases, hardest_contact
 from maglev_mj.theory import Case, DesignedWall, WallRequirements, design_wall, is_stable, worst_case
 from maglev_mj.theory.boundary import ranges_of
@@ -192,6 +195,12 @@ def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:
     assert plain.pulse_of(wall) == 0.0
     (deep, soft), (shallow, hard) = hardest_contact(wall, plain), hardest_contact(wall, braked)
     assert shallow < deep and hard > soft
+    drop = Drop(height=0.2**2 / (2.0 * GRAVITY), stiffness=wall.stiffness, damping=wall.damping, pulse=0.0, mass=0.56)
+    depths = [
+        run_phases(drop.replace(delay=delay), 100, plant="exact").figures["penetration"].max()
+        for delay in EVERYTHING["delay"]
+    ]
+    assert 0.95 * max(depths) < hardest_contact(wall, Contact(force_limit=None))[0]
     with pytest.raises(ParameterError, match="pulse must be off"):
         evaluate_wall(design_wall(WallRequirements(), "observer", pole=0.0), braked)
 
