@@ -99,23 +99,23 @@ def run_section(name: str, package: Path, quick: bool) -> dict[str, Any]:
     done = subprocess.run(command, env=environment, cwd=package, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SectionFailedError(f"{name} failed: {(done.stderr.strip().splitlines() or ['no error told'])[-1]}")
-    found: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
-    if not Path(found["package"]).is_relative_to(package):
-        raise SectionFailedError(f"{name} ran with {found['package']}, not the package in {package}")
-    figures: dict[str, Any] = found["figures"]
+    result: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+    if not Path(result["package"]).is_relative_to(package):
+        raise SectionFailedError(f"{name} ran with {result['package']}, not the package in {package}")
+    figures: dict[str, Any] = result["figures"]
     return figures
 
 
 def flat(figures: dict[str, Any], head: str = "") -> dict[str, float]:
     """Return nested figures as one level, names joined by ": "."""
-    found: dict[str, float] = {}
+    result: dict[str, float] = {}
     for key, value in figures.items():
         name = f"{head}: {key}" if head else str(key)
         if isinstance(value, dict):
-            found |= flat(value, name)
+            result |= flat(value, name)
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            found[name] = float(value)
-    return found
+            result[name] = float(value)
+    return result
 
 
 def spread(values: Sequence[float]) -> dict[str, Any]:
@@ -131,14 +131,14 @@ def summary(runs: dict[str, list[dict[str, Any]]]) -> dict[str, dict[str, Any]]:
     """
     sides = {side: [flat(figures) for figures in some] for side, some in runs.items()}
     names = dict.fromkeys(name for some in sides.values() for figures in some for name in figures)
-    found: dict[str, dict[str, Any]] = {}
+    result: dict[str, dict[str, Any]] = {}
     for name in names:
         values = {side: [figures[name] for figures in some if name in figures] for side, some in sides.items()}
-        found[name] = {side: spread(some) for side, some in values.items() if some}
+        result[name] = {side: spread(some) for side, some in values.items() if some}
         before, after = values.get("before", []), values.get("after", [])
         if before and len(before) == len(after) and min(map(abs, before)) > 0.0:
-            found[name]["ratio"] = spread([new / old for new, old in zip(after, before, strict=True)])
-    return found
+            result[name]["ratio"] = spread([new / old for new, old in zip(after, before, strict=True)])
+    return result
 
 
 def measured(name: str, packages: dict[str, Path], repeats: int, quick: bool) -> dict[str, Any]:
@@ -224,7 +224,7 @@ def main() -> int:
             f"bench.py: {error if options.tables is None else f'tables must be a bench.json: {error}'}", file=sys.stderr
         )
         return 2
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "before": options.before,
         "versions": versions(),
         "machine": speed_tables.machine(),
@@ -232,22 +232,22 @@ def main() -> int:
         "repeats": options.repeats,
         "sections": {},
     }
-    print(speed_tables.heading(found))
+    print(speed_tables.heading(result))
     with package_of(options.before) as packages:
         for name in options.only:
             section = SECTIONS[name]
             sides = packages if section.compared else {"after": packages["after"]}
             repeats = min(options.repeats, section.repeats or options.repeats)
-            found["sections"][name] = measured(name, sides, repeats, options.quick)
-            print(speed_tables.terminal(name, found["sections"][name]), flush=True)
-    print(speed_tables.times(found["sections"]))
+            result["sections"][name] = measured(name, sides, repeats, options.quick)
+            print(speed_tables.terminal(name, result["sections"][name]), flush=True)
+    print(speed_tables.times(result["sections"]))
     path = options.pictures.path("bench", "json")
-    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(f"wrote {path}")
     for name, draw in DRAWN.items():
-        if details := found["sections"].get(name, {}).get("details"):
+        if details := result["sections"].get(name, {}).get("details"):
             print(*(f"wrote {picture}" for picture in draw(options.pictures, details)), sep="\n")
-    return int(any(section["failed"] for section in found["sections"].values()))
+    return int(any(section["failed"] for section in result["sections"].values()))
 
 
 if __name__ == "__main__":

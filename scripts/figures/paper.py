@@ -62,40 +62,40 @@ def figure_3(pictures: PictureFolder, _: bool) -> Path:
     The paper's gains are the defaults: 6000 N/m, 80 N s/m, a pulse of 220 N s/m for 3 ms, 200 Hz, 1.5 ms. It prints
     neither height nor phase: the device's range, and the phase of median penetration.
     """
-    found = run_variants(Drop().variants(), phase=0.56, bands=Drop.band_phases)
-    for label, result in found.runs.items():
+    variants = run_variants(Drop().variants(), phase=0.56, bands=Drop.band_phases)
+    for label, result in variants.runs.items():
         figures = result.figures
         print(
             f"{label:>18}: {figures['penetration'] * 1e3:.2f} mm deep, rebound {figures['rebound'] * 1e3:.2f} mm, "
             f"peak {figures['peak_force']:.1f} N, settled after {figures['settling_time'] * 1e3:.0f} ms"
         )
-    return Path(found.plot(pictures.path("fig3_drop"), picture="drop_time"))
+    return Path(variants.plot(pictures.path("fig3_drop"), picture="drop_time"))
 
 
 def figure_4(pictures: PictureFolder, _: bool) -> Path:
     """Take the phase of median penetration."""
-    found = run_variants(Drop().variants(), phase=0.56, bands=Drop.band_phases)
-    return Path(found.plot(pictures.path("fig4_phase_plane"), picture="drop_phase_plane"))
+    variants = run_variants(Drop().variants(), phase=0.56, bands=Drop.band_phases)
+    return Path(variants.plot(pictures.path("fig4_phase_plane"), picture="drop_phase_plane"))
 
 
 def figure_6(pictures: PictureFolder, _: bool) -> Path:
     """Take the wall's gains of figure 3; the hand, how often it hits and how hard it presses are ours."""
-    found = run_variants(Press().variants())
-    for label, result in found.runs.items():
+    variants = run_variants(Press().variants())
+    for label, result in variants.runs.items():
         figures = result.figures
         depths = ", ".join(f"{depth * 1e3:.2f}" for depth in figures["penetration"])
         print(
             f"{label:>14}: hits {depths} mm deep, peak {figures['peak_force'].max():.1f} N, "
             f"pressed {figures['final_depth'] * 1e3:.3f} mm deep with {figures['final_force']:.3f} N"
         )
-    return Path(found.plot(pictures.path("fig6_press")))
+    return Path(variants.plot(pictures.path("fig6_press")))
 
 
 def figure_8(pictures: PictureFolder, _: bool) -> Path:
     """Take the paper's values: 1000 N/m to 3 mm, 6000 N/m, 80 N s/m, 2 N, 5 mm/s, 200 Hz, 1.5 ms."""
-    found = run_variants({"rendered": StickSlip()})
-    print(found.table())
-    return Path(found.plot(pictures.path("fig8_stick_slip")))
+    variants = run_variants({"rendered": StickSlip()})
+    print(variants.table())
+    return Path(variants.plot(pictures.path("fig8_stick_slip")))
 
 
 def figure_9(pictures: PictureFolder, quick: bool) -> Path:
@@ -119,16 +119,18 @@ def figure_9(pictures: PictureFolder, quick: bool) -> Path:
     )
     print(f"{'hand':>10}{'steps':>8}{'least':>8}{'5 %':>8}{'median':>8}   axes")
     for stiffness in (1500.0,) if quick else (1000.0, 1500.0, 2500.0):
-        found: list[Array] = []
+        distances: list[Array] = []
         tried = 0
         for seed, phase in itertools.product(seeds, phases):
             run = run_six_axes(plant="exact", seed=seed, phase=phase, hand_stiffness=stiffness, duration=duration)
             inside = np.abs(run.position).max(axis=0) <= RANGE
-            found += [one * scale * 1e3 for one, scale, kept in zip(run.steps(), radius, inside, strict=True) if kept]
+            distances += [
+                one * scale * 1e3 for one, scale, kept in zip(run.steps(), radius, inside, strict=True) if kept
+            ]
             tried += len(AXES)
-        low, fifth, middle = np.percentile(np.concatenate(found), [0.0, 5.0, 50.0])
-        count = sum(map(len, found))
-        print(f"{stiffness:>6.0f} N/m{count:>8}{low:>8.2f}{fifth:>8.2f}{middle:>8.2f}   {len(found)} of {tried}")
+        low, fifth, middle = np.percentile(np.concatenate(distances), [0.0, 5.0, 50.0])
+        count = sum(map(len, distances))
+        print(f"{stiffness:>6.0f} N/m{count:>8}{low:>8.2f}{fifth:>8.2f}{middle:>8.2f}   {len(distances)} of {tried}")
     labels = {}
     for index, steps in enumerate(result.steps()):
         span = f"{steps.min() * 1e3:.2g} to {steps.max() * 1e3:.2g} {unit_of('mm', index)}" if steps.size else ""

@@ -83,13 +83,13 @@ class SixAxesResult:
         more, for 15 to 20 ms, and the hand pulls on.
         """
         period = float(self.time[1] - self.time[0])
-        found = []
+        steps = []
         for anchor, stuck in zip(self.anchor.T, self.stuck.T, strict=True):
             ends = np.flatnonzero(np.diff(stuck)) + 1
             spells = zip([0, *ends], [*ends, len(stuck)], strict=True)
             places = [anchor[a] for a, b in spells if stuck[a] and (b - a) * period > least - 1e-9]
-            found.append(np.abs(np.diff(places)))
-        return found
+            steps.append(np.abs(np.diff(places)))
+        return steps
 
     @property
     def slips(self) -> Array:

@@ -47,12 +47,12 @@ async def all_executed(notebooks: list[Notebook]) -> list[Notebook]:
     return await asyncio.gather(*(executed(one, turns) for one in notebooks))
 
 
-def said(notebook: Notebook) -> list[tuple[str, list[str]]]:
+def visible_outputs(notebook: Notebook) -> list[tuple[str, list[str]]]:
     """Return the text that each cell gives, and the kinds of its other outputs."""
     cells = [cell.get("outputs", []) for cell in notebook["cells"]]
-    told = [[one.get("text") or one["data"].get("text/plain", "") for one in outputs] for outputs in cells]
+    texts_of_cells = [[one.get("text") or one["data"].get("text/plain", "") for one in outputs] for outputs in cells]
     kinds = [[kind for one in outputs for kind in one.get("data", ())] for outputs in cells]
-    return [("".join(map("".join, texts)), found) for texts, found in zip(told, kinds)]
+    return [("".join(map("".join, texts)), others) for texts, others in zip(texts_of_cells, kinds)]
 
 
 def alike(stored: list[tuple[str, list[str]]], now: list[tuple[str, list[str]]]) -> bool:
@@ -75,11 +75,15 @@ def main() -> int:
     check = parser.parse_args().check
     paths = sorted(LESSONS.glob("*.ipynb"))
     stored = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
-    found = asyncio.run(all_executed(stored if check else [*stored, *map(without_solutions, stored)]))
+    executed_notebooks = asyncio.run(all_executed(stored if check else [*stored, *map(without_solutions, stored)]))
     if not check:
-        for path, now in zip(paths, found):
+        for path, now in zip(paths, executed_notebooks):
             path.write_text(json.dumps(now, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    changed = [path.name for path, before, now in zip(paths, stored, found) if not alike(said(before), said(now))]
+    changed = [
+        path.name
+        for path, before, now in zip(paths, stored, executed_notebooks)
+        if not alike(visible_outputs(before), visible_outputs(now))
+    ]
     other = f"other outputs than stored: {', '.join(changed)}; make lessons stores them"
     print(other if changed else f"{len(paths)} lessons, as stored")
     return int(check and bool(changed))

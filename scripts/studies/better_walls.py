@@ -81,22 +81,22 @@ rows, walls = [], {}
 for delay in DELAYS:
     top = stiffest_wall(period=PERIOD, delay=delay)
     for law, pole in DESIGNS:
-        found = {case: design_wall(requirements(case, delay), law, goal="dynamic", pole=pole) for case in CASES}
-        last = walls[law, pole, delay] = found["all"]
+        designs = {case: design_wall(requirements(case, delay), law, goal="dynamic", pole=pole) for case in CASES}
+        last = walls[law, pole, delay] = designs["all"]
         cases = last.requirements.random(500, seed=7)
         growing = {
             limit: int(growing_cases(last, Contact(force_limit=limit), cases).sum())
             for limit in (None, Spec.largest_vertical_force.value)
         }
         name = f"PD (statically at most {float(top.stiffness):.0f})" if pole is None else f"{law}, poles at {pole:g}"
-        figures = "".join(f"{wall.dynamic_stiffness:>8.0f}" for wall in found.values())
+        figures = "".join(f"{wall.dynamic_stiffness:>8.0f}" for wall in designs.values())
         print(f"  {f'{delay * 1e3:g} ms, {name}':<42}{figures}   {last.stiffness:.0f} N/m, {last.damping:.0f} N s/m")
         print(f"  {'':<42}spectral radius {last.spectral_radius:.4f}; grow: {growing[None]}, at 60 N {growing[60.0]}")
         rows.append(
             {
                 "delay": delay,
                 "design": name,
-                **{case: [wall.dynamic_stiffness, wall.stiffness, wall.damping] for case, wall in found.items()},
+                **{case: [wall.dynamic_stiffness, wall.stiffness, wall.damping] for case, wall in designs.items()},
                 "spectral_radius": last.spectral_radius,
                 "growing": list(growing.values()),
             }

@@ -121,11 +121,11 @@ def outcome_kind(outcome: str) -> str:
         "generate energy": "energy",
     }
     swung = "swing in landing" if "in the landing" in outcome else ""
-    found = next((name for text, name in rules.items() if text in outcome), "")
-    if not found:
+    cause = next((name for text, name in rules.items() if text in outcome), "")
+    if not cause:
         names = re.findall(r"\b[A-Z]{3,}(?:_[A-Z]+)*\b", outcome)
-        found = "landed" if outcome == "landed" else " ".join(dict.fromkeys(names)) or outcome[:60]
-    return f"{found}, {swung}" if swung else found
+        cause = "landed" if outcome == "landed" else " ".join(dict.fromkeys(names)) or outcome[:60]
+    return f"{cause}, {swung}" if swung else cause
 
 
 def figures(flown: Flown, since: float) -> Row:
@@ -204,13 +204,13 @@ def fly_product(cell: Row) -> Row:
     seconds = moment - _TAKEOFF + (1.3 if cell["shape"] == "ramp" else 0.9)
     options: Row = {"rate": rate, "hand": hand, "seconds": seconds, "seed": cell["seed"]}
     flown = flight(cell["scene"], delay=lambda time: shape(size, time - moment, draw), **options)
-    found = figures(flown, moment)
+    row = figures(flown, moment)
     spare = (flown.critical_delay - _DELAY) / 2.0
     late = [time for time, delay in flown.delays if time >= moment and delay > spare]
-    found["late"] = rounded(late[0]) if late else None
-    if found["speed"] > FREE:
-        found["alone"] = figures(flight(cell["scene"], **options), moment)["speed"]
-    return found
+    row["late"] = rounded(late[0]) if late else None
+    if row["speed"] > FREE:
+        row["alone"] = figures(flight(cell["scene"], **options), moment)["speed"]
+    return row
 
 
 # 2. laws
@@ -341,16 +341,16 @@ def fly_good(delays: dict[str, list[int]], cell: Row) -> Row:
         link = VirtualLink(Twin(TwinParameters(period=1.0 / rate, seed=seed), draw=lambda: 7))
         link._line = Line(delay)  # type: ignore[assignment]
         with RemotePlant(link, folder=folder) as plant:
-            found = preflight(plant, find_scene(cell["scene"])())
-        told = {"usual": rounded(found.report.delay_95, 6), "softened": bool(found.reduction)}
-        if found.problem:
-            return {"refused": found.problem, **told}
+            result = preflight(plant, find_scene(cell["scene"])())
+        latency = {"usual": rounded(result.report.delay_95, 6), "reduced": bool(result.reduction)}
+        if result.problem:
+            return {"refused": result.problem, **latency}
         options = {name: cell[name] for name in ("rate", "hand", "seconds", "seed")}
-        options |= {"scene": found.scene, "critical_delay": found.critical_delay, "folder": folder}
+        options |= {"scene": result.scene, "critical_delay": result.critical_delay, "folder": folder}
         flown = fly(cell["scene"], delay=lambda time: delay(time + 1.0), **options)
     rms, largest = residual(flown, cell["scene"], cell["hand"], rate)
     time = rounded((flown.rows[:, 14] == 1.0).sum() / rate)
-    return figures(flown, flown.began) | {"time": time, "rms": rms, "largest": largest, **told}
+    return figures(flown, flown.began) | {"time": time, "rms": rms, "largest": largest, **latency}
 
 
 # 4. the check of the coils in takeoff
@@ -411,10 +411,11 @@ def print_attacks() -> None:
     rows = []
     for name, options in ATTACKS.items():
         flown = flight("joystick", seed=91_000, **options)
-        found = figures(flown, HAND_BEGINS + 0.5)
-        after = [found[end] and round(1e3 * (found[end] - HAND_BEGINS - 0.5)) for end in ("ended", "off")]
-        rows.append((name, flown.outcome.partition("; the last cycles")[0], *after, found["speed"], found["current"]))
-    print_table("attack", "end", "found [ms]", "no current [ms]", "speed [m/s]", "current [A]", rows=rows)
+        measured = figures(flown, HAND_BEGINS + 0.5)
+        after = [measured[end] and round(1e3 * (measured[end] - HAND_BEGINS - 0.5)) for end in ("ended", "off")]
+        outcome = flown.outcome.partition("; the last cycles")[0]
+        rows.append((name, outcome, *after, measured["speed"], measured["current"]))
+    print_table("attack", "end", "detected [ms]", "no current [ms]", "speed [m/s]", "current [A]", rows=rows)
 
 
 # tables
@@ -422,8 +423,8 @@ def print_attacks() -> None:
 
 def largest(rows: Iterable[Row], name: str, digits: int = 2) -> str:
     """Return the largest figure of that name as text."""
-    found = [row[name] for row in rows if row[name] is not None]
-    return f"{max(found):.{digits}f}" if found else ""
+    values = [row[name] for row in rows if row[name] is not None]
+    return f"{max(values):.{digits}f}" if values else ""
 
 
 def spread(values: Sequence[float]) -> str:
@@ -468,16 +469,16 @@ def print_product(rows: list[Row]) -> None:
     for rate, delays in product(FACTORS["rate"], _TOLD):
         own = [row for row in rows if row["cell"]["delay"] in delays and row["cell"]["rate"] == rate]
         ended = [row for row in own if row["outcome"] != "landed" and row["late"] is not None]
-        found = [min(row["ended"], row["off"]) - row["late"] for row in ended]
+        detection = [min(row["ended"], row["off"]) - row["late"] for row in ended]
         off = [row["off"] - row["late"] for row in ended]
         hands = [
             largest([row for row in own if row["cell"]["hand"] in kinds], "speed", 3)
             for kinds in (["none"], ["5", "8"], ["tap"])
         ]
         on, cut = sum(row["outcome"] == "landed" for row in own), sum(map(is_cut, own))
-        told = ", ".join(map(str, delays))
-        by_delay.append((rate, told, len(own), on, len(own) - on - cut, cut, spread(found), spread(off), *hands))
-    head = "rate", "each way [ms]", "flights", "flown on", "landed", "cut", "found [ms]", "no current [ms]"
+        listed = ", ".join(map(str, delays))
+        by_delay.append((rate, listed, len(own), on, len(own) - on - cut, cut, spread(detection), spread(off), *hands))
+    head = "rate", "each way [ms]", "flights", "flown on", "landed", "cut", "detected [ms]", "no current [ms]"
     print_table(*head, "untouched [m/s]", "pressed", "tapped", rows=by_delay)
     counts = Counter(row["outcome"] for row in rows)
     print_table("end", "flights", rows=counts.most_common())
@@ -511,10 +512,10 @@ def print_laws(rows: list[Row]) -> None:
                 own = [
                     row for row in rows if [row["cell"][name] for name in ("law", "size", "rate")] == [kind, size, rate]
                 ]
-                found = [row for row in own if row["outcome"] != "landed"]
-                names.update(row["outcome"] for row in found)
-                times = spread([min(row["ended"], row["off"]) - row["begun"] for row in found])
-                line += [f"{len(found)} of {len(own)}", times, largest(own, "active")]
+                ended = [row for row in own if row["outcome"] != "landed"]
+                names.update(row["outcome"] for row in ended)
+                times = spread([min(row["ended"], row["off"]) - row["begun"] for row in ended])
+                line += [f"{len(ended)} of {len(own)}", times, largest(own, "active")]
             if any(line):
                 table.append((kind, size or "", ", ".join(names), *line))
     head = (f"{name}, {rate} Hz" for rate in FACTORS["rate"] for name in ("ended", "after [ms]", "speed [m/s]"))
@@ -525,9 +526,9 @@ def print_good(rows: list[Row]) -> None:
     """Print the tables of good flights, and of the estimated hand."""
     refused = sum("refused" in row for row in rows)
     rows = [row for row in rows if "refused" not in row]
-    soft, hours = sum(row["softened"] for row in rows), sum(row["time"] for row in rows) / 3600.0
+    reduced, hours = sum(row["reduced"] for row in rows), sum(row["time"] for row in rows) / 3600.0
     ended = Counter(row["outcome"] for row in rows)
-    print(f"\n{refused} refused; {len(rows)} flights, {soft} softened, {hours:.2f} hours; {dict(ended)}")
+    print(f"\n{refused} refused; {len(rows)} flights, {reduced} reduced, {hours:.2f} hours; {dict(ended)}")
     table, errors = [], []
     for rate, hand in product((200, 1000), GOOD_HANDS):
         own = [row for row in rows if (row["cell"]["rate"], row["cell"]["hand"]) == (rate, hand)]

@@ -178,9 +178,14 @@ def truth(case: Case) -> dict[str, float]:
     }
 
 
-def estimates(found: Identification) -> dict[str, Estimate]:
+def estimates(identification: Identification) -> dict[str, Estimate]:
     """Return the identified values by name."""
-    x, z, (wall,), rub = found.axes["x"], found.axes["z"], found.walls, found.friction["x"]
+    x, z, (wall,), rub = (
+        identification.axes["x"],
+        identification.axes["z"],
+        identification.walls,
+        identification.friction["x"],
+    )
     values = (
         *(wall.stiffness, wall.damping, wall.commanded_stiffness, wall.commanded_damping, wall.share),
         *(z.delay, x.delay, z.inertia, x.inertia, z.force_error, z.noise, x.noise, z.quantum),
@@ -203,33 +208,33 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=5_000_000, help="seed of the first")
     options = parser.parse_args()
     rows: dict[str, list[tuple[bool, float, float]]] = {}
-    untold: dict[str, list[str]] = {}
+    missing: dict[str, list[str]] = {}
     data = []
     for seed in range(options.first, options.first + options.count):
         case = draw(seed)
         segment, anchors = record(case)
-        found, true = estimates(identify(segment, anchors=anchors)), truth(case)
-        data.append({"case": asdict(case), "found": plain(found)})
-        for name, one in found.items():
+        estimated, true = estimates(identify(segment, anchors=anchors)), truth(case)
+        data.append({"case": asdict(case), "estimates": plain(estimated)})
+        for name, one in estimated.items():
             if one.known:
                 off = abs(one.value - true[name])
                 row = holds(one, true[name]), off / abs(true[name]) if true[name] else math.nan, one.standard_error
                 rows.setdefault(name, []).append(row)
             else:
-                untold.setdefault(name, []).append(one.why)
-    print(f"{'quantity':<40}{'told':>6}{'hold the truth':>16}{'median off':>12}{'90 % off':>10}")
+                missing.setdefault(name, []).append(one.why)
+    print(f"{'quantity':<40}{'estimated':>11}{'hold the truth':>16}{'median off':>12}{'90 % off':>10}")
     for name in truth(draw(0)):
         kept = rows.get(name, [])
         if kept:
             apart = np.array([one[1] for one in kept])
             share = np.mean([one[0] for one in kept])
             far = (math.nan, math.nan) if np.isnan(apart).all() else np.nanquantile(apart, [0.5, 0.9])
-            print(f"{name:<40}{len(kept):>6}{share:>15.1%} {far[0]:>11.2%}{far[1]:>10.2%}")
-        for why in sorted(set(untold.get(name, []))):
-            print(f"    {untold[name].count(why)} not: {why}")
+            print(f"{name:<40}{len(kept):>11}{share:>15.1%} {far[0]:>11.2%}{far[1]:>10.2%}")
+        for why in sorted(set(missing.get(name, []))):
+            print(f"    {missing[name].count(why)} not: {why}")
     options.out.mkdir(parents=True, exist_ok=True)
-    told = {"versions": versions(), "recordings": data}
-    (options.out / "identification.json").write_text(json.dumps(told))
+    contents = {"versions": versions(), "recordings": data}
+    (options.out / "identification.json").write_text(json.dumps(contents))
 
 
 if __name__ == "__main__":

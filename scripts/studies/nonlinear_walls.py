@@ -33,27 +33,27 @@ if __name__ == "__main__":
     for name, values in CASES.items():
         start = time.perf_counter()
         with Progress(name) as progress:
-            found = run_drop_map(DropMapParameters(grid=grid, **values), workers=workers, progress=progress)
+            swept = run_drop_map(DropMapParameters(grid=grid, **values), workers=workers, progress=progress)
         took = time.perf_counter() - start
-        stable, settles, up_to = found.stable_by_theory, found.settles, found.settles_up_to
-        quiet, firm = found.swing[settles & stable], found.boundary > SOFTEST
-        share = up_to[firm] / found.boundary[firm]
+        stable, settles, up_to = swept.stable_by_theory, swept.settles, swept.settles_up_to
+        quiet, firm = swept.swing[settles & stable], swept.boundary > SOFTEST
+        share = up_to[firm] / swept.boundary[firm]
         row: dict[str, Any] = {
             "seconds": took,
             "settles": float(settles.mean()),
             "stable_by_theory": float(stable.mean()),
             "stable_that_does_not_settle": float((stable & ~settles).sum() / stable.sum()),
             "unstable_that_settles": float((~stable & settles).sum() / (~stable).sum()),
-            "unstable_that_gains": float((found.ending == Ending.RISES)[~stable].mean()),
-            "median_swing_of_unstable": float(np.median(found.swing[~stable])),
-            "largest_swing": float(found.swing.max()),
+            "unstable_that_gains": float((swept.ending == Ending.RISES)[~stable].mean()),
+            "median_swing_of_unstable": float(np.median(swept.swing[~stable])),
+            "largest_swing": float(swept.swing.max()),
             "median_swing_of_settled": float(np.median(quiet)),
             "settles_up_to_over_theory": dict(
                 zip(("least", "5 %", "median"), np.percentile(share, (0, 5, 50)).tolist())
             ),
-            "least_at_damping": float(found.damping[firm][np.argmin(share)]),
+            "least_at_damping": float(swept.damping[firm][np.argmin(share)]),
         }
-        results[name], data[name] = found, row
+        results[name], data[name] = swept, row
         print(f"\n{name}: {took:.1f} s")
         shares = ", ".join(f"{name} {value:.3f}" for name, value in row["settles_up_to_over_theory"].items())
         print(f"  settles up to, over theory's boundary: {shares}; the least at {row['least_at_damping']:.0f} N s/m")

@@ -309,11 +309,11 @@ def floods(count: int) -> None:
 def record_delays(path: Path, seconds: float) -> None:
     """Fly a twin over UDP in real time, at both rates; keep each sample's delay.
 
-    Quiet as the machine is, then with every core busy. A flight that a stall of the machine ends is flown on; delays of
-    an earlier call stay.
+    First on the idle machine, then with every core busy. A flight that a stall ends is followed by another; the delays
+    of an earlier call are kept.
     """
     print("| load, samples a second | samples | median [ms] | 99 % | largest |\n|---|---|---|---|---|", flush=True)
-    found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    delays_by_load = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     for load, rate in product(("quiet", "busy"), (200, 1000)):
         cores = range(os.cpu_count() or 1) if load == "busy" else ()
         busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in cores]
@@ -327,14 +327,14 @@ def record_delays(path: Path, seconds: float) -> None:
             for one in busy:
                 one.kill()
                 one.wait()
-        found[name] = found.get(name, []) + delays
+        delays_by_load[name] = delays_by_load.get(name, []) + delays
         median, most, largest = np.quantile(delays, (0.5, 0.99, 1.0)) * 1e-3
         print(f"| {name} | {len(delays)} | {median:.2f} | {most:.2f} | {largest:.2f} |", flush=True)
-    path.write_text(json.dumps(found), encoding="utf-8")
+    path.write_text(json.dumps(delays_by_load), encoding="utf-8")
 
 
 def real_delays(rate: int, seconds: float) -> list[int]:
-    """Return the delays of one flight in real time, beyond the device's own [µs]."""
+    """Return the delays of one flight in real time, above the device's own [µs]."""
     delays: list[int] = []
 
     class Timing(LoopTiming):

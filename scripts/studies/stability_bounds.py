@@ -63,8 +63,8 @@ LOOPS = {
 def shift(kind: str, delay: float, aligned: bool) -> Array:
     """Return a simulation's shift of the stiffest wall [%]; it is printed too."""
     loop = LOOPS[delay]
-    found = [boundary_shift(kind, step, loop, aligned=aligned) for step in steps]
-    percent = np.round(np.array(found) * 100.0, 6) + 0.0
+    fractions = [boundary_shift(kind, step, loop, aligned=aligned) for step in steps]
+    percent = np.round(np.array(fractions) * 100.0, 6) + 0.0
     row = {"integrator": kind, "delay": delay, "aligned": aligned}
     shifts.append({**row, "step": steps.tolist(), "percent": percent.tolist()})
     name = f"{kind}, {delay * 1e3:g} ms" + ("" if aligned else ", fixed step")

@@ -31,8 +31,8 @@ DURATION = 2.0 if quick else 16.0
 def shares(pulse: float, delay: float) -> tuple[Array, Mask]:
     """Return the share of rattling starts in each gap, and whether one leaves the device's range."""
     gaps = GAPS[:, None, None] * 1e-3
-    found = rattle(gaps, SPEEDS[:, None], PHASES, pulse=pulse, delay=delay * 1e-3, duration=DURATION)
-    return (found.speed > RATTLE).mean(axis=(1, 2)), np.any(found.furthest > RANGE[2], axis=(1, 2))
+    motion = rattle(gaps, SPEEDS[:, None], PHASES, pulse=pulse, delay=delay * 1e-3, duration=DURATION)
+    return (motion.speed > RATTLE).mean(axis=(1, 2)), np.any(motion.furthest > RANGE[2], axis=(1, 2))
 
 
 def widest(pulse: float, delay: float, seed: int) -> float:
@@ -41,8 +41,8 @@ def widest(pulse: float, delay: float, seed: int) -> float:
     gap = np.exp(random.uniform(np.log(1e-5), np.log(5e-3), RANDOM_STARTS))
     speed = random.uniform(0.02, 0.45, RANDOM_STARTS) * random.choice([-1.0, 1.0], RANDOM_STARTS)
     start, phase = random.uniform(-0.95, 0.95, RANDOM_STARTS), random.random(RANDOM_STARTS)
-    found = rattle(gap, speed, phase, starts=start, pulse=pulse, delay=delay * 1e-3, duration=DURATION)
-    return float(gap[found.speed > RATTLE].max(initial=0.0) * 1e3)
+    motion = rattle(gap, speed, phase, starts=start, pulse=pulse, delay=delay * 1e-3, duration=DURATION)
+    return float(gap[motion.speed > RATTLE].max(initial=0.0) * 1e3)
 
 
 def draw(
@@ -82,7 +82,7 @@ def draw(
     return save(figure, path)
 
 
-print("Two walls of 6000 N/m and 80 N s/m, 200 Hz, 60 N, pulse further to the damping for 3 ms. Share of the starts")
+print("Two walls of 6000 N/m and 80 N s/m, 200 Hz, 60 N, pulse added to the damping for 3 ms. Share of the starts")
 print(f"that rattle, still above {RATTLE * 1e3:g} mm/s after {DURATION:g} s, among {STARTS} from the middle:")
 print(
     f"{SPEEDS.size} speeds of {SPEEDS[0]:g} to {SPEEDS[-1]:g} m/s at {PHASES.size} phases. Last column: the widest gap"

@@ -50,13 +50,13 @@ def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **opti
 
 
 def just_above_the_boundary() -> Panel:
-    """Return the panel of samples to grow ten-thousandfold just above the boundary, foretold and simulated."""
+    """Return the panel of samples to grow ten-thousandfold just above the boundary, predicted and simulated."""
     best = stiffest_wall(period=T, delay=T)
     over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
     stiffness, damping = float(best.stiffness) * (1.0 + over), np.full(COUNT, float(best.damping))
     walls = [RestingWall(stiffness=k, damping=float(best.damping), delay=T) for k in stiffness.tolist()]
-    foretold = np.log(1e4) / np.log(spectral_radius(stiffness, damping, period=T, delay=T))
-    curves = [("foretold by the spectral radius", over * 100.0, foretold)]
+    predicted = np.log(1e4) / np.log(spectral_radius(stiffness, damping, period=T, delay=T))
+    curves = [("predicted by the spectral radius", over * 100.0, predicted)]
     for plant in ("exact", "mujoco"):
         seen = measure_growth(walls, plant).ticks
         curves.append((f"simulated, {plant}", over * 100.0, seen))
@@ -123,10 +123,10 @@ def gaps() -> Panel:
         (stops, 0.002),
         (stops, 0.003),
     ):
-        found = rattle(widths[:, None, None], speeds[:, None], PHASES[::4], pulse=pulse, delay=delay, duration=RATTLES)
-        share = (found.speed > RATTLE).mean(axis=(1, 2))
+        motion = rattle(widths[:, None, None], speeds[:, None], PHASES[::4], pulse=pulse, delay=delay, duration=RATTLES)
+        share = (motion.speed > RATTLE).mean(axis=(1, 2))
         curves.append((f"pulse {pulse:.0f} N s/m, {delay * 1e3:g} ms", widths * 1e3, share))
-        outside.append((found.furthest > RANGE[2]).any(axis=(1, 2)))
+        outside.append((motion.furthest > RANGE[2]).any(axis=(1, 2)))
     return panel(
         "two walls close together",
         "gap between the walls (mm)",
@@ -157,9 +157,9 @@ def saturation() -> Panel:
     cases += [(f"PD 6000 N/m, {limit:g} N", paper, limit) for limit in (10.0, 20.0, 30.0)]
     curves, outside = [], []
     for name, wall, limit in cases:
-        found = limited_drop(heights[:, None], wall, PHASES, force_limit=limit, duration=DROP)
-        curves.append((name, heights * 1e3, found.furthest.max(axis=1) * 1e3))
-        outside.append((found.furthest > RANGE[2]).any(axis=1))
+        motion = limited_drop(heights[:, None], wall, PHASES, force_limit=limit, duration=DROP)
+        curves.append((name, heights * 1e3, motion.furthest.max(axis=1) * 1e3))
+        outside.append((motion.furthest > RANGE[2]).any(axis=1))
     return panel(
         "saturation: thrown out, or too deep",
         "drop height (mm)",

@@ -150,8 +150,8 @@ def test_where_methods_fail_draws_its_panels(names: list[str], tmp_path: Path, r
     panels = json.loads((tmp_path / "where_methods_fail.json").read_text())["panels"]
     assert len(panels) == 2 * len(names)
     curves = [{label: y for label, _, y in panel["curves"]} for panel in panels]
-    foretold, exact, engine = curves[0].values()  # samples to grow, near the boundary
-    assert exact == engine == pytest.approx(foretold, rel=0.15)
+    predicted, exact, engine = curves[0].values()  # samples to grow, near the boundary
+    assert exact == engine == pytest.approx(predicted, rel=0.15)
     if names == PANELS:
         gated = [pulses for label, pulses in curves[2].items() if "gate 5" in label]
         assert gated == [[0.0, 0.0]] and all(y[0] > 0.0 for label, y in curves[2].items() if "no gate" in label)
@@ -201,7 +201,7 @@ def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Pa
         assert [row["cell"]["seed"] for row in rows] == [110_000, 110_001][:takeoffs]
     out = run("tables")
     assert "3 flights, 0 exceed" in out and "| sign error |" in out and "| good | 200 | 0.4 | 2 | 0 | 0 |" in out
-    assert "0 refused; 1 flights, 0 softened, 0.00 hours; {'landed': 1}" in out
+    assert "0 refused; 1 flights, 0 reduced, 0.00 hours; {'landed': 1}" in out
     assert "| attack |" in run("attacks")
 
 
