@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -46,6 +47,7 @@ _COLUMNS = 3  # per row of a grid
 _LARGE, _MANY = 300_000, 1000  # SVG size [bytes] above which curves of this many points are rasterised
 _NOTEBOOK_DPI = 100.0
 _LEGEND_SIZE = 9.0  # [pt]
+_TITLE_LENGTH = 104  # letters of a title across a chart
 _UNDER = 36.0  # gap between a panel and its legend, for ticks, tick labels and axis label [pt]
 
 
@@ -122,9 +124,10 @@ def new_grid(
     row: float = 2.8,
     more: float = 0.6,
     always: str = "",
+    head: str = "",
     **options: Any,
 ) -> tuple[Any, dict[str, Any]]:
-    """Return a figure with a panel, by name, for each quantity that varies; the title names the constant ones.
+    """Return a figure with a panel, by name, for each quantity that varies; its title also names the constant ones.
 
     Args:
         quantities: One or more; if all are constant, the first has a panel.
@@ -133,6 +136,7 @@ def new_grid(
         row: Height of a row [inch].
         more: Additional height [inch].
         always: Name of a quantity that has a panel in any case.
+        head: Title, broken into lines that fit.
         options: Options of matplotlib's `Figure.subplots`.
     """
     ranges = {name: _range(values) for name, (values, _) in quantities.items()}
@@ -140,7 +144,11 @@ def new_grid(
     names = [name for name in quantities if ranges[name][1] > least[name] or name == always] or list(quantities)[:1]
     columns = -(-len(names) // (high or -(-len(names) // _COLUMNS)))
     rows = -(-len(names) // columns)
-    figure, panels = new_figure(rows, columns, more + row * rows, sharex=True, **options)
+    lines = textwrap.wrap(_unbroken(head), _TITLE_LENGTH)
+    if others := ", ".join(name.replace("_", " ") for name in quantities if name not in names):
+        lines += textwrap.wrap(f"not shown (constant): {others}", _TITLE_LENGTH)
+    figure, panels = new_figure(rows, columns, more + row * rows + 0.17 * len(lines), sharex=True, **options)
+    figure.suptitle("\n".join(lines), **HEAD)
     if high:  # column by column
         panels = [panel for column in range(columns) for panel in panels[column::columns]]
     lowest = {}
@@ -157,9 +165,12 @@ def new_grid(
         panel.tick_params(labelbottom=True)
     for panel in panels[len(names) :]:
         panel.set_axis_off()
-    if others := ", ".join(name.replace("_", " ") for name in quantities if name not in names):
-        figure.suptitle(f"not shown (constant): {others}", **HEAD, color=REFERENCE)
     return figure, dict(zip(names, panels))
+
+
+def _unbroken(text: str) -> str:
+    """Return a list in words with spaces that do not break within an item, as between value and unit."""
+    return ", ".join(item.replace(" ", "\N{NO-BREAK SPACE}") for item in text.split(", "))
 
 
 def _range(values: Any) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.pictures import HEAD, SHADE, TITLE, broken, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.results import RunResult, Variants, figure_head, rank_text
+from maglev_mj.scenes.results import RunResult, Variants, figure_head, parameter_texts, rank_text
 from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.spec import Spec
 
@@ -31,19 +31,31 @@ def series(variants: Variants) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    result = variants.first
-    first = result.series(_FINE)
-    names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
-    figure, _ = _over_time(variants.runs, {_NAMES.get(name, name): name for name in names}, row=2.2)
-    scene = result.scene
-    figure.axes[0].set_title(
-        f"{scene.name}, axis {scene.axis}, {1.0 / scene.period:g} Hz, delay {scene.delay * 1e3:g} ms"
-        f"{f', sampling phase {result.phase:g}' * scene.takes_phase}, plant {result.plant}",
-        **TITLE,
-    )
+    figure, _ = _series(variants)
     if len(variants.runs) > 1:
         name_curves(figure, figure.axes[:1])
     return figure
+
+
+def _series(variants: Variants) -> tuple[Any, dict[str, Any]]:
+    """Return a figure of each series over time, and its panels by label."""
+    result = variants.first
+    first = result.series(_FINE)
+    names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
+    phase = f"sampling phase {result.phase:g}, " if result.scene.takes_phase else ""
+    labels = {_NAMES.get(name, name): name for name in names}
+    figure, panels = _over_time(variants.runs, labels, row=2.2, head=_head(variants, phase))
+    return figure, panels
+
+
+def _head(variants: Variants, phase: str) -> str:
+    """Return scene, timing and the parameters that all runs share."""
+    scenes = [result.scene for result in variants.runs.values()] or [variants.first.scene]
+    scene = scenes[0]
+    names = [one.name for one in scene.parameters()]
+    differing = [name for name in names if any(getattr(one, name, None) != getattr(scene, name) for one in scenes[1:])]
+    texts = ", ".join(parameter_texts(scene, without=differing))
+    return f"{scene.name} along {scene.axis}, {phase}plant {variants.first.plant}: {texts}"
 
 
 def _over_time(runs: Mapping[str, RunResult], named: Mapping[str, str], **options: Any) -> tuple[Any, dict[str, Any]]:
@@ -78,10 +90,17 @@ def first_contact(variants: Variants) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure = series(variants)
+    figure, panels = _series(variants)
     lines = [result.line for result in variants.runs.values()]
     begin = min(float(line.time[np.argmax(line.pose[:, 0] <= 0.0)]) for line in lines)
     figure.axes[0].set_xlim(max(begin - 0.01, 0.0), begin + 0.15)
+    if "position" in panels:
+        bottom = panels["position"].get_ylim()[0]
+        panels["position"].axhspan(bottom, 0.0, **SHADE)
+        panels["position"].set(ylabel="height above the wall (mm)", ylim=(bottom, None))
+    if "force" in panels and panels["force"].get_ylim()[1] > 0.5 * Spec.largest_vertical_force.value:
+        panels["force"].axhline(Spec.largest_vertical_force.value, **_LIMIT)
+    name_curves(figure, figure.axes)
     return figure
 
 
@@ -105,7 +124,7 @@ def spread(variants: Variants) -> Any:
     for name, definition in scene.figures.items():
         values = [definition.scale * np.asarray(each.figures[name], dtype=np.float64) for each in swept.values()]
         quantities[figure_head(name)] = values, unit_of(definition.unit, scene.axis, definition.along)
-    figure, panels = new_grid(quantities, "sampling phase")
+    figure, panels = new_grid(quantities, "sampling phase", head=_head(variants, ""))
     for name, panel in panels.items():
         for index, (label, each, values) in enumerate(zip(swept, swept.values(), quantities[name][0])):
             lines = panel.plot(*broken(each.phases, values.reshape(len(each.phases), -1)), **line_style(index))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -403,7 +403,7 @@ class Variants(Result):
         over = f"median (5 to 95 %) over {len(next(iter(self.phases.values())).phases)} phases" if spreads else ""
         at = f"phase {self.first.phase:g}" if runs and scene.takes_phase else ""
         plant = ", ".join(filter(None, [f"plant {self.first.plant}", at if runs else over]))
-        title = f"{scene.title or scene.name}, {plant}: {', '.join(_parameter_texts(scene))}"
+        title = f"{scene.title or scene.name}, {plant}: {', '.join(parameter_texts(scene))}"
         warnings, note = "\n".join(self._warnings()), "\n".join(self._remarks())
         both = "\n".join(filter(None, [warnings, note]))
         if not runs:
@@ -493,12 +493,13 @@ def _figures_table(
     return _RunTable(title, ("figure", *figures, "unit", *(["meaning"] if meaning else [])), rows)
 
 
-def _parameter_texts(scene: Any) -> list[str]:
-    """Return rate, delay and parameters with their units."""
-    texts = [f"{1.0 / scene.period:g} Hz", f"delay {scene.delay * 1e3:g} ms"]
+def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:
+    """Return rate, delay and parameters with their units, `without` some by name."""
+    texts = [] if "period" in without else [f"{1.0 / scene.period:g} Hz"]
+    texts += [] if "delay" in without else [f"delay {scene.delay * 1e3:g} ms"]
     for parameter in scene.parameters():
         name, value = parameter.name, getattr(scene, parameter.name)
-        if name in ("period", "delay") or parameter.kind in (object, bool) or value is None:
+        if name in ("period", "delay", *without) or parameter.kind in (object, bool) or value is None:
             continue
         text = f"{value:.6g}" if parameter.kind in (int, float) else str(value)
         texts.append(f"{name.replace('_', ' ')} {text} {unit_of(parameter.unit, scene.axis, parameter.along)}".rstrip())

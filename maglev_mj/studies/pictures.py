@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from maglev_mj.pictures import (
     new_grid,
 )
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.results import figure_head
 from maglev_mj.studies.card import DeviceCard
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.drop_map import DropMap
@@ -243,23 +244,29 @@ def sweep(result: Sweep) -> Any:
     """
     figures = {name: result.shown(name) for name in result.names if result.is_number(name)}
     found = {
-        name: (one.scale * result.figure(name), result.unit_along(one.unit, one.along)) for name, one in figures.items()
+        figure_head(name): (one.scale * result.figure(name), result.unit_along(one.unit, one.along))
+        for name, one in figures.items()
     }
     if not found:
         raise ParameterError(f"figures must include a scalar to draw a chart: {result.scene.name} has none")
-    (first, along), *others = result.varied.items()
+    varied = {name: values for name, values in result.varied.items() if len(values) > 1} or result.varied
+    (first, along), *others = varied.items()
     label = axis_label(first, result.units.get(first))
     if len(others) == 1 and _even(along) and _even(others[0][1]):
-        return _heat_maps(result, found, label)
+        return _heat_maps(result, varied, found, label)
     lines = list(itertools.product(*(values for _, values in others)))
     units = [result.units.get(name, "") for name, _ in others]
     numbers = all(map(_is_number, along))
-    figure, panels = new_grid(found, label, more=0.9)
+    figure, panels = new_grid(found, label, more=0.9, head=result.held)
     for name, panel in panels.items():
         for index, values in enumerate(found[name][0].reshape(len(along), -1).T):
             style = line_style(index) | ({} if numbers else {"linestyle": "none"})
             named = ", ".join(map(_chosen, dict(others), lines[index], units))
             panel.plot(along if numbers else range(len(along)), values, marker="o", label=named, **style)
+        empty = [np.isnan(row).all() for row in found[name][0].reshape(len(along), -1)]
+        for x in (value if numbers else index for index, value in enumerate(along) if empty[index]):
+            where = panel.get_xaxis_transform()
+            panel.text(x, 0.03, "no value", transform=where, rotation=90, ha="center", color=REFERENCE, fontsize=9.0)
         if not numbers:
             panel.set_xticks(range(len(along)), map(str, along), rotation=90)
     if others:
@@ -279,18 +286,23 @@ def _even(values: Sequence[Any]) -> bool:
     return bool(steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6))
 
 
-def _heat_maps(result: Sweep, found: Quantities, label: str) -> Any:
+def _heat_maps(result: Sweep, varied: Mapping[str, Sequence[Any]], found: Quantities, label: str) -> Any:
     """Draw each figure as a heat map over two parameters; cells without a value are grey."""
-    (_, x), (second, y) = result.varied.items()
-    figure, panels = new_grid(found, label, more=0.3, sharey=True)
+    (_, x), (second, y) = varied.items()
+    figure, panels = new_grid(found, label, more=0.5, head=result.held, sharey=True)
     edges = (*_outer(np.array(x)), *_outer(np.array(y)))
     for name, panel in panels.items():
         panel.grid(visible=False)
         panel.set_facecolor(GRID)
-        values = found[name][0].T
+        values = found[name][0].reshape(len(x), len(y)).T
         figure.colorbar(panel.imshow(values, extent=edges, origin="lower", aspect="auto", cmap="cividis"), ax=panel)
+        panel.set(xlim=edges[:2], ylim=edges[2:])
         if panel.get_subplotspec().is_first_col():
             panel.set_ylabel(axis_label(second, result.units.get(second)))
+    if any(np.isnan(values).any() for values, _ in found.values()):
+        first = figure.axes[0]
+        first.plot([], [], "s", color=GRID, markersize=9, label="no value, for example not settled")
+        name_curves(figure, [first])
     return figure
 
 

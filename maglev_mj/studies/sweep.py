@@ -28,7 +28,7 @@ from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, scene_from_reference, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
-from maglev_mj.scenes.results import Figure, figure_head, parameters_json
+from maglev_mj.scenes.results import Figure, figure_head, parameter_texts, parameters_json
 from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Study, Workers, chosen_workers
@@ -118,6 +118,16 @@ class Sweep(Result):
         """Return a quantity's unit on the axes of the cells; see `unit_of`."""
         axes = self.varied.get("axis", [self.cells[0].get("axis", self.scene.shown_axis)])
         return " or ".join(dict.fromkeys(unit_of(unit, axis, along) for axis in axes))
+
+    @property
+    def held(self) -> str:
+        """Scene, and the values that all cells share."""
+        several = [name for name, values in self.cells.axes.items() if len(values) > 1]
+        scene = self.cells.scene.replace(
+            **{name: values[0] for name, values in self.cells.axes.items() if name not in ("plant", "phase")}
+        )
+        plant = [] if "plant" in several else [f"plant {self.cells.axes['plant'][0]}"]
+        return f"{self.scene.name}: {', '.join([*plant, *parameter_texts(scene, without=several)])}"
 
     def plot(self, path: Path | None = None) -> Any:
         """Draw each figure over the first varied parameter; see `Result.plot`."""
@@ -253,6 +263,7 @@ class Grid(Sequence[Cell]):
         phase: Phase of the samples, in [0, 1).
 
     Attributes:
+        scene: The scene with the parameters that do not vary.
         axes: Values of what varies, of plant and phase.
         plan: All that the cells are made of, ready for JSON.
 
@@ -278,7 +289,7 @@ class Grid(Sequence[Cell]):
             name: [one if one is None and name in derived else checks[name](one) for one in values]
             for name, values in axes.items()
         }
-        self._shape, self._scene = tuple(map(len, self.axes.values())), scene
+        self._shape, self.scene = tuple(map(len, self.axes.values())), scene
         self._head = {"scene": _name(type(scene)), "version": maglev_mj.__version__}
         fixed = {name: value for name, value in scene.independent_values().items() if name not in vary}
         self.plan = {"scene": self._head["scene"], **fixed, **self.axes, "vary": [*self.axes]}
@@ -298,7 +309,7 @@ class Grid(Sequence[Cell]):
             return [self._fixed | changes for changes in self._changes(rows)]
         (changes,) = self._changes(range(rows, rows + 1))
         plant, phase = changes.pop("plant"), changes.pop("phase")
-        return self._head | parameters_json(self._scene.replace(**changes), plant, phase)
+        return self._head | parameters_json(self.scene.replace(**changes), plant, phase)
 
     def _changes(self, rows: range) -> list[Cell]:
         """Return the varied values of some cells."""

@@ -155,9 +155,23 @@ def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
     assert complaints(figure) == []
     image = figure.axes[0].images[0]
     assert np.asarray(image.get_array()) == pytest.approx(1e3 * found.figure("penetration").T)
-    assert image.get_extent() == pytest.approx([5e-4, 4.5e-3, 45.0, 85.0])
+    assert image.get_extent() == pytest.approx([*figure.axes[0].get_xlim(), 45.0, 85.0])
+    assert figure.axes[0].get_ylim() == (45.0, 85.0)
+    title = figure.get_suptitle().replace("\N{NO-BREAK SPACE}", " ")
+    assert title.startswith("drop: plant exact, 200 Hz, delay 1.5 ms, stiffness 6000 N/m") and "damping" not in title
+    assert not figure.legends
     uneven: list[list[Any]] = [[1, 2, 3], [1.0, 2.0, 4.0, 8.0], [4, 3, 2, 1], [True, False, True, False], [*"abcd"]]
     assert [_even(values) for values in ([1.0, 2.0, 3.0, 4.0], *uneven)] == [True] + [False] * 5
+
+
+def test_missing_values_of_a_sweep_are_named() -> None:
+    stiff = {"stiffness": [4000.0, 6000.0, 20000.0]}
+    figure = sweep(Drop(), {**stiff, "damping": [20.0]}, plant="exact").plot()
+    named = {panel.get_title(loc="left"): [text.get_text() for text in panel.texts] for panel in figure.axes}
+    assert named["settling time (ms)"] == ["no value"] and not named["peak force (N)"]
+    even = {"stiffness": [4000.0, 10000.0, 16000.0, 22000.0], "damping": [20.0, 60.0, 100.0, 140.0]}
+    (legend,) = sweep(Drop(), even, plant="exact").plot().legends
+    assert [text.get_text() for text in legend.get_texts()] == ["no value, for example not settled"]
 
 
 def test_a_sweep_of_a_scene_without_figures_has_no_picture() -> None:

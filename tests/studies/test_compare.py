@@ -231,7 +231,7 @@ def test_pictures_tell_eight_laws_apart_with_and_without_colour(tmp_path: Path) 
         assert [text.get_text() for text in legend.get_texts()][:8] == list(laws)
         handles = [(line.get_color(), str(line._unscaled_dash_pattern)) for line in legend.legend_handles[:8]]
         assert len(set(handles)) == 8 and len({dash for _, dash in handles}) == 8
-    assert "phase 0.5" in found.plot().axes[0].get_title(loc="left")
+    assert "phase\N{NO-BREAK SPACE}0.5" in found.plot().get_suptitle()
 
 
 @pytest.mark.usefixtures("no_margins")
