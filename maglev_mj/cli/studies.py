@@ -43,7 +43,7 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.card import device_card
 from maglev_mj.studies.cells import StudyInterrupted, Workers, WorkersError, dask_workers, local_workers
-from maglev_mj.studies.compare import LAWS
+from maglev_mj.studies.compare import ORIGINS
 from maglev_mj.studies.compare import compare as compare_laws
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.drop_map import PART, DropMapParameters, run_drop_map
@@ -197,12 +197,13 @@ def _values(cls: type[Scene], name: str, text: str) -> list[Any]:
     return [float(value) for value in np.linspace(low, high, count)]
 
 
+_LAWS = ", ".join(f"{law} ({origin})" for law, origin in ORIGINS.items())
+
+
 def compare(
     *,
     scene: Annotated[Scene, Shared(add_scene, chosen_scene)],
-    law: Annotated[
-        list[str], option(f"{', '.join(LAWS)}, or your own FILE.py[:CLASS] (executed); repeatable", "laws", "LAW")
-    ],
+    law: Annotated[list[str], option(f"{_LAWS}, or your own FILE.py[:CLASS] (executed); repeatable", "laws", "LAW")],
     phases: Annotated[int, option("number of sampling phases, evenly spaced")] = 100,
     plant: Annotated[str, option("plant: exact, mujoco", metavar="NAME")] = "exact",
     json: Json = None,

@@ -21,7 +21,7 @@ from maglev_mj.result import Result, Table, with_unit
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
-from maglev_mj.theory import StiffestWall, largest_stable_stiffness
+from maglev_mj.theory import StiffestWall, largest_stable_stiffness, least_passive_damping
 from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS, Design, SampledLoop, bisect, is_stable
 from maglev_mj.theory.verdict import inertia_of
 
@@ -50,6 +50,7 @@ class DeviceCard(Result):
             1000 kg on, NaN for none.
         force_bandwidth: Frequency at which hold and drivers lose 3 dB of a force [Hz].
         force_resolution: Step of the force by one step of the sensor, at the target gains [N].
+        passive_damping: Least damping of the device's own for a passive target wall [N s/m]; the flotor has none.
     """
 
     title: str
@@ -63,6 +64,7 @@ class DeviceCard(Result):
     masses: Array
     force_bandwidth: float
     force_resolution: float
+    passive_damping: float
     units: ClassVar = {"frequency": "Hz", "target": "N s/m", "rendered": "N s/m", "simulated": "N s/m"}
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -80,6 +82,7 @@ class DeviceCard(Result):
         figures = [("transparency bandwidth (impedance within 3 dB of target)", self.transparent, "Hz")]
         figures += [("force bandwidth of hold and drivers, 3 dB", self.force_bandwidth, "Hz")]
         figures += [("force resolution (one sensor step)", self.force_resolution, "N")]
+        figures += [("device damping for a passive target wall", self.passive_damping, "N s/m")]
         hands = [
             (hand, *(f"{k:.0f} at {b:.0f}" for k, b in zip(wall.stiffness, wall.damping)), *mass.tolist())
             for hand, wall, mass in zip(self.hands, self.walls, self.masses)
@@ -89,7 +92,7 @@ class DeviceCard(Result):
             "Stiffest stable wall [N/m] at its damping [N s/m]; virtual masses that are stable behind the target's "
             "spring and damper (- for unlimited)"
         )
-        note = "stable, not passive: a flotor without physical damping renders no passive wall"
+        note = "stable, not passive: the flotor has no damping of its own"
         some = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
         tables = (
             Table(title, heads, hands, note),
@@ -137,10 +140,9 @@ def device_card(scene: Scene) -> DeviceCard:
     attenuated = lambda f: np.sinc(f * period) < _LOSS * np.hypot(1.0, f / Spec.driver_bandwidth.value)  # noqa: E731
     bandwidth = float(bisect(attenuated, np.zeros(()), np.array(0.5 / period), 50))
     title = f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg; target wall {k:g} N/m, {b:g} N s/m"
-    step = quantum * (k + b / period)
-    return DeviceCard(
-        title, tuple(HANDS), delays, walls, damping, limits, impedance, transparent, masses, bandwidth, step
-    )
+    step, passive = quantum * (k + b / period), float(least_passive_damping(k, b, period=period, delay=scene.delay))
+    curves = damping, limits, impedance, transparent, masses
+    return DeviceCard(title, tuple(HANDS), delays, walls, *curves, bandwidth, step, passive)
 
 
 def fly_impedance(scene: Scene, mass: float, stiffness: float, damping: float, cycles: Array) -> Array:

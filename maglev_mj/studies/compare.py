@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.control import Law, ObserverWall, PredictiveWall, Wall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.parameters import number
+from maglev_mj.plants.model import load_model
 from maglev_mj.result import Table, plain, with_unit
 from maglev_mj.scenes.find import SceneLike, class_in_file, get_scene
 from maglev_mj.scenes.results import Figure, Variants
@@ -27,7 +28,7 @@ from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.spec import Spec
 from maglev_mj.studies.designed_wall import hum
-from maglev_mj.theory.boundary import colgate
+from maglev_mj.theory import least_passive_damping
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
@@ -52,7 +53,9 @@ LAWS: Mapping[str, LawMaker] = {
     "disturbance-observer": partial(ObserverWall, disturbance=True),
     "colgate": partial(_pd),
 }
-"""Published laws by name; colgate is pd at the largest passive stiffness, without damping."""
+"""Laws by name; colgate is pd at the largest passive stiffness, without damping."""
+ORIGINS = dict(zip(LAWS, ("as published", "as published", "modified", "own", "own", "modified"), strict=True))
+"""Whether a law is its source's equation, a modification of it, or the project's own."""
 
 
 _MARGINS = {"stiffness": "N/m", "noise": "N", "spectral_radius": "", "critical_stiffness": "N/m", "margin": ""}
@@ -166,7 +169,7 @@ def compare(
         raise ParameterError(f"scene must have a wall as its first law, such as drop or press (got {chosen.name})")
     number("stiffness", chosen.stiffness, above=0.0)
     named = [(label, _named(law)[1]) for label, law in laws.items()] if isinstance(laws, Mapping) else map(_named, laws)
-    variants = {label: _with_law(chosen, label, law) for label, law in named}
+    variants = {label: _with_law(chosen, label, law, plant) for label, law in named}
     if len(variants) < max(len(laws), 1):
         raise ParameterError(f"laws must be at least one, without duplicates (got {', '.join(variants) or 'none'})")
     margins = {label: _margins(variant) for label, variant in variants.items()}
@@ -183,7 +186,7 @@ def _named(law: str | LawMaker) -> tuple[str, LawMaker]:
     return getattr(own, "__name__", str(own)), own
 
 
-def _with_law(scene: WallScene, label: str, maker: LawMaker) -> WallScene:
+def _with_law(scene: WallScene, label: str, maker: LawMaker, plant: str) -> WallScene:
     """Return a scene with another law as its wall, and perceived hardness among its figures."""
     base: Any = type(scene)
 
@@ -199,20 +202,22 @@ def _with_law(scene: WallScene, label: str, maker: LawMaker) -> WallScene:
         def laws(self) -> list[Any]:
             return [_law_of(label, maker, self, one) if isinstance(one, Wall) else one for one in base.laws(self)]
 
-    return Compared(**scene.independent_values() | (_passive(scene) if maker is LAWS["colgate"] else {}))
+    return Compared(**scene.independent_values() | (_passive(scene, plant) if maker is LAWS["colgate"] else {}))
 
 
-def _passive(scene: WallScene) -> dict[str, float]:
-    """Return the gains of the stiffest passive wall.
-
-    The delay counts as half of a longer period, K (T/2 + T_d) = b.
-    """
-    hand = _hand(scene)
-    damping = 0.0 if hand is None else hand.grip_damping if hand.soft else hand.damping  # next to the flotor
-    stiffness = float(colgate(0.0, period=scene.period + 2.0 * scene.delay, physical_damping=damping))
-    if not stiffness:
-        raise ParameterError("law colgate must have a hand with damping: without it, only zero stiffness is passive")
-    return {"stiffness": stiffness, "damping": 0.0, "pulse": 0.0}
+def _passive(scene: WallScene, plant: str) -> dict[str, float]:
+    """Return the gains of the stiffest passive spring, without damping, on a device with damping of its own."""
+    model, damping = scene.plant_options().get("model"), 0.0
+    if plant != "exact" and model is not None:
+        device = load_model(model)
+        damping = float(device.model.dof_damping[device.velocity_address + scene.axis_index])
+    if not damping:
+        raise ParameterError(
+            "no passive spring: the device has no damping of its own; law colgate needs joint damping in the model of "
+            f"plant mujoco (got {damping:g} N s/m on {scene.axis})"
+        )
+    least = least_passive_damping(1.0, period=scene.period, delay=scene.delay)
+    return {"stiffness": damping / float(least), "damping": 0.0, "pulse": 0.0}
 
 
 def _hand(scene: WallScene) -> Any:

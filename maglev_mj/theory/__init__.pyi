@@ -1,5 +1,6 @@
 from maglev_mj.theory.boundary import StiffestWall as StiffestWall
 from maglev_mj.theory.boundary import largest_stable_stiffness as largest_stable_stiffness
+from maglev_mj.theory.boundary import least_passive_damping as least_passive_damping
 from maglev_mj.theory.boundary import stable_ranges as stable_ranges
 from maglev_mj.theory.boundary import stiffest_wall as stiffest_wall
 from maglev_mj.theory.closed_loop import critical_delay as critical_delay
@@ -13,6 +14,8 @@ from maglev_mj.theory.design import DesignedWall as DesignedWall
 from maglev_mj.theory.design import WallRequirements as WallRequirements
 from maglev_mj.theory.design import design_wall as design_wall
 from maglev_mj.theory.design import worst_case as worst_case
+from maglev_mj.theory.ideal import analog_wall as analog_wall
+from maglev_mj.theory.ideal import karnopp as karnopp
 from maglev_mj.theory.linearise import ClosedLoop as ClosedLoop
 from maglev_mj.theory.linearise import Linearised as Linearised
 from maglev_mj.theory.verdict import Verdict as Verdict

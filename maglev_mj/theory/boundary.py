@@ -8,9 +8,9 @@ z = exp(i theta), it gives two real equations, so k and b are explicit in theta:
 At a fixed damping, the stiffnesses at which a pole crosses the circle are the roots of one such polynomial, so none is
 missed. A circle of another radius gives the boundary for a margin.
 
-The published bounds (`colgate` and so on) are conditions of passivity or of stability, as their docstrings say. They
-accept and return broadcasting arrays. `physical_damping` is that of device and hand. The levitated flotor has almost
-none, so no wall on it is passive, but many are stable.
+The bounds below are conditions of passivity or of stability, as their docstrings say. They accept and return
+broadcasting arrays. `physical_damping` is that of the device. The levitated flotor has almost none, so no wall on it is
+passive, but many are stable.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from typing import NamedTuple, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import common_shape, number, numbers
-from maglev_mj.theory.closed_loop import ROUNDING, LoopKeywords, SampledLoop, is_stable
+from maglev_mj.theory.closed_loop import ROUNDING, Design, LoopKeywords, SampledLoop, is_stable, pd, rendered_stiffness
 
 _HIGHEST = 8.0
 _NEAR = np.array([-1e-4, -1e-7, 1e-7, 1e-4])
@@ -40,6 +41,7 @@ _SOFTEST = 1e-9
 """Least stiffness distinguishable from zero [m/T²]."""
 _AROUND, _BESIDE, _FALL = 1e-2 * np.linspace(-1.0, 1.0, 9), 1e-6 * np.linspace(-1.0, 1.0, 5), 1e-3
 _LEAST, _TRIM = 1e-11, 1e-10
+_ANGLES = np.geomspace(1e-5, np.pi, 1500)
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 
 
@@ -359,32 +361,60 @@ def _roots(series: Array) -> Array:
     return result
 
 
-def colgate(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
-    """Return the largest passive stiffness, 2 (b - |B|) / T, or 0.
+def least_passive_damping(
+    stiffness: ArrayLike,
+    damping: ArrayLike = 0.0,
+    *,
+    period: ArrayLike,
+    delay: ArrayLike = 0.0,
+    design: Design | None = None,
+) -> Array:
+    """Return the least physical damping to ground that makes a wall passive against every motion [N s/m].
 
-    Passivity implies stability with any passive hand. Valid without delay apart from the hold. Virtual damping B lowers
-    the bound: with b below |B| no spring is passive.
+    For the law's force -H(z) x, a delay of (q + r) T and z = exp(j w T), it is the largest, over 0 < w <= pi/T, of
+
+    (R + sqrt(R² + r (1 - r) T² abs(H)²)) / 2  with  R = T Re(H z^-q (1 - r + r/z) / (1 - z)).
 
     Args:
-        damping: Virtual damping B [N s/m].
-        period: Sample period T [s].
-        physical_damping: Damping b [N s/m].
+        stiffness: Wall stiffness K [N/m], (...,).
+        damping: Virtual damping B [N s/m], (...,).
+        period: Sample period T [s], (...,).
+        delay: Transport delay [s], (...,).
+        design: Linear controller; None for the PD wall.
 
     Raises:
         ParameterError: If a value is outside its bounds.
 
-    Source: Colgate & Schenkel 1997, b > K T/2 + |B|, as quoted by others; the tests derive it again from the general
-    condition on the frequency response.
+    Source: derived here, as the least eigenvalue of the absorbed power over all aliases of a frequency; without delay
+    it is K T/2 + abs(B), the condition of Colgate & Schenkel 1997 as quoted by others.
+
+    Example:
+        >>> from maglev_mj.theory import least_passive_damping
+        >>> least_passive_damping(1000.0, [0.0, 20.0], period=0.005, delay=0.0015).round(3)
+        array([ 4.305, 16.792])
     """
-    b, virtual, time = _checked(damping, physical_damping, period)
-    return np.maximum(2.0 * (b - np.abs(virtual)) / time, 0.0)
+    gains = numbers("stiffness", stiffness), numbers("damping", damping)
+    times = numbers("period", period, at_least=0.0, above=0.0), numbers("delay", delay, at_least=0.0)
+    k, b, step, late = (part[..., None] for part in np.broadcast_arrays(*gains, *times))
+    law, (whole, rest) = (design or pd())(k, b, step), split_delay(late, step)
+    share, angles = rest / step, np.broadcast_to(_ANGLES, (*k.shape[:-1], _ANGLES.size))
+    while True:
+        z = np.exp(1j * angles)
+        wall = rendered_stiffness(law, z)
+        real = step * (wall * z**-whole * (1.0 - share + share / z) * (0.5 + 0.5j / np.tan(0.5 * angles))).real
+        needed = 0.5 * (real + np.sqrt(real**2 + share * (1.0 - share) * (step * np.abs(wall)) ** 2))
+        best = np.argmax(needed, axis=-1)[..., None] + np.array([-1, 1])
+        low, high = np.moveaxis(np.take_along_axis(angles, np.clip(best, 0, angles.shape[-1] - 1), axis=-1), -1, 0)
+        if (high - low <= 1e-6 * high).all():
+            return np.asarray(needed.max(axis=-1))
+        angles = np.linspace(low, high, 33, axis=-1)
 
 
 def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
     """Return the stiffness of the linear stability condition, (b + B) / (T/2 + T_d).
 
     Stability without a hand, to first order in B T/m and K T²/m: low damping, short delay, fast sampling. Above about
-    B T/m = 0.1 the exact boundary is lower.
+    B T/m = 0.1 the exact boundary is lower. Without delay it is B/(K T) > 1/2 of Minsky et al. 1990 (recalled).
 
     Args:
         damping: Virtual damping B [N s/m].
@@ -398,55 +428,6 @@ def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_dam
     Source: Gil, Sanchez, Hulin, Preusche & Hirzinger 2009; not checked against the original, its first order checked in
     the tests.
     """
-    b, virtual, time = _checked(damping, physical_damping, period)
-    return (b + virtual) / (0.5 * time + numbers("delay", delay, at_least=0.0))
-
-
-def minsky(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
-    """Return the stiffness bound 2 (b + B) / T, from B/(K T) > 1/2 with the total damping.
-
-    Stability to first order without delay apart from the hold: `gil` at T_d = 0.
-
-    Args:
-        damping: Virtual damping B [N s/m].
-        period: Sample period T [s].
-        physical_damping: Damping b [N s/m].
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-
-    Source: form after Minsky, Ouh-young, Steele, Brooks & Behensky 1990; not checked against the original, nor is the
-    constant.
-    """
-    return gil(damping, period=period, delay=0.0, physical_damping=physical_damping)
-
-
-def abbott_okamura(
-    *, period: ArrayLike, physical_damping: ArrayLike, dry_friction: ArrayLike, quantum: ArrayLike
-) -> Array:
-    """Return the largest passive stiffness with a quantized sensor, min(2 b/T, 2 f_c/quantum).
-
-    For a wall without virtual damping or delay, on a mass with viscous and Coulomb friction.
-
-    Args:
-        period: Sample period T [s].
-        physical_damping: Damping b [N s/m].
-        dry_friction: Coulomb friction f_c of the device [N].
-        quantum: Resolution of the sensor [m], above 0.
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-
-    Source: Abbott & Okamura 2005, as quoted by others.
-    """
-    b, friction, time = _checked(dry_friction, physical_damping, period, name="dry_friction")
-    step = numbers("quantum", quantum, at_least=0.0, above=0.0)
-    return np.minimum(2.0 * b / time, 2.0 * friction / step)
-
-
-def _checked(
-    first: ArrayLike, physical_damping: ArrayLike, period: ArrayLike, name: str = "damping"
-) -> tuple[Array, Array, Array]:
-    time = numbers("period", period, at_least=0.0, above=0.0)
-    least = -np.inf if name == "damping" else 0.0
-    return numbers("physical_damping", physical_damping, at_least=0.0), numbers(name, first, at_least=least), time
+    b, virtual = numbers("physical_damping", physical_damping, at_least=0.0), numbers("damping", damping)
+    half = 0.5 * numbers("period", period, at_least=0.0, above=0.0)
+    return (b + virtual) / (half + numbers("delay", delay, at_least=0.0))

@@ -68,9 +68,9 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
     return design
 
 
-def rendered_stiffness(controller: LinearController) -> Array:
-    """Return the static stiffness of a linear wall [N/m], (...,): minus force over position, both constant."""
-    still = np.eye(controller.advance.shape[-1]) - controller.advance
+def rendered_stiffness(controller: LinearController, z: ArrayLike = 1.0) -> Array:
+    """Return minus force over position of a linear wall [N/m], (...,): static, or complex at z on the unit circle."""
+    still = np.asarray(z)[..., None, None] * np.eye(controller.advance.shape[-1]) - controller.advance
     memory = np.linalg.solve(still, np.broadcast_to(controller.take, controller.give.shape)[..., None])
     return np.asarray(-(np.matmul(controller.give[..., None, :], memory)[..., 0, 0] + controller.direct))
 
@@ -274,9 +274,9 @@ def bisect(holds: Callable[[Array], Mask], low: Array, high: Array, halvings: in
     return high
 
 
-def is_stable(spectral_radius: ArrayLike, limit: float = 1.0) -> Mask:
+def is_stable(spectral_radius: ArrayLike, limit: ArrayLike = 1.0) -> Mask:
     """Return True for a spectral radius below the limit by more than rounding."""
-    return np.asarray(spectral_radius) < limit * (1.0 - ROUNDING)
+    return np.asarray(spectral_radius) < np.asarray(limit) * (1.0 - ROUNDING)
 
 
 def spectral_radius(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
@@ -302,7 +302,8 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         loop: Keywords of `SampledLoop` except the delay; they broadcast with the gains.
 
     Returns:
-        The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable up to 10 periods.
+        The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable up to 10 periods. The free
+        motion of a wall without stiffness is no instability.
 
     Raises:
         ParameterError: If a value is outside its bounds, or a delay is passed.
@@ -318,12 +319,13 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     around = SampledLoop(**loop)
     k, b = (gain[..., None] for gain in around.broadcast(stiffness, damping))
     shape = k.shape[:-1]
+    limit = np.where(k > 0.0, 1.0, 1.0 + 1e-6)  # free motion is a root at 1
     wide = around.widened()
     period = np.broadcast_to(np.asarray(wide.period), (*shape, 1))
     low, high = np.zeros(shape), np.full(shape, np.inf)
     for whole in range(MAX_DELAY_PERIODS):
         grid = period * np.linspace(whole, whole + 1, 41)
-        unstable = ~is_stable(replace(wide, delay=grid).spectral_radius(k, b))
+        unstable = ~is_stable(replace(wide, delay=grid).spectral_radius(k, b), limit)
         first = np.argmax(unstable, axis=-1)
         pick = np.stack([np.maximum(first - 1, 0), first], axis=-1)
         bracketed = unstable.any(axis=-1) & np.isinf(high)
@@ -333,7 +335,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
             break
     finite = np.isfinite(high)
     high = bisect(
-        lambda delay: ~is_stable(replace(wide, delay=delay[..., None]).spectral_radius(k, b)[..., 0]),
+        lambda delay: ~is_stable(replace(wide, delay=delay[..., None]).spectral_radius(k, b), limit)[..., 0],
         low,
         np.where(finite, high, 0.0),
         _HALVINGS,

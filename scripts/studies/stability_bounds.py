@@ -15,7 +15,7 @@ from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import Spec
 from maglev_mj.studies.levels import boundary_shift
 from maglev_mj.theory import boundary as bounds
-from maglev_mj.theory import largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory import largest_stable_stiffness, least_passive_damping, stiffest_wall
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.versions import versions
 
@@ -27,29 +27,26 @@ OWN = 20.0  # damping of the device or the hand, in one of the panels [N s/m]
 
 panels, rows = [], []
 print("times the exact boundary, at 200 Hz and 0.7 kg (above 1: optimistic, below: conservative)")
-print(f"  {'delay, own damping':<24}{'B N s/m':>8}{'exact N/m':>11}{'Gil':>7}{'Minsky':>8}{'Colgate':>9}")
+print(f"  {'delay, own damping':<24}{'B N s/m':>8}{'exact N/m':>11}{'Gil':>7}{'Minsky':>8}{'passive b':>11}")
 CASES = (0.0, 0.0), (DELAY, 0.0), (PERIOD, 0.0), (0.0, OWN)
 for delay, own in CASES[1::2] if options.quick else CASES:
     top = 1.6 * float(stiffest_wall(period=PERIOD, delay=delay, hand=Hand(damping=own)).damping)
     damping = np.linspace(0.5, top, 4 if options.quick else 120)
     exact = largest_stable_stiffness(damping, period=PERIOD, delay=delay, hand=Hand(damping=own))
     gil = bounds.gil(damping, period=PERIOD, delay=delay, physical_damping=own)
-    minsky = bounds.minsky(damping, period=PERIOD, physical_damping=own)
-    colgate = bounds.colgate(damping, period=PERIOD, physical_damping=own)
+    minsky = bounds.gil(damping, period=PERIOD, delay=0.0, physical_damping=own)
     curves = [("exact", damping, exact), ("Gil et al.", damping, gil), ("Minsky et al.", damping, minsky)]
-    if own or delay == 0.0:
-        curves.append(("Colgate & Schenkel (passivity)", damping, colgate))
     title = f"delay {delay * 1e3:g} ms, physical damping {own:g} N s/m"
     labels = ("virtual damping B (N s/m)", "critical stiffness (N/m)")
     panels.append(Panel(title=title, labels=labels, curves=curves, top=1.6 * float(exact.max())))
     for place in (5.0, 20.0, 60.0):
         at = {name: float(np.interp(place, damping, values)) for name, _, values in curves}
         base = at["exact"]
-        rows.append({"delay": delay, "own_damping": own, "damping": place, **at})
-        passive = f"{at['Colgate & Schenkel (passivity)'] / base:>9.2f}" if len(at) == 4 else f"{'-':>9}"
+        passive = float(least_passive_damping(base, place, period=PERIOD, delay=delay))  # of the device, at the limit
+        rows.append({"delay": delay, "own_damping": own, "damping": place, **at, "passive_damping": passive})
         print(
             f"  {f'{delay * 1e3:g} ms, {own:g} N s/m':<24}{place:>8g}{base:>11.0f}{at['Gil et al.'] / base:>7.2f}"
-            f"{at['Minsky et al.'] / base:>8.2f}{passive}"
+            f"{at['Minsky et al.'] / base:>8.2f}{passive:>11.2f}"
         )
 
 by_step = []

@@ -154,6 +154,21 @@ def test_passivity_control_takes_away_what_the_wall_makes(stiffness: float, dela
     assert kept.max() < 1.0 + 1e-9 and controlled.energy[:, 2].min() > -1e-12
 
 
+@pytest.mark.parametrize(
+    ("stiffness", "most", "after"),
+    [(500.0, 1.11, 1.002), (2000.0, 1.33, 1.002), (4000.0, 1.58, 1.002), (20000.0, 3.41, 1.15)],
+)
+def test_passivity_control_balances_the_energy_from_the_third_sample_outside(
+    stiffness: float, most: float, after: float
+) -> None:
+    # At every sample and phase: returned over absorbed energy.
+    _, _, trace = bounce([plain(stiffness), PassivityController(axes="z", period=T, most=60.0)], 0.0)
+    returned = (trace.twist[..., 2] / 0.2) ** 2
+    outside = np.cumsum((trace.pose[..., 2] > 0.0) & (trace.twist[..., 2] > 0.0), axis=0)
+    assert returned.max() == pytest.approx(most, abs=0.01)
+    assert 1.0 + 1e-3 < returned[outside == 1].max() <= most and returned[outside >= 3].max() < after
+
+
 def test_passivity_observer_without_inertia_is_exact_for_one_force_a_period() -> None:
     timing = Timing(period=T, delay=0.0)
     plant = ExactPlant(timing, pose=[0.0, 0.0, 3e-3, 0.0, 0.0, 0.0], record=True)

@@ -45,7 +45,9 @@ def test_critical_delay_of_the_papers_wall() -> None:
     assert critical_delay(6000.0, 80.0, period=T, mass=M) == pytest.approx(3.257e-3, rel=1e-3)
     at = float(critical_delay(6000.0, 80.0, period=T))
     assert spectral_radius(6000.0, 80.0, period=T, delay=at) == pytest.approx(1.0, abs=1e-9)
-    assert critical_delay([30000.0, 1e-3], [80.0, 1.0], period=T).tolist() == [0.0, math.inf]
+    assert critical_delay([30000.0, 1e-3, 0.0], [80.0, 1.0, 0.0], period=T).tolist() == [0.0, math.inf, math.inf]
+    free, soft = critical_delay([0.0, 1e-3], 80.0, period=T)  # a damper alone is a wall in the limit of no stiffness
+    assert free == pytest.approx(soft, rel=1e-5) and 0.009 < free < 0.0092
 
 
 def test_equation_6_is_the_case_of_a_full_period() -> None:

@@ -132,9 +132,7 @@ def test_stability_bounds_names_which_bounds_and_integrators_are_optimistic(tmp_
     assert out.count("euler") == 2
     for row in data["bounds"]:
         assert row["exact"] < row["Gil et al."] <= row["Minsky et al."]
-    passive = "Colgate & Schenkel (passivity)"
-    colgate = [(row[passive], row["exact"]) for row in data["bounds"] if row.get(passive) is not None]
-    assert len(colgate) == 3 and all(bound < exact for bound, exact in colgate)
+        assert row["passive_damping"] > row["own_damping"]  # stable beyond what is passive
     excess = {(row["integrator"], row["aligned"]): row["percent"][0] for row in data["integrators"]}
     assert excess["rk4", True] == pytest.approx(0.0, abs=0.01) and excess["euler", True] > 15.0
 
