@@ -25,6 +25,16 @@ pictures = options.pictures
 PERIOD, DELAY = 1.0 / Spec.control_rate.value, Spec.transport_delay.value
 OWN = 20.0  # damping of the device or the hand, in one of the panels [N s/m]
 
+
+def stiffnesses(damping: Array, delay: float, own: float) -> dict[str, Array]:
+    """Return the exact limit and the published ones [N/m] at virtual dampings."""
+    return {
+        "exact": largest_stable_stiffness(damping, period=PERIOD, delay=delay, hand=Hand(damping=own)),
+        "Gil et al.": bounds.gil(damping, period=PERIOD, delay=delay, physical_damping=own),
+        "Minsky et al.": bounds.gil(damping, period=PERIOD, delay=0.0, physical_damping=own),
+    }
+
+
 panels, rows = [], []
 print("times the exact boundary, at 200 Hz and 0.7 kg (above 1: optimistic, below: conservative)")
 print(f"  {'delay, own damping':<24}{'B N s/m':>8}{'exact N/m':>11}{'Gil':>7}{'Minsky':>8}{'passive b':>11}")
@@ -32,15 +42,12 @@ CASES = (0.0, 0.0), (DELAY, 0.0), (PERIOD, 0.0), (0.0, OWN)
 for delay, own in CASES[1::2] if options.quick else CASES:
     top = 1.6 * float(stiffest_wall(period=PERIOD, delay=delay, hand=Hand(damping=own)).damping)
     damping = np.linspace(0.5, top, 4 if options.quick else 120)
-    exact = largest_stable_stiffness(damping, period=PERIOD, delay=delay, hand=Hand(damping=own))
-    gil = bounds.gil(damping, period=PERIOD, delay=delay, physical_damping=own)
-    minsky = bounds.gil(damping, period=PERIOD, delay=0.0, physical_damping=own)
-    curves = [("exact", damping, exact), ("Gil et al.", damping, gil), ("Minsky et al.", damping, minsky)]
+    curves = [(name, damping, values) for name, values in stiffnesses(damping, delay, own).items()]
     title = f"delay {delay * 1e3:g} ms, physical damping {own:g} N s/m"
     labels = ("virtual damping B (N s/m)", "critical stiffness (N/m)")
-    panels.append(Panel(title=title, labels=labels, curves=curves, top=1.6 * float(exact.max())))
+    panels.append(Panel(title=title, labels=labels, curves=curves, top=1.6 * float(curves[0][2].max())))
     for place in (5.0, 20.0, 60.0):
-        at = {name: float(np.interp(place, damping, values)) for name, _, values in curves}
+        at = {name: float(value) for name, value in stiffnesses(np.asarray(place), delay, own).items()}
         base = at["exact"]
         passive = float(least_passive_damping(base, place, period=PERIOD, delay=delay))  # of the device, at the limit
         rows.append({"delay": delay, "own_damping": own, "damping": place, **at, "passive_damping": passive})

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.control import Hold
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.plants import INTEGRATORS, MuJoCoBatchPlant
@@ -17,7 +18,7 @@ from maglev_mj.plants.hand import Hand
 from maglev_mj.scenes.free import Twist
 from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.spec import INERTIA
-from maglev_mj.studies.levels import level_parts, motion_of
+from maglev_mj.studies.levels import apart, level_parts, motion_of
 
 SEMI_IMPLICIT = [name for name in INTEGRATORS if name not in ("rk4", "corrected")]
 CORRECTED: Any = partial(MuJoCoPlant, integrator="corrected")
@@ -106,6 +107,21 @@ def test_corrected_steps_are_exact_in_translation_at_every_phase(longest: float 
         np.testing.assert_allclose(moved[:, :3], twist[:, :3], atol=1e-13)
         np.testing.assert_allclose(same, force, atol=1e-9)
     assert worst < 1e-14
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_corrected_steps_turn_within_the_figure_of_the_page(seed: int) -> None:
+    random, traces = np.random.default_rng(seed), []
+    way, stiffness, ratio = random.normal(size=3), random.uniform(0.5, 8.0), random.uniform(0.3, 1.0)
+    pose = [0.0] * 3 + list(np.deg2rad(random.uniform(0.5, 5.0)) * way / np.linalg.norm(way))
+    damping = 2.0 * ratio * np.sqrt(stiffness * np.array(INERTIA[3:]))
+    laws = [Hold(axes=["rx", "ry", "rz"], stiffness=stiffness, damping=damping)]
+    for options in ({"integrator": "corrected"}, {"longest_step": 5e-4}):
+        plant: Any = MuJoCoPlant(Timing(), pose=pose, gravity=0.0, coils=False, record=True, **options)
+        drive(plant, Controller(laws, period=0.005), 60)
+        traces.append(plant.trace().at(np.arange(60) * 0.005))
+    (pose_c, _, _), (pose_r, twist, _) = traces
+    assert apart(pose_c, pose_r) < 0.2e-6 * (np.linalg.norm(twist[:, 3:], axis=1) ** 2).max()
 
 
 @pytest.mark.parametrize(
