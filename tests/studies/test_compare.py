@@ -126,7 +126,7 @@ def test_colgate_is_the_stiffest_passive_spring_on_the_devices_own_damping() -> 
             compare(bare, ["colgate"], phases=2, plant=plant)
 
 
-def test_every_law_has_a_label_in_help_and_page() -> None:
+def test_the_page_labels_every_law_by_its_origin() -> None:
     page = (ROOT / "docs" / "howto" / "compare.md").read_text(encoding="utf-8")
     for law in LAWS:
         assert re.search(rf"^\| `{law}` \| {ORIGINS[law]} \|", page, re.MULTILINE), law

@@ -86,14 +86,8 @@ def test_friction_by_abbott_and_okamura_silences_the_hum_of_a_coarse_sensor(stif
     assert hum(0.0, stiffness=stiffness, damping=damping, quantum=step).swing[0] > 0.4 * step
 
 
-@pytest.mark.parametrize(
-    ("bound", "value", "words"),
-    [
-        (partial(bounds.gil, 5.0, delay=0.0), {"period": 0.0}, "period must be above 0"),
-        (partial(least_passive_damping, 5.0), {"delay": -1.0}, "delay must be"),
-        (partial(bounds.gil, 5.0, delay=0.0), {"physical_damping": -1.0}, "physical_damping must be"),
-    ],
-)
-def test_bad_bounds_are_refused(bound: Any, value: dict[str, float], words: str) -> None:
-    with pytest.raises(ParameterError, match=words):
-        bound(**({"period": T} | value))
+@pytest.mark.parametrize("bound", [bounds.gil, least_passive_damping])
+def test_bad_bounds_are_refused(bound: Any) -> None:
+    for name in ("period", "delay"):
+        with pytest.raises(ParameterError, match=f"{name} must be"):
+            bound(5.0, **({"period": T, "delay": 0.0} | {name: -1.0}))
