@@ -29,7 +29,7 @@ from maglev_mj.plants.hand import exponential
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene
 from maglev_mj.spec import INERTIA, RANGE
-from maglev_mj.theory.ideal import karnopp
+from maglev_mj.theory import karnopp
 from six_axes import run_six_axes
 from tests.sweeps import further
 from tests.theory.closed_loop import spectral_radius

@@ -11,7 +11,7 @@ import pytest
 from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory.ideal import analog_wall
+from maglev_mj.theory import analog_wall
 from tests.sweeps import sweep
 
 M, G, T = 0.7, 9.81, 0.005
