@@ -395,7 +395,8 @@ class StabilityMap(GainMap):
             ("Gil et al.", bounds.gil(damping, period=p.period, delay=p.delay), "stability, low damping"),
             ("Minsky et al.", bounds.gil(damping, period=p.period, delay=0.0), "stability, no delay, low damping"),
         )
-        passive = float(theory.least_passive_damping(best, damping, period=p.period, delay=p.delay))
+        least = float(theory.least_passive_damping(best, damping, period=p.period, delay=p.delay))
+        passive = f"; the stiffest wall is passive with {least:.4g} N s/m of the device's own damping" if best else ""
         remark = "; on a jump: at nearby dampings, softer walls are unstable" if self.maximum.on_jump else ""
         rows = [("stiffest stable wall", best, 1.0, f"at {damping:.1f} N s/m{remark}" if best else "no wall is stable")]
         rows += [(name, float(one), float(one) / best if best else math.nan, sense) for name, one, sense in published]
@@ -412,7 +413,7 @@ class StabilityMap(GainMap):
             )
         note.append(
             f"published bounds: at {damping:.1f} N s/m, without a hand; larger ones than the first row neglect delay "
-            f"or damping; the stiffest wall is passive on a device with damping of its own from {passive:.4g} N s/m"
+            f"or damping{passive}"
         )
         head = "", "stiffness [N/m]", "ratio", ""
         return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note))

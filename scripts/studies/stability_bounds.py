@@ -24,16 +24,7 @@ pictures = options.pictures
 
 PERIOD, DELAY = 1.0 / Spec.control_rate.value, Spec.transport_delay.value
 OWN = 20.0  # damping of the device or the hand, in one of the panels [N s/m]
-
-
-def stiffnesses(damping: Array, delay: float, own: float) -> dict[str, Array]:
-    """Return the exact limit and the published ones [N/m] at virtual dampings."""
-    return {
-        "exact": largest_stable_stiffness(damping, period=PERIOD, delay=delay, hand=Hand(damping=own)),
-        "Gil et al.": bounds.gil(damping, period=PERIOD, delay=delay, physical_damping=own),
-        "Minsky et al.": bounds.gil(damping, period=PERIOD, delay=0.0, physical_damping=own),
-    }
-
+PLACES = 5.0, 20.0, 60.0  # virtual dampings of the table [N s/m]
 
 panels, rows = [], []
 print("times the exact boundary, at 200 Hz and 0.7 kg (above 1: optimistic, below: conservative)")
@@ -41,13 +32,16 @@ print(f"  {'delay, own damping':<24}{'B N s/m':>8}{'exact N/m':>11}{'Gil':>7}{'M
 CASES = (0.0, 0.0), (DELAY, 0.0), (PERIOD, 0.0), (0.0, OWN)
 for delay, own in CASES[1::2] if options.quick else CASES:
     top = 1.6 * float(stiffest_wall(period=PERIOD, delay=delay, hand=Hand(damping=own)).damping)
-    damping = np.linspace(0.5, top, 4 if options.quick else 120)
-    curves = [(name, damping, values) for name, values in stiffnesses(damping, delay, own).items()]
+    damping = np.concatenate([PLACES, np.linspace(0.5, top, 4 if options.quick else 120)])
+    limits = {"exact": largest_stable_stiffness(damping, period=PERIOD, delay=delay, hand=Hand(damping=own))}
+    for name, late in (("Gil et al.", delay), ("Minsky et al.", 0.0)):
+        limits[name] = bounds.gil(damping, period=PERIOD, delay=late, physical_damping=own)
+    curves = [(name, damping[len(PLACES) :], values[len(PLACES) :]) for name, values in limits.items()]
     title = f"delay {delay * 1e3:g} ms, physical damping {own:g} N s/m"
     labels = ("virtual damping B (N s/m)", "critical stiffness (N/m)")
     panels.append(Panel(title=title, labels=labels, curves=curves, top=1.6 * float(curves[0][2].max())))
-    for place in (5.0, 20.0, 60.0):
-        at = {name: float(value) for name, value in stiffnesses(np.asarray(place), delay, own).items()}
+    for index, place in enumerate(PLACES):
+        at = {name: float(values[index]) for name, values in limits.items()}
         base = at["exact"]
         passive = float(least_passive_damping(base, place, period=PERIOD, delay=delay))  # of the device, at the limit
         rows.append({"delay": delay, "own_damping": own, "damping": place, **at, "passive_damping": passive})
