@@ -15,8 +15,7 @@ LESSONS = _PACKAGE / "lessons" if (_PACKAGE / "lessons").is_dir() else _PACKAGE.
 """Folder of the notebooks: in the installed package, or docs/lessons in a clone."""
 
 _PAGES = "https://github.com/maglev-mj/maglev_mj/blob/main/docs/"
-_CONCLUSIONS = "## What to remember"  # they answer the questions
-_SOLUTION = re.compile(r"\n*<details>.*?</details>", re.DOTALL)
+_SOLUTION = re.compile(r"\n*<details>.*?</details>|## What to remember\n.*?\n(?=More:)", re.DOTALL)
 
 
 def lessons(
@@ -38,9 +37,11 @@ def lessons(
 
 
 def without_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
-    """Return a notebook without solutions and conclusions; solution cells are emptied."""
-    cells = [cell for cell in notebook["cells"] if not "".join(cell["source"]).startswith(_CONCLUSIONS)]
-    return notebook | {"cells": [_for_students(cell) for cell in cells]}
+    """Return a notebook without solutions, and without conclusions, which answer the questions.
+
+    Cells of solutions are emptied.
+    """
+    return notebook | {"cells": [_for_students(cell) for cell in notebook["cells"]]}
 
 
 def _for_students(cell: dict[str, Any]) -> dict[str, Any]:
