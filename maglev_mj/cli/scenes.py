@@ -145,7 +145,7 @@ def view(
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.session import Session
 
-    hand = SpringHand(stiffness=hand_stiffness)
+    hand = SpringHand.of_mouse(hand_stiffness)
     warn_of_instability(scene)  # also raises errors of a user's scene before a page opens
     front = page.open()
     if front is None:

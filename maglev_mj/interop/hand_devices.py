@@ -6,6 +6,7 @@ import os
 import socket
 import struct
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import cached_property
@@ -20,11 +21,11 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
-from maglev_mj.session import Snapshot
+from maglev_mj.session import FrameClock, Snapshot
 from maglev_mj.spec import RANGE
 
-BUTTONS = "centre", "pause"
-"""Actions of the first and second button."""
+BUTTONS = "centre", "pause", "zero"
+"""Actions of the first buttons; "zero" takes the current position for the rest position."""
 
 
 class Reading(NamedTuple):
@@ -129,13 +130,17 @@ HAND_MAPPING = AxisMapping(gain=3.0, turning_gain=3.0, dead_zone=0.15)
 
 _FURTHEST = 1.0  # [m, rad]: a rotation above pi would wrap around
 _FULL = np.ones(len(AXES))
+_STILL, _JITTER, _NEAR = 10, 0.02, 0.3  # at rest: number of readings, largest change, largest deflection
+_LARGEST = 16.0  # of a valid reading; drivers may scale
 
 
 class HandDevice:
     """Input device that moves a hand's target; a `Publisher`.
 
-    The deflection sets the target pose on all six axes. With all axes in the dead zone the hand is released, so that
-    the mouse can be used and friction holds the flotor. Other targets of the hand, such as the mouse's, have priority.
+    The deflection from rest sets the target pose on all six axes. With all axes in the dead zone the hand is released,
+    so that the mouse can be used and friction holds the flotor. Other targets of the hand, such as the mouse's, have
+    priority. The rest position is the first one near zero that is still; until then the hand is released. After a
+    disconnection or an invalid reading it is released until a button is pressed: another user may have the device.
 
     Args:
         device: The input device; `close` closes it too.
@@ -143,13 +148,16 @@ class HandDevice:
         mapping: Axis mapping; `HAND_MAPPING` if None.
 
     Attributes:
-        note: Message for the user while the device is disconnected.
+        note: Message for the user while the device cannot be used.
         act: Function called with the action of a pressed button; may be replaced.
     """
 
     def __init__(self, device: InputDevice, hand: SpringHand, mapping: AxisMapping | None = None) -> None:
         self.note, self._device, self._hand, self._mapping = "", device, hand, mapping or HAND_MAPPING
         self.act: Callable[[str], object] = lambda action: None
+        self._lost = False
+        self._rest: Array | None = None
+        self._recent: deque[Array] = deque(maxlen=_STILL)
 
     def take(self) -> None:
         """Return None: an input device does not change the scene."""
@@ -157,26 +165,43 @@ class HandDevice:
     def show(self, snapshot: Snapshot) -> None:
         """Move the hand; see `Publisher`."""
         shares, pressed = self._device.read()
-        self.note = f"{self._device.name} disconnected: the hand is released" if shares is None else ""
-        self._hand.device_target = None if shares is None else self._target(shares)
-        for number in pressed:
-            if number < len(BUTTONS):
+        self._hand.device_target, self.note = None, ""
+        valid = shares is not None and all(abs(share) <= _LARGEST for share in shares)  # false for NaN
+        if not valid or (self._lost and not pressed):
+            self.note = f"no position from {self._device.name}: the hand is released until you press one of its buttons"
+            self._lost, self._rest = True, None
+            self._recent.clear()
+            return
+        position = np.asarray(shares)
+        for number in () if self._lost else pressed:
+            if number == BUTTONS.index("zero"):
+                self._rest = position
+            elif number < len(BUTTONS):
                 self.act(BUTTONS[number])
+        self._lost = False
+        self._recent.append(position)
+        if self._rest is not None:
+            self._hand.device_target = self._target(position - self._rest)
+        elif np.abs(position).max() > _NEAR:
+            self.note = f"{self._device.name} is deflected: let it go, or press its third button where it is at rest"
+        elif len(self._recent) == _STILL and np.ptp(self._recent, axis=0).max() <= _JITTER:
+            self._rest = position
 
     def close(self) -> None:
         """Release the hand and close the device; idempotent."""
         self._hand.device_target = None
         self._device.close()
 
-    def _target(self, shares: Sequence[float]) -> list[float] | None:
+    def _target(self, deflection: Array) -> list[float] | None:
         """Return the target pose [m, rad]; None at rest."""
-        outside = self._mapping.outside(np.asarray(shares), _FULL)
+        outside = self._mapping.outside(deflection, _FULL)
         target = np.clip(self._mapping(outside) * RANGE, -_FURTHEST, _FURTHEST)
         return target.tolist() if target.any() else None
 
 
 _PERIOD = 1.0 / 120.0
 _PATIENCE = 20.0
+_RESEND, _MAX_AGE = 0.5, 2.0  # interval of an unchanged state, largest age [s]
 
 State: TypeAlias = tuple[tuple[float, ...], tuple[bool, ...]] | None
 """Deflections relative to full scale and pressed buttons; None for a disconnected device."""
@@ -187,6 +212,7 @@ class Gamepad:
 
     Args:
         name: Part of its name, case-insensitive; empty for the first device.
+        clock: Real-time clock [s].
 
     Attributes:
         name: Full name.
@@ -195,23 +221,26 @@ class Gamepad:
         MaglevError: If there is no such device, or no display.
     """
 
-    def __init__(self, name: str = "") -> None:
+    def __init__(self, name: str = "", clock: Callable[[], float] = time.monotonic) -> None:
         self._process = SideProcess(watch, name)
         matches = [full for full in _first(self._process) if name.lower() in full.lower()]
         if not matches:
             self.close()
             raise MaglevError(f"no gamepad{f' named {name!r}' if name else ''} found")
         self.name, self._state = matches[0], _first(self._process)
+        self._clock, self._received = clock, clock()
 
     def read(self) -> Reading:
         """Return the state; see `InputDevice`."""
         pressed: list[int] = []
+        lost = False
         for state in self._process.received():
             before = self._state[1] if self._state else ()
             down = state[1] if state else ()
             pressed += [number for number, (old, new) in enumerate(zip(before, down)) if new and not old]
-            self._state = state
-        if self._process.ended or self._state is None:
+            self._state, self._received, lost = state, self._clock(), lost or state is None
+        # a device that was away and is back may be another one
+        if self._process.ended or lost or self._state is None or self._clock() - self._received > _MAX_AGE:
             return GONE
         return Reading(self._state[0], pressed)
 
@@ -250,7 +279,7 @@ def watch(line: Connection, wanted: str) -> None:
 
     glfw.ERROR_REPORTING = "ignore"
     glfw.init()  # may fail, e.g. without a display; then there are no devices
-    pads = _Pads(glfw)
+    pads, due = _Pads(glfw), FrameClock(_RESEND)
     sent: Any = pads.names()
     # keep the full name: after a disconnection no other device may take over
     wanted = next((name for name in sent if wanted.lower() in name.lower()), wanted)
@@ -258,7 +287,7 @@ def watch(line: Connection, wanted: str) -> None:
         line.send(sent)
         while not line.poll(_PERIOD):  # a closed pipe is readable
             glfw.poll_events()
-            if (state := pads.state(wanted)) != sent:
+            if (state := pads.state(wanted)) != sent or due():
                 line.send(state)
                 sent = state
     except OSError:
@@ -268,29 +297,35 @@ def watch(line: Connection, wanted: str) -> None:
 
 
 class _Pads:
-    """All gamepads and joysticks, gamepads first."""
+    """All gamepads and joysticks by number and name, gamepads first; GLFW reports no serial number."""
 
     def __init__(self, glfw: Any) -> None:
         self._glfw = glfw
-        self._neutral: dict[int, tuple[float, ...]] = {}
+        self._chosen: tuple[int, str] | None = None
+        self._before: list[tuple[int, str]] = []
 
     def names(self) -> list[str]:
         """Return the names of all connected devices."""
-        return [self._name(number) for number in self._present()]
+        return [name for _, name in self._present()]
 
     def state(self, wanted: str) -> State:
-        """Return the state of the first device matching a name."""
-        for number in self._present():
-            if wanted.lower() in self._name(number).lower():
-                return self._gamepad(number) if self._glfw.joystick_is_gamepad(number) else self._joystick(number)
-        return None
+        """Return the state of the first device matching a name; after its end, of one connected since then."""
+        before, self._before = self._before, self._present()
+        if self._chosen is None:  # after its end: a device that was there before is another user's
+            matches = [pad for pad in self._before if pad not in before and wanted.lower() in pad[1].lower()]
+            self._chosen = matches[0] if matches else None
+        elif self._chosen not in self._before:
+            self._chosen = None
+        if self._chosen is None:
+            return None
+        number = self._chosen[0]
+        return self._gamepad(number) if self._glfw.joystick_is_gamepad(number) else self._joystick(number)
 
-    def _present(self) -> list[int]:
+    def _present(self) -> list[tuple[int, str]]:
         glfw = self._glfw
         numbers = range(glfw.JOYSTICK_1, glfw.JOYSTICK_LAST + 1)
-        present = [number for number in numbers if glfw.joystick_present(number)]
-        self._neutral = {number: axes for number, axes in self._neutral.items() if number in present}
-        return sorted(present, key=lambda number: not glfw.joystick_is_gamepad(number))
+        present = [(number, self._name(number)) for number in numbers if glfw.joystick_present(number)]
+        return sorted(present, key=lambda pad: not glfw.joystick_is_gamepad(pad[0]))
 
     def _name(self, number: int) -> str:
         name = self._glfw.get_gamepad_name(number) or self._glfw.get_joystick_name(number)
@@ -305,11 +340,9 @@ class _Pads:
         return gamepad_shares(state.axes, float(left) - float(right)), tuple(buttons[: len(BUTTONS)])
 
     def _joystick(self, number: int) -> State:
-        """Return the first six axes and the buttons; axes are relative to their first values (throttles)."""
+        """Return the first six axes and the buttons."""
         values, count = self._glfw.get_joystick_axes(number)
-        axes = tuple(float(values[index]) if index < count else 0.0 for index in range(len(AXES)))
-        neutral = self._neutral.setdefault(number, axes)
-        x, y, *others = (value - zero for value, zero in zip(axes, neutral))
+        x, y, *others = (float(values[index]) if index < count else 0.0 for index in range(len(AXES)))
         down, count = self._glfw.get_joystick_buttons(number)
         return (x, -y, *others), tuple(bool(down[index]) for index in range(min(count, len(BUTTONS))))
 
@@ -321,8 +354,13 @@ def _first(process: SideProcess) -> Any:
 
 
 _AT_ONCE, _AGAIN, _FULL_COUNT = 65_536, 1.0, 500
-_EVENT, _GREETING = struct.Struct("=8i"), struct.pack("=f", 1.0)  # protocol 0: kind, values; a client's sensitivity
-_MOTION, _PRESS = 0, 1
+_EVENT, _PROTOCOL = (
+    struct.Struct("=8i"),
+    struct.pack("=I", 0x7FAA5501),
+)  # kind, values; request of protocol 1, and reply
+# then sensitivity 1; a daemon of protocol 0 takes each word for a sensitivity, of which the last one counts
+_GREETING = _PROTOCOL + struct.pack("=If5if", 0x7FAA1001, 1.0, *[0] * 5, 1.0)
+_MOTION, _PRESS, _DEVICE, _REMOVED = 0, 1, 3, 1
 _SETTINGS, _DAEMONS = Path("/etc/spnavrc"), Path("/var/run/spnav.sock")
 _EXCHANGED = 0, 2, 1, 3, 5, 4  # axes of a 3D mouse, in the order of the device
 
@@ -340,9 +378,9 @@ def searched_paths() -> list[Path]:
 
 
 class SpacenavMouse:
-    """3D mouse behind a spacenav socket, protocol 0, which every spacenavd supports.
+    """3D mouse behind a spacenav socket, in protocol 1, or in protocol 0 of a spacenavd before 1.0.
 
-    A lost connection is retried every second.
+    A lost connection is retried every second. In protocol 0 an unplugged mouse cannot be told from one held still.
 
     Args:
         path: Path of the socket.
@@ -377,8 +415,7 @@ class SpacenavMouse:
         if not data:
             self.close()
             return GONE
-        pressed = self._receive(data)
-        return Reading(self._shares, pressed)
+        return self._receive(data)
 
     def close(self) -> None:
         """Close the connection; idempotent."""
@@ -399,10 +436,10 @@ class SpacenavMouse:
         except OSError:  # no driver, or its backlog is full
             self.close()
 
-    def _receive(self, data: bytes) -> list[int]:
-        """Parse events, which may arrive in fragments; store the last motion, return the pressed buttons."""
-        self._buffer += data
-        pressed = []
+    def _receive(self, data: bytes) -> Reading:
+        """Parse events, which may arrive in fragments; store the last motion."""
+        self._buffer = (self._buffer + data).replace(_PROTOCOL, b"")  # shorter than an event
+        pressed, removed = [], False
         while len(self._buffer) >= _EVENT.size:
             kind, *values = _EVENT.unpack(self._buffer[: _EVENT.size])
             self._buffer = self._buffer[_EVENT.size :]
@@ -410,7 +447,9 @@ class SpacenavMouse:
                 self._shares = tuple(values[index] / _FULL_COUNT for index in _EXCHANGED)
             elif kind == _PRESS:
                 pressed.append(values[0])
-        return pressed
+            elif kind == _DEVICE and values[0] == _REMOVED:
+                self._shares, removed = (0.0,) * len(AXES), True
+        return GONE if removed else Reading(self._shares, pressed)
 
 
 AUTO = "auto"

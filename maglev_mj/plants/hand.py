@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -211,6 +211,7 @@ State: TypeAlias = Callable[[], tuple[Array, Array]]
 """Function that returns the flotor's true pose and twist, (..., 6) each."""
 
 _NOTHING = (0.0,) * 6
+_GAP, _SOFTEST = 0.1, 1e-9
 
 
 class HandForce(Protocol):
@@ -323,6 +324,7 @@ class SpringHand:
         turning_damping: Damping of the rotations [N m s/rad].
         force_limit: Largest force [N].
         torque_limit: Largest torque [N m].
+        rise_time: Shortest time in which the spring's force rises to its limit [s]: its end moves to the target.
         target: Target pose [m, rad], (6,), or a path; None if released.
         device_target: Target of an input device [m, rad], (6,), used while `target` is None; None if released.
 
@@ -344,11 +346,14 @@ class SpringHand:
     turning_damping: float = 0.02
     force_limit: float = 20.0
     torque_limit: float = 0.4
+    rise_time: float = 0.0
     target: Sequence[float] | Trajectory | None = None
     device_target: Sequence[float] | None = None
+    _end: list[float] | None = field(default=None, init=False, repr=False)
+    _last: float = field(default=0.0, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "damping", "turning_stiffness", "turning_damping", "force_limit", "torque_limit"):
+        for name in [entry.name for entry in fields(self) if entry.init and entry.type == "float"]:
             setattr(self, name, number(f"hand {name}", getattr(self, name), at_least=0.0))
         for name in ("target", "device_target"):
             goal = getattr(self, name)
@@ -356,9 +361,13 @@ class SpringHand:
                 raise ParameterError(f"hand {name} must be a pose (6,), a Trajectory or None (got {goal!r})")
 
     @classmethod
-    def of_mouse(cls) -> SpringHand:
-        """Return the mouse's hand, strong enough to lift the flotor (6.9 N), weak enough to rest in walls."""
-        return cls(force_limit=7.0, torque_limit=0.2)
+    def of_mouse(cls, stiffness: float = stiffness) -> SpringHand:
+        """Return the mouse's hand, which lifts the flotor (6.9 N) but is too weak and slow for the stops behind walls.
+
+        Args:
+            stiffness: Stiffness of the translations [N/m].
+        """
+        return cls(stiffness=stiffness, force_limit=7.0, torque_limit=0.2, rise_time=0.2)
 
     @property
     def goal(self) -> Sequence[float] | Trajectory | None:
@@ -369,10 +378,17 @@ class SpringHand:
         """Return the hand's wrench; see `HandForce`."""
         target = self.goal
         if target is None:
+            self._end = None
             return _NOTHING
         if isinstance(target, Trajectory):
             target = target.at(float(time))
         pose, twist = (part.tolist() for part in state())
+        if self.rise_time > 0.0:
+            elapsed, self._last = (
+                min(max(float(time) - self._last, 0.0), _GAP),
+                float(time),
+            )  # a new segment begins at 0
+            target = self._end = self._moved(self._end or pose, target, pose, elapsed / self.rise_time)
         force = [
             self.stiffness * (goal - position) - self.damping * speed
             for goal, position, speed in zip(target[:3], pose[:3], twist[:3])
@@ -382,6 +398,17 @@ class SpringHand:
             for angle, speed in zip(_turn(pose[3:], target[3:]), twist[3:])
         ]
         return [*_shortened(force, self.force_limit), *_shortened(torque, self.torque_limit)]
+
+    def _moved(self, end: Sequence[float], target: Sequence[float], pose: list[float], share: float) -> list[float]:
+        """Return the spring's end, moved to the target by a share of the extension that gives the limits."""
+        moved: list[float] = []
+        limits = (self.force_limit, self.stiffness), (self.torque_limit, self.turning_stiffness)
+        for axes, (limit, stiffness) in zip((slice(3), slice(3, 6)), limits):
+            longest, here = limit / max(stiffness, _SOFTEST), pose[axes]
+            step = _shortened([goal - part for goal, part in zip(target[axes], end[axes])], share * longest)
+            extension = _shortened([part + by - at for part, by, at in zip(end[axes], step, here)], longest)
+            moved += [at + part for at, part in zip(here, extension)]
+        return moved
 
 
 @dataclass(frozen=True, eq=False)

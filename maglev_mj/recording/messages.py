@@ -14,6 +14,7 @@ import numpy as np
 from foxglove import Channel, Context, Schema, messages
 from foxglove.channels import FrameTransformsChannel, LogChannel, SceneUpdateChannel
 
+from maglev_mj.colours import DEVICE, HAND, WALL
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, GRIP, MIN_ARROW_FORCE, Shape, arrow_start, shapes, wall_plate
 from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, SEGMENT, SEGMENT_NUMBER, descriptor, packed
@@ -22,7 +23,7 @@ from maglev_mj.recording.sample import FIELDS, Field, Rows, RunMetadata, Setup, 
 FRAMES, SHAPES, ARROWS, LOG = "/tf", "/maglev/shapes", "/maglev/arrows", "/log"
 
 _FRAME_RATE = 60.0  # poses per second for 3D views [Hz]
-_WALL, _HAND, _DEVICE = (0.25, 0.47, 0.85, 0.16), (0.13, 0.62, 0.30, 1.0), (0.80, 0.16, 0.14, 1.0)
+_WALL_OPACITY = 0.16
 _UPRIGHT = 1.0, 0.0, 0.0, 0.0
 _SHAFT, _HEAD, _HEAD_LENGTH = 0.0032, 0.0064, 0.25
 _LEVELS = {
@@ -116,7 +117,7 @@ class Messages:
         metadata = RunMetadata.from_json(run)
         self._totals = Totals(metadata)
         plates = [plate for plate in map(wall_plate, metadata.faces) if plate]
-        walls = [Shape(False, "box", half, centre, _UPRIGHT, _WALL) for centre, half in plates]
+        walls = [Shape(False, "box", half, centre, _UPRIGHT, (*WALL, _WALL_OPACITY)) for centre, half in plates]
         self._stick = None
         construction = {name: part for name, part in setup.items() if name != "run"}
         self._send(self._segment_channel, {"segment": self._segment, "setup": construction, **run})
@@ -180,7 +181,7 @@ class Messages:
         ]
         self._frames.log(messages.FrameTransforms(transforms=transforms), log_time=self._now)
         knob = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ GRIP
-        forces = ("force of the hand", values["hand"], _HAND), ("force of the device", values["applied"], _DEVICE)
+        forces = ("force of the hand", values["hand"], HAND), ("force of the device", values["applied"], DEVICE)
         arrows = [("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces]
         self._draw(self._arrows, arrows)
 
@@ -216,7 +217,7 @@ def _quaternion(values: Sequence[float]) -> messages.Quaternion:
 
 
 def _color(colour: Sequence[float]) -> messages.Color:
-    red, green, blue, opacity = colour
+    red, green, blue, opacity = (*colour, 1.0)[:4]
     return messages.Color(r=red, g=green, b=blue, a=opacity)
 
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 SILENCE = 0.5
 """Timeout after which the hand is released [s]; the target of a held hand is resent periodically."""
 
+_FURTHEST = 1e3  # [m, rad]
 _LONGEST = 0.05
 """Longest time to reach a target [s], the period of a browser's targets (20 Hz; a window sends 60 Hz)."""
 
@@ -48,8 +49,8 @@ class Glide:
         self._received, self._duration, self._held = 0.0, 0.0, False
 
     def aim(self, target: Sequence[float] | None) -> None:
-        """Set a new target pose [m, rad], (6,); None or a non-finite one releases the hand."""
-        if target is not None and not all(map(math.isfinite, target)):
+        """Set a new target pose [m, rad], (6,); None, or one that is not finite or too far, releases the hand."""
+        if target is not None and not all(abs(part) < _FURTHEST for part in target):
             target = None  # untrusted input from a browser, which would make the plant reject the hand
         now = self._clock()
         self._start = (self._now(now) or target) if self._held and target is not None else target or ()
@@ -150,7 +151,7 @@ class RemoteViewer:
 
     def __init__(self, snapshot: Snapshot, front: ViewerFunction, *, watch: bool = False) -> None:
         self._watch = flag("watch", watch)
-        self.hand, self.on_close, self.frames = SpringHand(), _nothing, 0
+        self.hand, self.on_close, self.frames = SpringHand.of_mouse(), _nothing, 0
         self.on_emergency: Callable[[], object] = _nothing
         self._scene, self._sent_time, self._open = snapshot.scene, -np.inf, True
         self._note, self._due, self._glide = Note(), FrameClock(), Glide()

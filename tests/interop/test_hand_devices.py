@@ -70,8 +70,16 @@ class Stick:
 def pushed(shares: Sequence[float], **settings: Any) -> Any:
     """Return the hand's target for a stick deflection."""
     stick, hand = Stick(), SpringHand()
+    device = HandDevice(stick, hand, AxisMapping(**settings) if settings else None)
+    goal(device, hand)
     stick.reading = Reading(shares)
-    HandDevice(stick, hand, AxisMapping(**settings) if settings else None).show(SNAPSHOT)
+    return goal(device, hand)
+
+
+def goal(device: HandDevice, hand: SpringHand) -> Any:
+    """Return the hand's target after some readings, enough to find the rest position."""
+    for _ in range(hand_devices._STILL + 1):
+        device.show(SNAPSHOT)
     return hand.device_target
 
 
@@ -123,57 +131,23 @@ def test_while_the_mouse_pulls_its_target_counts() -> None:
 # -- in a session ----------------------------------------------------------------------------------------
 
 
-class Played:
-    """A session whose hand is a stick."""
-
-    def __init__(self, **parameters: Any) -> None:
-        self.stick, hand = Stick(), SpringHand()
-        self.device = HandDevice(self.stick, hand)
-        self.session = Session(find_scene("joystick")(**parameters), hand=hand, publishers=[self.device])
-        self.device.act = self.session.act
-
-    def after(self, reading: Reading, seconds: float = 1.5) -> Snapshot:
-        """Return the state after a stick was held."""
-        self.stick.reading = reading
-        self.device.show(self.session.snapshot())  # the session does it by the clock on the wall
-        for _ in range(round(seconds / PERIOD)):
-            self.session.tick(PERIOD)
-        return self.session.snapshot()
-
-
-@pytest.mark.parametrize(("axis", "edge"), [(2, 0.0035), (3, math.radians(4.5))])
-def test_a_full_deflection_presses_the_wall_and_letting_go_returns(axis: int, edge: float) -> None:
-    played = Played()
-    assert edge < played.after(Reading(one(axis))).pose[axis] < RANGE[axis]
-    last = played.after(REST)
-    assert last.pose == pytest.approx(np.zeros(6), abs=1e-6)
-    assert not last.hand.any()
-
-
 def test_a_session_reads_the_device_by_itself_and_closes_it() -> None:
-    played = Played()
-    played.stick.reading = Reading(one(1))
-    waited(lambda: played.session.tick(PERIOD) and played.session.hand.device_target)
-    played.session.close()
-    assert played.stick.closed
-    assert played.session.hand.device_target is None
-
-
-def test_a_device_that_goes_lets_go_and_says_so_until_it_is_back() -> None:
-    played = Played()
-    gone = played.after(Reading(None), 0.0)
-    assert gone.target is None
-    assert gone.notes == ["stick disconnected: the hand is released"]
-    back = played.after(Reading(one(0)), 0.0)
-    assert back.notes == []
-    assert back.target == pytest.approx(one(0, 3.0 * RANGE[0]))
+    stick, hand = Stick(), SpringHand()
+    device = HandDevice(stick, hand)
+    session = Session(find_scene("joystick")(), hand=hand, publishers=[device])
+    goal(device, hand)
+    stick.reading = Reading(one(1))
+    waited(lambda: session.tick(PERIOD) and hand.device_target)
+    session.close()
+    assert stick.closed and hand.device_target is None
 
 
 def test_the_first_buttons_are_actions_and_further_ones_are_none() -> None:
-    played = Played()
-    assert played.after(Reading(one(0))).pose[0] > 0.003
-    assert played.after(Reading((0.0,) * 6, [0]), 0.0).pose[0] == 0.0
-    assert played.after(Reading((0.0,) * 6, [2, 1, 7]), 0.0).state == "paused"
+    stick, actions = Stick(), list[str]()
+    stick.reading, device = Reading((0.0,) * 6, [2, 1, 7, 0]), HandDevice(stick, SpringHand())
+    device.act = actions.append
+    device.show(SNAPSHOT)
+    assert actions == ["pause", "centre"]
 
 
 # -- the 3D mouse ----------------------------------------------------------------------------------------
@@ -305,6 +279,108 @@ def test_each_control_of_a_gamepad_moves_its_axis() -> None:
         assert shares == pytest.approx(one(AXES.index(axis), share))
 
 
+class PadRig:
+    """Hand of one of two pads of a model, as GLFW reports them."""
+
+    JOYSTICK_1, JOYSTICK_LAST, GAMEPAD_BUTTON_LEFT_BUMPER, GAMEPAD_BUTTON_RIGHT_BUMPER = 0, 15, 4, 5
+
+    def __init__(self, known: bool) -> None:
+        rig: Any = self
+        self.rest = [0.0] * 4 + [-1.0 if known else 0.0] * 2
+        self.axes, self.down, self.silent, self.waiting = {0: self.rest, 1: self.rest}, [False] * 15, False, list[Any]()
+        self.joystick_is_gamepad, self.get_gamepad_name = lambda number: known, lambda number: b"Pad"
+        self.joystick_present = lambda number: number in self.axes
+        self.get_joystick_axes = lambda number: (self.axes[number], 6)
+        self.get_joystick_buttons = lambda number: (self.down, 15)
+        self.get_gamepad_state = lambda number: SimpleNamespace(axes=self.axes[number], buttons=self.down)
+        pad, self.pads = Gamepad.__new__(Gamepad), hand_devices._Pads(self)
+        self.hand, self.clock = SpringHand(), Clock()
+        process: Any = SimpleNamespace(received=self.received, ended=False)
+        pad.name, pad._state, pad._clock, pad._received, pad._process = "Pad", None, self.clock, 0.0, process
+        self.device = HandDevice(pad, self.hand)
+        self.faults = {
+            "removed": lambda: (rig.deflect(1.0, 1), rig.axes.pop(0)),  # the other user's takes no part
+            "replaced": lambda: (rig.axes.pop(0), rig.waiting.append(rig.pads.state("pad")), rig.deflect(1.0)),
+            "silent": self.hang,
+            "garbage": lambda: self.deflect(math.nan),
+        }
+
+    def received(self) -> list[Any]:
+        waiting, self.waiting = self.waiting, []
+        return [] if self.silent else [*waiting, self.pads.state("pad")]
+
+    def hang(self) -> None:
+        self.silent, self.clock.now = True, 3.0
+
+    def deflect(self, share: float, number: int = 0) -> None:
+        self.axes[number], self.silent = [share, *self.rest[1:]], False
+
+    def press(self, number: int = 0) -> None:
+        self.down[number] = True
+        self.device.show(SNAPSHOT)
+        self.down[number] = False
+
+
+class MouseRig:
+    """Hand of a 3D mouse, from the daemon's end; one that is held still is silent."""
+
+    def __init__(self, path: Path, stack: ExitStack) -> None:
+        daemon, self.hand = stack.enter_context(Daemon(path)), SpringHand()
+        self.device = HandDevice(stack.enter_context(closing(SpacenavMouse(path))), self.hand)
+        self.line, removed, added = daemon.accept(), *(struct.pack("=8i", 3, end, *[0] * 6) for end in (1, 0))
+        asked = self.line.recv(64)
+        assert struct.unpack("=IIf", asked[:12]) == (0x7FAA5501, 0x7FAA1001, 1.0)  # protocol 1, sensitivity
+        self.line.send(asked[:4])
+        self.faults = {
+            "removed": lambda: self.line.send(removed),
+            "replaced": lambda: self.line.send(removed + added + FULL_X),
+            "garbage": lambda: self.line.send(motion_event([-(2**31)] * 6, 0)),
+        }
+
+    def deflect(self, share: float) -> None:
+        self.line.send(motion_event([round(500 * share), 0, 0, 0, 0, 0], 16))
+
+    def press(self, number: int = 0) -> None:
+        self.line.send(button_event(number, True))
+
+
+RIGS: dict[str, Callable[[Path, ExitStack], Any]] = {
+    "gamepad": lambda path, stack: PadRig(True),
+    "joystick": lambda path, stack: PadRig(False),
+    "3D mouse": MouseRig,
+}
+
+
+@pytest.mark.parametrize("fault", ["removed", "replaced", "silent", "garbage", "held at the start"])
+@pytest.mark.parametrize("kind", RIGS)
+def test_no_input_device_pulls_that_was_lost_or_never_at_rest(kind: str, fault: str, path: Path) -> None:
+    with ExitStack() as stack:
+        rig = RIGS[kind](path, stack)
+        if fault in rig.faults:
+            assert goal(rig.device, rig.hand) is None
+            rig.deflect(1.0)
+            assert goal(rig.device, rig.hand)[0] > 0.0
+            rig.faults[fault]()
+            for share in (0.0, 1.0):  # however it comes back
+                assert goal(rig.device, rig.hand) is None
+                assert "the hand is released until you press" in rig.device.note
+                rig.deflect(share)
+            rig.press()
+        for share in np.linspace(0.0, 0.3, 12):  # never still
+            rig.deflect(share)
+            rig.device.show(SNAPSHOT)
+        for share in (0.4, 1.0, 0.05):
+            rig.deflect(share)
+            assert goal(rig.device, rig.hand) is None
+            assert ("is deflected: let it go" in rig.device.note) == (share > 0.3)
+        rig.deflect(-1.0)
+        assert goal(rig.device, rig.hand)[0] < 0.0
+        rig.press(2)  # rests here from now on
+        assert goal(rig.device, rig.hand) is None
+        rig.deflect(0.0)
+        assert goal(rig.device, rig.hand)[0] > 0.0
+
+
 KEY, ABSOLUTE = 1, 3
 BUTTON_A, BUTTON_B, LEFT_BUMPER = 0x130, 0x131, 0x136
 
@@ -346,23 +422,6 @@ def pads(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
             os.close(line)
 
 
-def test_a_button_that_is_held_while_a_gamepad_comes_back_is_not_pressed() -> None:
-    pad, shares = Gamepad.__new__(Gamepad), (0.0,) * 6
-    states: list[Any] = [
-        (shares, (True, False)),
-        None,
-        (shares, (True, True)),
-        (shares, (False, True)),
-        (shares, (True, True)),
-    ]
-    pad._state = shares, (False, False)
-    pressed = []
-    for state in states:
-        pad._process = SimpleNamespace(received=lambda state=state: [state], ended=False)  # type: ignore[assignment]
-        pressed.append([*pad.read().pressed])
-    assert pressed == [[0], [], [], [], [0]]
-
-
 @pytest.mark.needs("screen", "compiler")
 def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
     # GLFW itself, with its own table of gamepads, beside a folder of made-up devices.
@@ -388,29 +447,13 @@ def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
 
 
 @pytest.mark.needs("screen", "compiler")
-def test_another_joystick_does_not_take_the_place_of_the_first(pads: Pads) -> None:
-    # Not even where the first one that there was is the hand.
-    pads.plug("event1")
-    pads.plug()
-    with closing(open_device("auto")) as pad:
-        assert pad.name == "X360 Controller"
-        pads.say((ABSOLUTE, 0, 32767))
-        held = waited(lambda: (now := pad.read().shares) and now[0] > 0.9 and now)
-        pads.unplug()
-        assert waited(lambda: (now := pad.read()).shares != held and now) == Reading(None)
-
-
-@pytest.mark.needs("screen", "compiler")
-def test_an_unknown_joystick_has_its_axes_in_order_from_where_they_rest(pads: Pads) -> None:
+def test_an_unknown_joystick_has_its_axes_in_order(pads: Pads) -> None:
     pads.plug("event1")
     with closing(open_device("auto")) as stick:
-        assert (stick.name, stick.read().shares) == ("Test Stick", REST.shares)
+        assert stick.name == "Test Stick"
+        assert stick.read().shares == pytest.approx(one(2), abs=1e-4)
         pads.say((ABSOLUTE, 1, 32767), (ABSOLUTE, 2, 0), name="event1")
-        waited(lambda: stick.read().shares == pytest.approx([0.0, -1.0, -1.0, 0.0, 0.0, 0.0], abs=1e-4))
-        pads.unplug("event1")
-        waited(lambda: stick.read() == Reading(None))
-        pads.plug("event2")  # another one, which rests elsewhere
-        assert waited(lambda: stick.read().shares) == REST.shares
+        waited(lambda: stick.read().shares == pytest.approx([0.0, -1.0, 0.0, 0.0, 0.0, 0.0], abs=1e-4))
 
 
 # -- the command -----------------------------------------------------------------------------------------
@@ -431,6 +474,7 @@ class Shown:
         self.states: list[str] = []
 
     def show(self, session: Session, **_: Any) -> ShowReport:
+        session.tick(PERIOD)  # reads the rest position
         self.begin()
         waited(lambda: [session.tick(PERIOD), session.hand.device_target][1])
         self.targets.append(session.hand.device_target)
@@ -444,6 +488,7 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> Shown:
     """Run `view` without window or display."""
     made = Shown()
     monkeypatch.setattr(window, "show", made.show)
+    monkeypatch.setattr(hand_devices, "_STILL", 1)
     monkeypatch.setattr(window, "require_display", lambda: None)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

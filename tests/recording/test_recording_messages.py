@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from maglev_mj import colours
 from maglev_mj.cli.output import LAYOUT
 from maglev_mj.frames import ZERO, quaternion
 from maglev_mj.plants.shapes import ARROW, GRIP, shapes
@@ -105,6 +106,7 @@ def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path
     assert len(entities["flotor"]["cubes"]) > 20 and len(entities["stator"]["cubes"]) > 50
     (wall,) = entities["walls"]["cubes"]
     assert wall["size"]["z"] < 1e-3 < wall["size"]["x"] and 0.0 < wall["color"]["a"] < 0.5
+    assert [wall["color"][part] for part in "rgb"] == pytest.approx(colours.WALL)
     most = 0
     for update in updates:
         for entity in update["entities"]:
@@ -114,7 +116,8 @@ def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path
                 x, y, z, w = (turn[name] for name in "xyzw")
                 along = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
                 force = np.array(along) * (arrow["shaft_length"] + arrow["head_length"]) / ARROW
-                name = "hand" if "hand" in entity["id"] else "applied"
+                name, colour = ("hand", colours.HAND) if "hand" in entity["id"] else ("applied", colours.DEVICE)
+                assert [arrow["color"][part] for part in "rgb"] == pytest.approx(colour)
                 near = np.abs(getattr(segment, name)[:, :3] - force).max(axis=1).min()
                 assert near < 1e-9
                 most += 1

@@ -1,6 +1,7 @@
 """Sessions without a window: pacing, actions, energy, recording."""
 
 from collections.abc import Callable
+from itertools import combinations, product
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller
+from maglev_mj import AXES, Controller, cli
 from maglev_mj.control import Hold, Law, StickSlip, Wall
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
@@ -33,8 +34,9 @@ from maglev_mj.session import (
 )
 from maglev_mj.session.actions import actions
 from maglev_mj.session.replay import rebuild
-from maglev_mj.spec import Spec
+from maglev_mj.spec import RANGE, Spec
 from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.views.viewer_process import RemoteViewer
 from tests.session.test_session_states import Program
 
 FRAME = 1.0 / 60.0
@@ -294,15 +296,43 @@ def test_work_is_metered_whatever_else_pushes() -> None:
     assert abs(account.taken) > 1e-3
 
 
-def test_a_drag_however_far_rests_in_the_joysticks_wall_and_not_at_its_stop() -> None:
-    session, way = Session(), (0.0, -0.8, 0.6)
-    for tick in range(200):
-        reach = 0.1 * min(tick / 60.0, 1.0)  # over the whole screen in 0.3 s
-        session.hand.target = [*(reach * part for part in way), 0.0, 0.0, 0.0]
-        session.tick(0.005)
-        shown = session.snapshot()
-        assert not shown.stops.any()
-    assert np.linalg.norm(shown.force[:3]) == pytest.approx(7.0, abs=0.1) and shown.taken > 0.0
+FAR = {"target": [0.06] * 3 + [0.6] * 3, "device_target": [3.0 * reach for reach in RANGE]}
+"""A drag over the whole screen, and a full deflection of an input device [m, rad]."""
+
+
+@pytest.mark.parametrize("slot", FAR)
+@pytest.mark.parametrize(("name", "count"), [*product(BUILT_IN, (1,)), *product(("joystick", "box"), (2, 3))])
+def test_no_drag_towards_walls_reaches_a_stop(name: str, count: int, slot: str) -> None:
+    # Straight into each wall and, of translations, along the diagonals; at once, and back to the opposite walls.
+    faces = find_scene(name)().controller().faces
+    for walls in combinations(faces, count):
+        axes = [axis for axis, _, _ in walls]
+        if walls[0][1] < 0 or len({*axes}) < count or (count > 1 and max(axes) > 2):
+            continue
+        session, goal = made(name), np.zeros(6)
+        goal[axes] = [-normal * FAR[slot][axis] for axis, normal, _ in walls]
+        setattr(session.hand, slot, goal.tolist())
+        session.tick(0.3)
+        assert all(normal * (session.snapshot().pose[axis] - edge) < 0.0 for axis, normal, edge in walls)
+        if len(faces) == 2 * len(AXES):
+            setattr(session.hand, slot, (-goal).tolist())
+            session.tick(0.25)
+            assert all(normal * (session.snapshot().pose[axis] - edge) > 0.0 for axis, normal, edge in walls)
+        assert not session._segment.plant.met_stops  # at no time
+
+
+@pytest.mark.parametrize("line", ["view", "view --web", "view --hand-stiffness 1000", "tour"])
+def test_every_front_has_the_hand_of_the_mouse(line: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    hands = [Session().hand]
+    monkeypatch.setattr("maglev_mj.views.window.window.require_display", lambda: None)
+    monkeypatch.setattr("maglev_mj.cli.peripherals.PageOptions.open", lambda self: id if self.web else None)
+    monkeypatch.setattr("maglev_mj.cli.scenes._show", lambda source, session, *_: hands.append(session.hand))
+    assert cli.main([*line.split(), "--out", str(tmp_path)]) == 0
+    monkeypatch.setattr("maglev_mj.views.viewer_process.SideProcess", lambda *_: None)
+    hands.append(RemoteViewer(Snapshot(scene=Joystick()), id).hand)
+    stiffness = 1000.0 if "1000" in line else SpringHand.stiffness
+    for hand, expected in zip(hands, (SpringHand.stiffness, stiffness, SpringHand.stiffness), strict=True):
+        assert vars(hand) == vars(SpringHand.of_mouse(expected))
 
 
 def test_what_was_recorded_before_a_run_is_stopped_is_kept(tmp_path: Path) -> None:

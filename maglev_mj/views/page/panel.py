@@ -205,7 +205,7 @@ _ROWS = {
     "skip": ("skip back", "skip forward"),
     "tour": ("back", "next"),
 }
-_USUAL_STIFFNESS, _MAX_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
+_MAX_STIFFNESS = 5000.0  # of the hand [N/m]
 _INPUTS = "gains", "active"
 _MOTIONS = {f"x{factor}": factor for factor in MAGNIFICATIONS}
 _PAUSED: Colour = (0.25, 0.28, 0.33)
@@ -316,10 +316,8 @@ class Panel:
                 if item.live and (added := control(gui, item, scene, self._ask)) is not None:
                     self._controls.append((added, partial(_value, item.name)))
             hint, bounds = "stiffness of the spring between pointer and knob", (0.0, _MAX_STIFFNESS)
-            hand = snapshot.hand_stiffness
-            spring = Slider(
-                gui, "hand_stiffness", "hand [N/m]", hint, hand, bounds, self._ask, reference=_USUAL_STIFFNESS
-            )
+            hand, usual = snapshot.hand_stiffness, Snapshot.hand_stiffness
+            spring = Slider(gui, "hand_stiffness", "hand [N/m]", hint, hand, bounds, self._ask, reference=usual)
             self._controls.append((spring, lambda snapshot: snapshot.hand_stiffness))
 
     def _choose(self, _: str, values: Any) -> None:
