@@ -245,7 +245,7 @@ def _description(slot: str, value: Any) -> Any:
     """Return an object as JSON values, or only its class name if an argument has no JSON form."""
     try:
         reference = _reference(slot, value)
-        return {"class": reference, **{name: _value(name, part) for name, part in _arguments(slot, value).items()}}
+        return {"class": reference, **{name: _value(name, part) for name, part in _arguments(value).items()}}
     except _NoJsonError:
         return f"{type(value).__module__}.{type(value).__qualname__}"
 
@@ -260,7 +260,7 @@ def _reference(slot: str, value: Any) -> str:
     raise _NoJsonError
 
 
-def _arguments(slot: str, value: Any) -> Mapping[str, Any]:
+def _arguments(value: Any) -> Mapping[str, Any]:
     """Return the constructor arguments of an object that differ from their defaults."""
     if isinstance(value, Controller | SampledPlant) and value.started:
         raise _NoJsonError  # its state is not in its arguments
@@ -268,8 +268,8 @@ def _arguments(slot: str, value: Any) -> Mapping[str, Any]:
         return {"laws": value.laws, "period": value.period, "velocity": value.velocity}
     if isinstance(value, SampledPlant):
         return value.given
-    if slot == "hand_force" and isinstance(value, SpringHand) and not isinstance(value.target, Trajectory):
-        raise _NoJsonError  # the target is set from outside
+    if isinstance(value, SpringHand) and (value.rise_time or not isinstance(value.target, Trajectory)):
+        raise _NoJsonError  # it has a state, or a target that is set from outside
     if is_dataclass(value):
         return {
             entry.name: part
