@@ -324,7 +324,7 @@ class SpringHand:
         turning_damping: Damping of the rotations [N m s/rad].
         force_limit: Largest force [N].
         torque_limit: Largest torque [N m].
-        rise_time: Shortest time in which the spring's force rises to its limit [s]: its end moves to the target.
+        rise_time: Shortest time in which the force rises to its limit [s]: the spring's end moves to the target.
         target: Target pose [m, rad], (6,), or a path; None if released.
         device_target: Target of an input device [m, rad], (6,), used while `target` is None; None if released.
 
@@ -384,11 +384,9 @@ class SpringHand:
             target = target.at(float(time))
         pose, twist = (part.tolist() for part in state())
         if self.rise_time > 0.0:
-            elapsed, self._last = (
-                min(max(float(time) - self._last, 0.0), _GAP),
-                float(time),
-            )  # a new segment begins at 0
+            elapsed = 0.0 if self._end is None else min(max(float(time) - self._last, 0.0), _GAP)  # segments begin at 0
             target = self._end = self._moved(self._end or pose, target, pose, elapsed / self.rise_time)
+            self._last = float(time)
         force = [
             self.stiffness * (goal - position) - self.damping * speed
             for goal, position, speed in zip(target[:3], pose[:3], twist[:3])

@@ -121,6 +121,13 @@ def test_the_springs_hand_pulls_no_harder_than_its_limits() -> None:
     assert np.linalg.norm(wrench[3:]) == pytest.approx(0.2)
 
 
+def test_the_mouses_hand_pulls_gently_from_the_first_sample_on() -> None:
+    hand, still = SpringHand.of_mouse(), lambda: (np.zeros(6), np.zeros(6))
+    hand.target = [1.0] + [0.0] * 5
+    forces = [hand(tick, 5.0 + 0.005 * tick, still)[0] for tick in range(50)]
+    assert forces == pytest.approx([min(7.0 * 0.005 / 0.2 * tick, 7.0) for tick in range(50)])
+
+
 def test_a_recorded_hand_gives_the_same_motion_bit_for_bit() -> None:
     hand, wrenches = SpringHand(), []
     laws = [Wall(axes=("x", "y", "z"), lower=-0.003, upper=0.003, stiffness=3000.0, damping=50.0)]
