@@ -6,7 +6,6 @@ A class of declared parameters derives its checks, JSON and command-line options
 from __future__ import annotations
 
 import inspect
-import json
 import math
 import re
 import sys
@@ -32,6 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of, choice_message
+from maglev_mj.files import parse_json, read_text
 from maglev_mj.frames import AXES, Array, Component
 
 _NOT_NUMBERS = bool, np.bool_, str, bytes
@@ -588,10 +588,8 @@ def read_json(
         MaglevError: Of type `error`, if the file cannot be read or parsed; one line with path and reason.
     """
     try:
-        return parse(json.loads(Path(path).read_text(encoding="utf-8"), **options))
+        return parse(parse_json(read_text(Path(path)), parse_constant=float, **options))
     except OSError as failure:
         raise error(f"{kind} {str(path)!r} cannot be read: {failure.strerror}") from None
     except MaglevError as failure:
         raise error(f"{kind} {str(path)!r}: {failure}") from None
-    except (ValueError, RecursionError) as failure:
-        raise error(f"{kind} {str(path)!r} is not valid JSON: {failure}") from None

@@ -14,6 +14,7 @@ import numpy as np
 from maglev_mj import errors
 from maglev_mj.colours import GRID, REFERENCE, SERIES, WALL
 from maglev_mj.errors import check_one_of
+from maglev_mj.files import atomic_path
 
 FIRST, SECOND = SERIES[:2]
 SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
@@ -234,11 +235,12 @@ def save(figure: Any, path: Path | None) -> Any:
     if path is None:
         return figure
     dpi = 150 if path.suffix == ".png" else 110  # for rasterised curves
-    figure.savefig(path, dpi=dpi)
-    if path.suffix == ".svg" and path.stat().st_size > _LARGE:
-        for line in (line for panel in figure.axes for line in panel.lines if len(line.get_xdata()) > _MANY):
-            line.set_rasterized(True)
-        figure.savefig(path, dpi=dpi)
+    with atomic_path(path) as partial:
+        figure.savefig(partial, dpi=dpi, format=path.suffix[1:] or FORMATS[0])
+        if path.suffix == ".svg" and partial.stat().st_size > _LARGE:
+            for line in (line for panel in figure.axes for line in panel.lines if len(line.get_xdata()) > _MANY):
+                line.set_rasterized(True)
+            figure.savefig(partial, dpi=dpi, format="svg")
     return path
 
 

@@ -6,6 +6,7 @@ import atexit
 import math
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -30,12 +31,30 @@ def be_nice() -> None:
         os.nice(NICE)
 
 
-def start_tracker() -> None:
-    """Start multiprocessing's resource tracker now: a later start would unblock interrupts."""
-    if hasattr(os, "fork"):
-        from multiprocessing import resource_tracker
+@contextmanager
+def process_start() -> Iterator[None]:
+    """Start processes in this context: they never receive Ctrl-C, and import no module of the current folder by name.
 
-        resource_tracker.ensure_running()
+    Raises:
+        MaglevError: If a frozen program that starts as a worker does not become one.
+    """
+    import multiprocessing  # slow import, rarely needed
+
+    # arguments of a worker and of the resource tracker
+    as_worker = any(word == "--multiprocessing-fork" or word.startswith("from multiprocessing.") for word in sys.argv)
+    if getattr(sys, "frozen", False) and as_worker and multiprocessing.parent_process() is None:
+        raise MaglevError("a frozen program must first call multiprocessing.freeze_support()")
+    before = os.environ.setdefault("PYTHONSAFEPATH", "")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        if hasattr(os, "fork"):
+            from multiprocessing import resource_tracker
+
+            resource_tracker.ensure_running()  # a later start would unblock interrupts
+        with interrupts_held():
+            yield
+    finally:
+        os.environ["PYTHONSAFEPATH"] = before
 
 
 class SideProcess:
@@ -60,9 +79,8 @@ class SideProcess:
         self.line, remote = (Connection(end.detach()) for end in socketpair())
         self.ended = False
         self._process = context.Process(target=function, args=(remote, *arguments))
-        start_tracker()
         try:
-            with interrupts_held():  # the parent closes the process
+            with process_start():  # the parent closes the process
                 self._process.start()
                 atexit.register(self.close)  # otherwise the interpreter would wait for it indefinitely at exit
         except KeyboardInterrupt:

@@ -156,13 +156,14 @@ def _calibration(options: argparse.Namespace) -> Calibration:
 def _key(options: argparse.Namespace) -> bytes | None:
     """Return the key read from a file; None without one."""
     from maglev_mj.bridge.wire import LEAST_KEY, MOST_KEY
+    from maglev_mj.files import read_text
 
     path: Path | None = options.key
     if path is None:
         return None
     try:
         shared = path.stat().st_mode & 0o077 if os.name == "posix" else 0
-        key = bytes.fromhex(path.read_text(encoding="ascii"))
+        key = bytes.fromhex(read_text(path)) if path.is_file() else b""  # a FIFO might wait for its writer
     except (OSError, ValueError):
         key, shared = b"", 0
     if not LEAST_KEY <= len(key) <= MOST_KEY:

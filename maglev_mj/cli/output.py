@@ -140,9 +140,9 @@ def check_files(files: Mapping[str, Path], recording: Path | None = None) -> Non
             is used twice.
     """
     for name, path in files.items():
-        if path.is_dir() or not path.parent.is_dir():
+        if path.is_dir() or not path.resolve().parent.is_dir():
             raise ParameterError(f"{name} must be a file in an existing folder (got {str(path)!r})")
-        if not (os.access(path, os.W_OK) if path.exists() else _is_writable(path.parent)):
+        if not (os.access(path, os.W_OK) if path.exists() else _is_writable(path.resolve().parent)):
             raise ParameterError(f"{name} must be a writable file (got {str(path)!r})")
         if recording is not None and path.resolve() == recording.resolve():
             raise ParameterError(f"{name} must not overwrite the recording (got {str(path)!r})")

@@ -100,10 +100,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe
     """
+    for name in ("stdin", "stdout", "stderr"):  # a closed one: nothing else must get its file number
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8"))
     if arguments is None:  # as a program: skip garbage collection at exit, which takes 25 ms
         atexit.register(gc.freeze)
-        if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
-            sys.stdout.reconfigure(errors="replace")  # some system encodings lack the unit symbols
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="replace")  # some system encodings lack the unit symbols
+        if getattr(sys, "frozen", False):
+            from multiprocessing import freeze_support
+
+            freeze_support()
     try:
         try:
             if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
@@ -116,8 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return 0
             return _run(options)
         finally:
-            if sys.stdout is not None:
-                sys.stdout.flush()  # fail here instead of with a traceback at interpreter exit
+            sys.stdout.flush()  # fail here instead of with a traceback at interpreter exit
     except OSError as error:  # from standard output or standard error
         _drop_unwritten()
         if isinstance(error, BrokenPipeError):
@@ -205,8 +212,7 @@ def _drop_unwritten() -> None:
     """Discard unwritten output, which the interpreter would retry at exit."""
     for stream in (sys.stdout, sys.stderr):
         try:
-            if stream is not None:
-                stream.flush()
+            stream.flush()
         except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 

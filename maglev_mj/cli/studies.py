@@ -33,7 +33,7 @@ from maglev_mj.cli.options import (
     set_names,
 )
 from maglev_mj.cli.output import Progress, check_folder, write_result, write_results
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import PictureFolder
 from maglev_mj.plants.hand import HANDS
@@ -165,6 +165,8 @@ def sweep(
         result = run_sweep(scene, fixed | varied, workers=running, record=path, progress=progress)
     result = replace(result, varied=varied)  # fixed parameters are not dimensions of the grid
     write_result(json, result, pictures, "sweep")
+    if len(result.results.failed) == len(result.cells):
+        raise MaglevError(f"no cell finished: {result.results[0]['error']}")
     return 0
 
 

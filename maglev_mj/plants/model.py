@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_message
+from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
@@ -58,7 +59,7 @@ def model_files(model: str | Path) -> tuple[tuple[str, str], ...]:
 def _read(path: Path, written: int) -> tuple[tuple[str, str], ...]:
     path = path.resolve()
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, ValueError) as error:
         raise invalid_model(path.name, error) from None
     name = path.relative_to(MODELS.resolve()).as_posix() if path.is_relative_to(MODELS.resolve()) else path.name
@@ -239,6 +240,7 @@ def _compiled(path: Path, written: tuple[tuple[str, int], ...], options: _Option
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, KeyError) as error:
+        model_files(path)  # raises a clearer error if it is no text
         raise invalid_model(name, error) from error
     return _compile(name, spec, options)
 

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import check_instance, check_one_of, file_path, require
+from maglev_mj.files import atomic_path
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording.journal import InvalidRecordingError
-from maglev_mj.recording.recording import RECORDING_TYPE, Recording, atomic_path
+from maglev_mj.recording.recording import RECORDING_TYPE, Recording
 from maglev_mj.recording.sample import ARRAYS, FIELDS, TOTALS, is_recorded, units
 from maglev_mj.versions import versions
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import stat
 import struct
 import threading
 import time
@@ -23,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.recording.sample import FIELDS, ROW, Rows, parse_json, units, value_in
+from maglev_mj.files import LFS_POINTER, destination, parse_json
+from maglev_mj.recording.sample import FIELDS, ROW, Rows, units, value_in
 from maglev_mj.versions import versions
 
 SUFFIX = ".maglev"
@@ -153,19 +155,22 @@ class Journal:
         if _is_in_use(path):
             raise RecordingError(f"{path} is being written by another program: use another file name")
         self._path, self._wait, self.lost = path, wait, 0
+        self._target, mode = destination(path)
         self._error, self._limit = "", _LIMIT
         self._queue = deque[bytes]()
         self._has_samples = self._named = False
         self._synced, self._urgent = time.monotonic(), False
-        self._partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+        self._partial = self._target.with_name(f"{path.name}.{os.getpid()}.partial")
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0)
         self._file = os.open(self._partial, flags, 0o666)
         try:
+            if mode is not None:
+                self._partial.chmod(stat.S_IMODE(mode))
             self._write(header())
-        except OSError:
+        except OSError as error:
             os.close(self._file)
             self._partial.unlink()
-            raise
+            raise OSError(error.errno, error.strerror, str(path)) from None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="journal", daemon=True)
         self._thread.start()
@@ -230,7 +235,7 @@ class Journal:
         """Rename the closed file to its final name, or remove it if it has no samples."""
         try:
             if self._has_samples and not self._named and not (self._error and self._path.exists()):
-                self._partial.replace(self._path)
+                self._partial.replace(self._target)
                 self._named = True
             elif not self._has_samples:
                 self._partial.unlink(missing_ok=True)
@@ -261,7 +266,7 @@ class Journal:
             self._has_samples |= any(part[0] == SAMPLE for part in parts)  # a full disk may accept some of them
             self._write(data + checksum_record(data))
             if self._has_samples and not self._named and _RENAMES_OPEN:
-                self._partial.replace(self._path)
+                self._partial.replace(self._target)
                 self._named = True
         if not self._wait and (urgent or time.monotonic() - self._synced > _SYNC):
             getattr(os, "fdatasync", os.fsync)(self._file)
@@ -367,9 +372,9 @@ def open_journal(path: Path) -> JournalContent:
     """
     with path.open("rb") as file:
         line = file.readline(_MAX_HEADER)
+        if not line.startswith(b'{"offset"'):
+            raise ParameterError(_reason_no_journal(line + file.read(64)))
         size = os.fstat(file.fileno()).st_size
-    if not line.startswith(b'{"offset"'):
-        raise ParameterError(_reason_no_journal(line))
     if not line.endswith(b"\n"):
         raise ParameterError("incomplete header")
     entries = parse_json(line)
@@ -387,7 +392,12 @@ def open_journal(path: Path) -> JournalContent:
 
 def _reason_no_journal(start: bytes) -> str:
     if start.startswith((b"\x89MCAP", b"PK")):
+        profile = start[21 : 21 + int.from_bytes(start[17:21], "little")]  # after magic, opcode and size
+        if start[0] == 0x89 and profile:
+            return f"a recording of another program (MCAP profile {profile.decode(errors='replace')})"
         return "MCAP or .npz file, not a journal: maglev_mj 0.2 and earlier read these recordings"
+    if start.startswith(LFS_POINTER.encode()):
+        return "a Git LFS pointer: run git lfs pull"
     if start.startswith(b'{"format": "maglev_mj fault'):
         return "fault file in an old format: only the version of maglev_mj that wrote it can read it"
     return "not a journal"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.errors import ParameterError, check_instance, file_path
+from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
 from maglev_mj.parameters import store, whole
 from maglev_mj.pictures import save
@@ -310,17 +310,6 @@ def refused(path: Path) -> Iterator[None]:
         raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
     except ParameterError as error:
         raise InvalidRecordingError(f"{str(path)!r} is not a valid recording: {error}") from None
-
-
-@contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary path: moved to `path` on success, removed on failure."""
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 _FIELDS: Mapping[str, Field] = {entry.name: entry for entry in (*FIELDS, *TOTALS)}

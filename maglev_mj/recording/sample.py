@@ -5,7 +5,6 @@ One table of fields defines all file formats.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -384,20 +383,6 @@ class Totals:
         return np.column_stack([energy.sum(axis=1), work, missed])
 
 
-def parse_json(text: bytes | str) -> Any:
-    """Parse JSON text.
-
-    Raises:
-        ParameterError: If it is not valid JSON; NaN and Infinity are not.
-    """
-    try:
-        return json.loads(text, parse_constant=_reject_constant)
-    except ParameterError:
-        raise
-    except (ValueError, RecursionError):
-        raise ParameterError("invalid JSON in a message") from None
-
-
 def value_in(holder: Any, name: str, kind: type | None = None) -> Any:
     """Return a value of a JSON object by name.
 
@@ -494,7 +479,3 @@ def _short(value: Any) -> str:
         return "an object" if isinstance(value, dict) else "a list"
     text = repr(value) if not isinstance(value, int) or abs(value) < _MAX_INTEGER else "a number above 2^53"
     return text if len(text) <= 40 else f"{text[:37]}..."
-
-
-def _reject_constant(constant: str) -> None:
-    raise ParameterError(f"numbers must be finite (got {constant})")

@@ -189,7 +189,7 @@ def check_name(path: Path) -> None:
     """Check the file name of a recording.
 
     Raises:
-        ParameterError: If its suffix is not .maglev.
+        ParameterError: If its suffix is not .maglev, or it is a device or FIFO: readers map the file into memory.
     """
     if path.suffix in _EXPORTED:
         journal, kind = path.with_suffix(SUFFIX), path.suffix[1:]
@@ -199,6 +199,8 @@ def check_name(path: Path) -> None:
         )
     if path.suffix != SUFFIX:
         raise ParameterError(f"record must be a file that ends in {SUFFIX} (got {str(path)!r})")
+    if path.exists() and not path.is_file():
+        raise ParameterError(f"record must be a new or regular file (got {str(path)!r})")
 
 
 def open_recording(path: Path | str, *, wait: bool = False) -> RecordingFile:

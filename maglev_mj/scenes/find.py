@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copyreg
 import hashlib
+import os
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
@@ -103,16 +104,6 @@ def line_of(error: BaseException) -> str | None:
     return location
 
 
-def scene_of_text(text: str, name: str) -> type[Scene]:
-    """Return a scene class from the text of a file that need not exist on this machine.
-
-    Raises:
-        ParameterError: If the text fails.
-    """
-    cls: type[Scene] = object_of_text(text, name, f"{name}.py")
-    return cls
-
-
 def object_of_text(text: str, name: str, file: str) -> Any:
     """Return a class or function from a file's text, executed as a module once per process.
 
@@ -208,11 +199,16 @@ def _reduced(scene: Scene) -> Any:
 def _run(path: Path, written: int) -> ModuleType:
     """Execute a file as a module, again after each change."""
     name = _OWN + hashlib.sha256(str(path).encode()).hexdigest()[:8] + "_" + path.stem
-    sys.path.insert(0, str(path.parent))  # as with `python FILE`, for imports of files beside it
+    library, before = os.path.dirname(os.__file__), [*sys.path]
+    if (folder := str(path.parent)) not in before:  # as with `python FILE`, also for imports by laws and by workers
+        # but after the standard library, whose names files there may have
+        places = [before.index(one) for one in (library, os.path.join(library, "lib-dynload")) if one in before]
+        sys.path.insert(max(places, default=-1) + 1, folder)
     try:
         return _executed(name, path.read_bytes(), str(path))
-    finally:
-        sys.path.remove(str(path.parent))
+    except ParameterError:
+        sys.path[:] = before
+        raise
 
 
 def _executed(name: str, text: str | bytes, file: str) -> ModuleType:

@@ -16,6 +16,7 @@ from maglev_mj.control import Law
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record
 from maglev_mj.errors import MaglevError, ParameterError, choice_message
+from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array, Sample
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import SampledPlant
@@ -95,7 +96,7 @@ class UserCode:
             self._file, self._text = self.scene.__module__, text_of(self.scene)
         else:
             try:
-                self._text = Path(text).read_text(encoding="utf-8")
+                self._text = read_text(Path(text))
             except (OSError, ValueError) as error:
                 raise ParameterError(f"scene {text!r} cannot be read: {error}") from None
         self.changed = bool(hashes - {hash_of(self._text)})

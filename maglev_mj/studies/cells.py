@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
-from maglev_mj.process import interrupts_held, start_tracker
+from maglev_mj.process import process_start
 from maglev_mj.studies.record import Cell, Columns, Record, pack
 from maglev_mj.versions import Versions, differences, versions
 
@@ -77,11 +77,10 @@ class _Processes(Executor):
         from multiprocessing import get_context
 
         quiet = (signal.SIGINT, signal.SIG_IGN)  # where interrupts cannot be held
-        start_tracker()
         self._pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=signal.signal, initargs=quiet)
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
-        with interrupts_held():  # the processes start here
+        with process_start():  # the processes start here
             return self._pool.submit(function, *args, **keywords)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:

@@ -13,7 +13,7 @@ import os
 import struct
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, SupportsIndex, TypeAlias
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import MissingPackageError, ParameterError, require
+from maglev_mj.files import atomic_path, parse_json, read_text
 from maglev_mj.frames import Array
 from maglev_mj.result import plain
 from maglev_mj.versions import differences, hash_of, validated_versions, versions
@@ -187,23 +188,18 @@ class Record(Sequence[Any]):
             return
         self.path.mkdir(parents=True, exist_ok=True)
         if not (self.path / _PLAN).exists():
-            self._write(_PLAN, lambda file: file.write(json.dumps(self._plan, indent=1).encode()))
+            with atomic_path(self.path / _PLAN) as partial:
+                partial.write_text(json.dumps(self._plan, indent=1), encoding="utf-8")
         indices = np.concatenate(self._open)
         table = {_INDEX: indices, **{name: column[indices] for name, column in self.columns.items()}}
         kind = ".parquet" if find_spec("pyarrow") else ".npz"
-        self._write(f"cells-{self.name}-{self._full:05}{kind}", lambda file: _write_table(kind, table, file))
+        shard = self.path / f"cells-{self.name}-{self._full:05}{kind}"
+        with atomic_path(shard) as partial, partial.open("wb") as file:
+            _write_table(kind, table, file)
         self._open, self._dirty = [indices], False
         if indices.size >= _ROWS:
             self._open, self._full = [], self._full + 1
         self._next = time.monotonic() + max(_PAUSE, _SHARE * (time.monotonic() - start))
-
-    def _write(self, name: str, write: Callable[[Any], object]) -> None:
-        """Write a temporary file and rename it, so that a crash leaves a complete file or none."""
-        assert self.path is not None
-        beside = self.path / f"{self.name}{_PARTIAL}"
-        with beside.open("wb") as file:
-            write(file)
-        os.replace(beside, self.path / name)
 
     def missing(self, most: int) -> Iterator[range]:
         """Yield ranges of at most `most` indices of missing cells."""
@@ -214,13 +210,13 @@ class Record(Sequence[Any]):
 
 def _is_new(path: Path) -> bool:
     """Return True if the path holds no record: missing, empty, or partial files only."""
-    return not path.exists() or (path.is_dir() and all(one.suffix == _PARTIAL for one in path.iterdir()))
+    return not path.exists() or (path.is_dir() and all(_PARTIAL in one.suffixes for one in path.iterdir()))
 
 
 def _check(path: Path, plan: Mapping[str, Any]) -> None:
     """Raise if the path is not a record of this study and code."""
     try:
-        stored = dict(json.loads((path / _PLAN).read_text(encoding="utf-8")))
+        stored = dict(parse_json(read_text(path / _PLAN)))
     except (OSError, ValueError, TypeError):
         old = "; maglev_mj 0.2.0 reads a file of JSON lines" if path.is_file() else ""
         raise ParameterError(

@@ -26,7 +26,7 @@ from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import save
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.batch import figures_together
-from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, scene_from_reference, scene_of_text, text_of
+from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, reference_of, scene_from_reference, text_of
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.results import Figure, figure_head, parameter_texts, parameters_json
 from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of
@@ -348,7 +348,8 @@ def _run_of(cell: Cell, text: str | None) -> _Run:
     cell.pop("version")
     if text is None:
         return scene_from_reference(name.partition("@")[0], cell), plant, phase
-    return scene_of_text(text, name.rpartition(":")[2].partition("@")[0]).from_json(cell), plant, phase
+    file, _, cls = name.partition("@")[0].rpartition(":")
+    return object_of_text(text, cls, file).from_json(cell), plant, phase
 
 
 def _run_batch(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Mapping[str, Any] | None]:

@@ -7,7 +7,7 @@ import io
 import os
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -17,8 +17,6 @@ from maglev_mj.cli import main
 from maglev_mj.cli.program import COMMANDS
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.session.replay import write_run
-
-CLI = [sys.executable, "-m", "maglev_mj"]
 
 
 def outcome(stream: TextIO, *words: str, both: bool = False) -> tuple[int, str]:
@@ -99,8 +97,33 @@ def test_another_broken_pipe_is_an_error_like_any(
     assert capsys.readouterr().err == "maglev-mj info: [Errno 32] Broken pipe\n"
 
 
-def test_a_sign_that_an_encoding_lacks_is_a_question_mark() -> None:
-    # as where a Japanese Windows writes to a file
-    env = {**os.environ, "PYTHONIOENCODING": "cp932"}
-    done = subprocess.run([*CLI, "info"], capture_output=True, env=env, timeout=120, check=True)
-    assert " ?m" in done.stdout.decode("cp932") and not done.stderr
+@pytest.mark.parametrize("encoding", ["cp932", "ascii:surrogateescape"])
+def test_a_sign_that_an_encoding_lacks_is_a_question_mark(encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # as where a Japanese Windows writes to a file, or in a POSIX locale
+    for words in (["info"], ["µΩ"], *([command, "--help"] for command in COMMANDS)):
+        monkeypatch.setattr(sys, "argv", ["maglev-mj", *words])
+        name, _, errors = encoding.partition(":")
+        for stream in ("stdout", "stderr"):
+            monkeypatch.setattr(sys, stream, io.TextIOWrapper(io.BytesIO(), name, errors or "strict"))
+        with suppress(SystemExit):
+            main()
+        sys.stdout.seek(0)
+        assert "?m" in sys.stdout.read() or words != ["info"]
+
+
+@pytest.mark.parametrize("closed", ["stdin", "stdout", "stderr"])
+def test_a_closed_stream_is_none(
+    closed: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    grid = "--vary phase=0,0.5 --set plant=exact --set duration=0.1 --workers 0"
+    runs = ["drop --plant exact --duration 0.1", f"sweep drop {grid}", "stability --grid 2 --plant exact"]
+    for line in [*runs, *(f"{command} --help" for command in COMMANDS)]:
+        monkeypatch.setattr(sys, closed, None)
+        try:
+            status = main(line.split())
+        except SystemExit as ending:
+            status = int(ending.code or 0)
+        getattr(sys, closed).close()
+        shown = capsys.readouterr()
+        assert (status, bool(shown.out), shown.err) == (0, closed != "stdout", ""), line

@@ -14,8 +14,12 @@ from typing import Any
 
 import pytest
 
+from maglev_mj.cli import program
 from maglev_mj.cli.program import _interruptible
-from maglev_mj.process import SideProcess, be_nice, interrupts_held, start_tracker
+from maglev_mj.errors import MaglevError
+from maglev_mj.process import SideProcess, be_nice, interrupts_held, process_start
+from maglev_mj.studies.cells import local_workers
+from maglev_mj.views.window import backend
 from tests.processes import run
 
 # Ctrl-C as the n-th module whose name begins so is looked for
@@ -148,8 +152,23 @@ def test_processes_start_and_answer_without_what_windows_lacks(monkeypatch: pyte
         assert process.line.poll(60.0) and list(process.received()) == [{"a": 1}]
     finally:
         process.close()
-    start_tracker()
+    with process_start():
+        pass
     be_nice()
+
+
+def test_a_frozen_program_in_place_of_its_worker_starts_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "frozen", True, raising=False)
+    for word in ("--multiprocessing-fork", "from multiprocessing.resource_tracker import main;main(3)"):
+        monkeypatch.setattr(sys, "argv", ["app", word])
+        for start in (lambda: SideProcess(repr), lambda: local_workers(1).make().submit(repr, 1)):
+            with pytest.raises(MaglevError, match="freeze_support"):
+                start()
+    with pytest.raises(backend.DisplayError, match="MUJOCO_GL"):
+        backend._first_working.__wrapped__()
+    monkeypatch.setattr("multiprocessing.freeze_support", lambda: sys.exit(7))
+    with pytest.raises(SystemExit, match="7"):
+        program.main()
 
 
 def test_what_is_sent_to_a_process_that_has_ended_is_lost() -> None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
 from functools import partial
 from importlib.metadata import EntryPoint
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
+from maglev_mj.process import SideProcess
 from maglev_mj.scenes.find import find_scene, text_of
 from maglev_mj.scenes.names import GROUP
 from maglev_mj.studies import sweep as sweeping
@@ -127,15 +131,49 @@ def test_the_command_sweeps_a_file_on_processes(file: Path, count: str, monkeypa
     assert [cell["damping"] for cell in data["cells"]] == [20.0, 20.0]
 
 
-def test_a_file_that_needs_its_neighbour_is_refused_by_a_worker_in_one_line(file: Path) -> None:
+@pytest.fixture
+def crowd(file: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Move into a folder of files named like modules of the standard library; yield one of modules beside a scene."""
+    law = FILE[FILE.index("from maglev_mj.control") : FILE.index("@figure")]
+    for folder in (here := file.parent / "here", file.parent):
+        folder.mkdir(exist_ok=True)
+        for name in sys.stdlib_module_names:
+            (folder / f"{name}.py").write_text("raise ImportError('not the one of the library')\n")
+    (package := file.parent / "cubic_laws").mkdir()
+    (package / "__init__.py").write_text("from .cubic import Cubic\n")
+    (package / "cubic.py").write_text(law)
     (file.parent / "beside_it.py").write_text("pitch = 1.0\n")
-    file.write_text(
-        FILE.replace("FURTHER", "* beside_it.pitch").replace("\nfrom typing", "\nimport beside_it\nfrom typing")
+    scene = FILE.replace(
+        law, "from maglev_mj import Scene, Start, param\nfrom maglev_mj.scenes.results import figure\n"
     )
-    cls = find_scene(str(file))
-    assert len(sweep(cls, GRID, plant="exact").results) == 6  # this process has read both
-    with pytest.raises(ParameterError, match=r"file Magnet.py cannot be read: ModuleNotFoundError: No module named"):
-        sweep(cls, GRID, plant="exact", workers=1)
+    scene = scene.replace("FURTHER", "* beside_it.pitch").replace("\nfrom typing", "\nimport beside_it\nfrom typing")
+    file.write_text(
+        scene.replace("        return [Cubic", "        from cubic_laws import Cubic\n\n        return [Cubic")
+    )
+    monkeypatch.chdir(here)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    yield Path("..", file.name)
+    for name in ("beside_it", "cubic_laws", "cubic_laws.cubic"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("line", ["run FILE", "stability FILE", "sweep FILE --vary damping=20 --workers 1"])
+def test_a_file_finds_modules_beside_it_in_a_crowd_of_others(line: str, crowd: Path) -> None:
+    assert main(line.replace("FILE", str(crowd)).split()) == 0
+
+
+def test_a_side_process_starts_in_a_crowd_of_modules(crowd: Path) -> None:
+    with closing(SideProcess(Connection.send, "hello")) as process:
+        assert process.line.poll(60.0) and process.line.recv() == "hello"
+
+
+def test_a_sweep_without_a_finished_cell_has_failed(file: Path, monkeypatch: Any, capsys: Any) -> None:
+    monkeypatch.chdir(file.parent)
+    file.write_text(FILE.replace("FURTHER", "+ 1 / 0"))
+    assert main(["sweep", str(file), "--vary", "damping=20,40", "--workers", "0"]) == 1
+    assert capsys.readouterr().err == "maglev-mj sweep: no cell finished: ZeroDivisionError: division by zero\n"
+    with pytest.raises(ParameterError, match=r"^file magnet\.py cannot be read: ModuleNotFoundError"):
+        run_scene_cells(Grid(find_scene(str(file))(), {}, plant="exact")[:], text="import nowhere_at_all")
 
 
 def test_a_scene_of_another_package_goes_by_its_place_and_a_hash(file: Path, monkeypatch: Any) -> None:

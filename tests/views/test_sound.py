@@ -139,7 +139,7 @@ def test_a_missing_audio_encoder_is_reported(tmp_path: Path, capsys: Any, monkey
     monkeypatch.setattr(offscreen, "subprocess", SimpleNamespace(run=lambda *_, **__: refused))
     monkeypatch.setattr(offscreen, "write_sound", lambda file, heard, turns: parts.extend(heard))
     render_buzz(tmp_path / "buzz.mp4", 1.0)
-    assert capsys.readouterr().out.splitlines() == [f"  {tmp_path / 'buzz.mp4'} has no sound: Unknown encoder 'aac'"]
+    assert capsys.readouterr().out.splitlines() == ["  the clip has no sound: Unknown encoder 'aac'"]
     assert [one.name for one in tmp_path.iterdir()] == ["buzz.mp4"]
     assert [(forces.shape, period) for forces, period in parts] == [((300, 6), 0.005)]  # each sample once
     monkeypatch.undo()

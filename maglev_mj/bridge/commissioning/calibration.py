@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import re
-from collections import Counter
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
+from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers, read_json
 from maglev_mj.plants.coils import CoilMap
@@ -150,8 +150,6 @@ class Calibration:
         Raises:
             CalibrationError: If it cannot be written.
         """
-        from maglev_mj.recording.recording import atomic_path  # not needed to load a calibration
-
         try:
             with atomic_path(Path(path)) as partial, partial.open("w", encoding="utf-8") as file:
                 file.write(_pretty(self.as_json()) + "\n")
@@ -168,8 +166,7 @@ class Calibration:
             InvalidCalibrationError: If it cannot be read or is invalid; one line with file and value.
         """
         # integers as floats: NumPy cannot convert very large ones
-        options = {"parse_int": float, "object_pairs_hook": _once}
-        return read_json("calibration", path, cls.from_json, InvalidCalibrationError, **options)
+        return read_json("calibration", path, cls.from_json, InvalidCalibrationError, parse_int=float)
 
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
@@ -202,14 +199,6 @@ def _entries(where: str, values: Any, names: set[str]) -> dict[str, Any]:
         what = "is missing" if name in names else "is unknown"
         raise InvalidCalibrationError(f"{where}{name} {what}; expected entries: {', '.join(sorted(names))}")
     return values
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a dictionary of pairs; raise if a name repeats."""
-    for name, count in Counter(name for name, _ in pairs).items():
-        if count > 1:
-            raise InvalidCalibrationError(f"{name} appears {count} times; each entry is allowed once")
-    return dict(pairs)
 
 
 def _pretty(values: dict[str, Any]) -> str:

@@ -61,8 +61,10 @@ def drawing_library(default: str | None = None) -> str:
 def _first_working() -> str:
     import subprocess
 
+    if getattr(sys, "frozen", False):  # it would start itself
+        raise DisplayError(f"a frozen program cannot try OpenGL libraries: set MUJOCO_GL to {', '.join(_LIBRARIES)}")
     for name in _LIBRARIES:
-        trial = [sys.executable, "-W", "error::UserWarning", "-c", _TRIAL.format(name)]  # glfw only warns
+        trial = [sys.executable, "-P", "-W", "error::UserWarning", "-c", _TRIAL.format(name)]  # glfw only warns
         environment = {**os.environ, "MUJOCO_GL": name}
         if subprocess.run(trial, env=environment, capture_output=True, check=False).returncode == 0:
             return name

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import ParameterError, check_one_of, require
+from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
@@ -260,15 +261,16 @@ def render(
                     forces.append(session.snapshot().history[-ticks:, 13:19])
                 progress(index + 1, drawn)
 
-        if not moving:
-            session.tick(end / time_scale)
-            write_picture(painter.picture(session.snapshot()), path)
-        else:
-            write_clip(pictures(), path, rate)
-    if path.suffix == ".mp4" and forces:
-        sound = BytesIO()
-        write_sound(sound, [(np.concatenate(forces), scene.period / time_scale)], turns=scene.axis_index > 2)
-        _add_sound(path, sound.getvalue(), drawn / rate)
+        with atomic_path(path) as partial:
+            if not moving:
+                session.tick(end / time_scale)
+                write_picture(painter.picture(session.snapshot()), partial)
+            else:
+                write_clip(pictures(), partial, rate)
+            if path.suffix == ".mp4" and forces:
+                sound = BytesIO()
+                write_sound(sound, [(np.concatenate(forces), scene.period / time_scale)], turns=scene.axis_index > 2)
+                _add_sound(partial, sound.getvalue(), drawn / rate)
     session.close()
     return drawn
 
@@ -282,7 +284,7 @@ def _add_sound(path: Path, sound: bytes, length: float) -> None:
     command = [get_ffmpeg_exe(), "-i", str(path), "-i", "pipe:0", *options, str(partial)]
     result = subprocess.run(command, input=sound, capture_output=True)
     if result.returncode:
-        say(f"  {path} has no sound: {result.stderr.decode(errors='replace').partition(chr(10))[0]}")
+        say(f"  the clip has no sound: {result.stderr.decode(errors='replace').partition(chr(10))[0]}")
         partial.unlink(missing_ok=True)
     else:
         partial.replace(path)

@@ -1,0 +1,96 @@
+"""Files of users: text of any editor, strict JSON, and replacement of what a path leads to."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from maglev_mj.errors import ParameterError, one_line
+
+LFS_POINTER = "version https://git-lfs"
+"""Start of the text that Git LFS leaves in place of a file."""
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file in UTF-8, with or without a byte order mark.
+
+    Raises:
+        ParameterError: If it has another encoding, or Git LFS has not fetched it.
+        OSError: If it cannot be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ParameterError(f"not UTF-8: {error}") from None
+    if text.startswith(LFS_POINTER):
+        raise ParameterError("a Git LFS pointer: run git lfs pull")
+    return text
+
+
+def parse_json(text: bytes | str, **options: Any) -> Any:
+    """Parse JSON text, with options of `json.loads`.
+
+    Raises:
+        ParameterError: If it is not JSON, a number is NaN or Infinity, or a key of an object is repeated.
+    """
+    try:
+        return json.loads(text, object_pairs_hook=_unique, **{"parse_constant": _reject_constant, **options})
+    except ParameterError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise ParameterError(f"not valid JSON: {error}") from None
+
+
+def _reject_constant(constant: str) -> None:
+    raise ParameterError(f"numbers must be finite (got {constant})")
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(values := dict(pairs)) < len(pairs):
+        ((name, count),) = Counter(name for name, _ in pairs).most_common(1)
+        raise ParameterError(f"{one_line(name)} must be given once (got {count} times)")
+    return values
+
+
+def destination(path: Path) -> tuple[Path, int | None]:
+    """Return the file to write for a path, links followed, and its mode; None for a new file.
+
+    Raises:
+        PermissionError: If it is read-only.
+    """
+    if not path.exists():  # new, also behind a dangling link
+        return path.resolve(), None
+    if not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    mode = path.stat().st_mode
+    return (path.resolve() if stat.S_ISREG(mode) else path), mode  # the pipe of /dev/stdout has no path of its own
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield a temporary path of that suffix; on success it replaces a regular file, keeping the mode.
+
+    Links are followed. Its content is copied into a device or FIFO. On failure it is removed.
+    """
+    target, mode = destination(path)
+    if special := mode is not None and not stat.S_ISREG(mode):
+        from tempfile import TemporaryDirectory  # imported here: slow, rarely needed
+    with TemporaryDirectory() if special else nullcontext(target.parent) as folder:
+        partial = Path(folder, f"{path.stem}.{os.getpid()}.partial{path.suffix}")
+        try:
+            yield partial
+            if special:
+                target.write_bytes(partial.read_bytes())
+                return
+            if mode is not None:
+                partial.chmod(stat.S_IMODE(mode))
+            partial.replace(target)
+        finally:
+            partial.unlink(missing_ok=True)

@@ -1,0 +1,143 @@
+"""Files of users: every writer onto every kind of existing path, every reader of every kind of foreign file."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import maglev_mj
+from maglev_mj import HostLimits, MaglevError, Recording, export, find_scene, record_run
+from maglev_mj.bridge.commissioning.calibration import Calibration
+from maglev_mj.bridge.fault import load_fault
+from maglev_mj.cli import main
+from maglev_mj.cli.device import _write_report
+from maglev_mj.cli.output import write_json
+from maglev_mj.pictures import FORMATS, save
+from maglev_mj.plants.model import load_model
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.session.replay import write_run
+from maglev_mj.versions import MODELS
+from maglev_mj.views.window.offscreen import write_picture
+from tests.all_of import EXPORTS
+
+RUN = partial(record_run, Drop(duration=0.05), plant="exact")
+WRITERS: dict[str, Callable[[Path], Any]] = {
+    "x.maglev": lambda path: RUN().save(path),
+    "live.maglev": lambda path: write_run(path, Drop(duration=0.05), plant="exact"),
+    **{f"x.{kind}": lambda path, kind=kind: export(RUN(), kind, path) for kind in EXPORTS},  # type: ignore[misc]
+    **{f"chart.{kind}": partial(save, Figure()) for kind in FORMATS},
+    "x.json": Calibration.nominal().save,
+    "result.json": lambda path: write_json(str(path), {}),
+    "report.json": lambda path: _write_report(path, "", {}, []),
+    "picture.png": partial(write_picture, np.zeros((16, 16, 3), np.uint8)),
+}
+KINDS = "new", "regular", "read-only", "link", "dangling link", "FIFO", "device", "folder"
+
+
+def made(path: Path, kind: str) -> None:
+    """Make an existing path of a kind."""
+    if kind in ("regular", "read-only"):
+        path.touch(0o640 if kind == "regular" else 0o440)
+    elif "link" in kind:
+        path.symlink_to(target := path.parent / "target")
+        target.touch() if kind == "link" else None
+    elif kind == "FIFO":
+        os.mkfifo(path)
+    elif kind == "device":
+        os.mknod(path, stat.S_IFCHR | 0o600, os.makedev(1, 3))
+    elif kind == "folder":
+        path.mkdir()
+
+
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_written_path_stays_what_it_is(name: str, tmp_path: Path) -> None:
+    for kind in KINDS:
+        folder = tmp_path / kind
+        folder.mkdir()
+        path = folder / name
+        with suppress(PermissionError):  # a node needs rights
+            made(path, kind)
+        before, files = path.lstat() if path.is_symlink() or path.exists() else None, {*folder.iterdir()}
+        refused = kind == "folder" or (name == "live.maglev" and kind in ("FIFO", "device"))
+        with ThreadPoolExecutor() as pool:
+            reader = pool.submit(path.read_bytes) if kind == "FIFO" and not refused else None
+            with pytest.raises((MaglevError, OSError)) if refused else nullcontext():
+                WRITERS[name](path)
+            assert reader is None or reader.result()
+        if before is not None:
+            assert (path.lstat().st_mode, path.is_symlink()) == (before.st_mode, "link" in kind), kind
+        assert refused or kind in ("FIFO", "device") or path.stat().st_size, kind
+        new = {path, folder / "target"} if kind == "dangling link" else {path}
+        assert {*folder.iterdir()} <= files | new | {path.with_name(f"{name}.json")}, kind
+
+
+def test_files_are_renamed_in_one_place() -> None:
+    rename = re.compile(r"\.(rename|replace)\([\w.]+\)|os\.(rename|replace)\(")
+    package = Path(maglev_mj.__file__).parent
+    renaming = {path.name for path in package.rglob("*.py") if rename.search(path.read_text(encoding="utf-8"))}
+    assert renaming == {"files.py", "journal.py", "offscreen.py"}  # the last one a file that it has made
+
+
+READERS: dict[str, tuple[Callable[[str], Any], bytes]] = {
+    "x.json": (Calibration.load, json.dumps(Calibration.nominal().as_json()).encode()),
+    "profile.json": (HostLimits.load, b'{"max_current": 5.0, "envelope": 0.003}'),
+    "x.xml": (load_model, (MODELS / "maglev.xml").read_bytes()),
+    "x.maglev": (Recording.load, b""),
+    "fault.maglev": (load_fault, b""),
+    "x.py": (find_scene, b"from maglev_mj.scenes.drop import Drop\nclass Mine(Drop):\n    pass\n"),
+    "x.key": (lambda path: main(["estop", "udp://127.0.0.1:9", "--key", path]), b"00" * 16),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_foreign_file_is_refused_in_one_line_that_names_it(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (read, valid), path = READERS[name], tmp_path / name
+    pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
+    mcap = b"\x89MCAP0\r\n\x01" + (8).to_bytes(8, "little") + (4).to_bytes(4, "little") + b"ros2" + bytes(4)
+    for content in (b"", valid[: len(valid) * 2 // 3], mcap, pointer, None):
+        path.mkdir() if content is None else path.write_bytes(content)
+        try:
+            said = capsys.readouterr().err if read(str(path)) == 2 else ""
+        except MaglevError as refused:
+            said = str(refused)
+        assert name in said and "\n" not in said[:-1] and len(said) < 500, content
+        assert content != pointer or name in ("x.py", "x.key") or said.endswith("a Git LFS pointer: run git lfs pull")
+        assert content != mcap or path.suffix != ".maglev" or said.endswith("of another program (MCAP profile ros2)")
+        path.rmdir() if content is None else path.unlink()
+    os.mkfifo(path)
+    assert name != "x.key" or read(str(path)) == 2
+
+
+@pytest.mark.parametrize("name", ["x.json", "profile.json", "x.xml", "x.py"])
+def test_a_byte_order_mark_is_skipped(name: str, tmp_path: Path) -> None:
+    (read, valid), path = READERS[name], tmp_path / name
+    path.write_bytes(b"\xef\xbb\xbf" + valid.replace(b"\n", b"\r\n"))
+    read(str(path))
+
+
+@pytest.mark.parametrize("name", ["x.json", "profile.json"])
+def test_each_entry_of_json_is_checked(name: str, tmp_path: Path) -> None:
+    (read, valid), path = READERS[name], tmp_path / name
+    entries = json.loads(valid)
+    for key, value in [*entries.items(), ("other", 1)]:
+        text = json.dumps(value)
+        for wrong in (f'{text}, "{key}": {text}', "NaN", "1e400", "{}", "[[]]"):
+            path.write_text(json.dumps(entries | {key: "?"}).replace('"?"', wrong))
+            with pytest.raises(MaglevError, match=rf"{name}'.*{key}") as refused:
+                read(str(path))
+            assert "\n" not in str(refused.value)
