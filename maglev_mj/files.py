@@ -14,21 +14,17 @@ from typing import Any
 
 from maglev_mj.errors import ParameterError, one_line
 
-LFS_POINTER = "version https://git-lfs"
-"""Start of the text that Git LFS leaves in place of a file."""
+LFS_POINTER = "version https://git-lfs"  # start of the text in place of a file
 
 
 def read_text(path: Path) -> str:
     """Return the text of a file in UTF-8, with or without a byte order mark.
 
     Raises:
-        ParameterError: If it has another encoding, or Git LFS has not fetched it.
-        OSError: If it cannot be read.
+        ParameterError: If Git LFS has not fetched it.
+        OSError, UnicodeError: If it cannot be read.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ParameterError(f"not UTF-8: {error}") from None
+    text = path.read_text(encoding="utf-8-sig")
     if text.startswith(LFS_POINTER):
         raise ParameterError("a Git LFS pointer: run git lfs pull")
     return text
@@ -65,7 +61,7 @@ def destination(path: Path) -> tuple[Path, int | None]:
     Raises:
         PermissionError: If it is read-only.
     """
-    if not path.exists():  # new, also behind a dangling link
+    if not path.exists():
         return path.resolve(), None
     if not os.access(path, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
@@ -75,10 +71,7 @@ def destination(path: Path) -> tuple[Path, int | None]:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary path of that suffix; on success it replaces a regular file, keeping the mode.
-
-    Links are followed. Its content is copied into a device or FIFO. On failure it is removed.
-    """
+    """Yield a temporary file; on success it replaces that of the path, links followed, or is copied into a device."""
     target, mode = destination(path)
     if special := mode is not None and not stat.S_ISREG(mode):
         from tempfile import TemporaryDirectory  # imported here: slow, rarely needed

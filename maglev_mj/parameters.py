@@ -591,5 +591,5 @@ def read_json(
         return parse(parse_json(read_text(Path(path)), parse_constant=float, **options))
     except OSError as failure:
         raise error(f"{kind} {str(path)!r} cannot be read: {failure.strerror}") from None
-    except MaglevError as failure:
+    except (MaglevError, UnicodeError) as failure:
         raise error(f"{kind} {str(path)!r}: {failure}") from None

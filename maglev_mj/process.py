@@ -33,14 +33,13 @@ def be_nice() -> None:
 
 @contextmanager
 def process_start() -> Iterator[None]:
-    """Start processes in this context: they never receive Ctrl-C, and import no module of the current folder by name.
+    """Start processes in this context: they never receive Ctrl-C, and prefer no module of the current folder.
 
     Raises:
-        MaglevError: If a frozen program that starts as a worker does not become one.
+        MaglevError: If a frozen program was started as a worker but runs as the program, which would never end.
     """
     import multiprocessing  # slow import, rarely needed
 
-    # arguments of a worker and of the resource tracker
     as_worker = any(word == "--multiprocessing-fork" or word.startswith("from multiprocessing.") for word in sys.argv)
     if getattr(sys, "frozen", False) and as_worker and multiprocessing.parent_process() is None:
         raise MaglevError("a frozen program must first call multiprocessing.freeze_support()")
@@ -84,7 +83,8 @@ class SideProcess:
                 self._process.start()
                 atexit.register(self.close)  # otherwise the interpreter would wait for it indefinitely at exit
         except KeyboardInterrupt:
-            self.close(0.0)
+            if self._process.pid is not None:
+                self.close(0.0)
             raise
         finally:
             remote.close()

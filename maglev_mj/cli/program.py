@@ -108,10 +108,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(errors="replace")  # some system encodings lack the unit symbols
-        if getattr(sys, "frozen", False):
-            from multiprocessing import freeze_support
-
-            freeze_support()
     try:
         try:
             if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions

@@ -96,7 +96,6 @@ def boxed(folder: Path, message: str = "a test", **about: Any) -> Path:
 
 
 BROKEN: list[tuple[str, Any]] = [
-    ("not a journal$", b"\xff\xfe"),
     (
         "old format: only the version of maglev_mj that wrote it can read it",
         b'{"format": "maglev_mj fault 2"}',

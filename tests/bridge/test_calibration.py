@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -110,22 +109,6 @@ def test_the_digest_sees_every_number_and_only_those() -> None:
     assert one.digest == hashlib.blake2s(text.encode(), digest_size=16).digest()
 
 
-def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "device.json"
-    other(1).save(path)
-
-    def full(_: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(CalibrationError, match=r"device\.json' cannot be written: No space left on device"):
-        other(2).save(path)
-    assert Calibration.load(path).digest == other(1).digest
-    assert [entry.name for entry in tmp_path.iterdir()] == ["device.json"]
-    with pytest.raises(CalibrationError, match=r"nowhere/device\.json' cannot be written: No such file"):
-        other(2).save(tmp_path / "nowhere" / "device.json")
-
-
 def change(*path: Any, to: Any = None) -> Callable[[dict[str, Any]], object]:
     """Return a function that changes or removes one value."""
 
@@ -146,13 +129,11 @@ def change(*path: Any, to: Any = None) -> Callable[[dict[str, Any]], object]:
     [
         (change("format", to="maglev_mj calibration 2"), r"format must be 'maglev_mj calibration 1' \(got 'magl"),
         (change("mass"), "mass is missing"),
-        (change("masss", to=1.0), "masss is unknown"),
         (change("coils", to=[1.0]), r"coils must be an object with directions, force_constants, points \(got \[1.0\]"),
         (change("mass", to=0.0), r"mass must be above 0.* \(got 0.0"),
         (change("mass", to="heavy"), r"mass must be a number or an array of numbers \(got 'heavy'"),
         (change("mass", to=[0.7]), r"mass must have shape \(\) \(got \(1,\)"),
         (change("inertia", 1, to=0.0), r"inertia must be above 0.* \(got 0.0"),
-        (change("gravity", 2, to=math.nan), r"gravity must be finite \(got nan"),
         (change("gravity", to=[0.0, -9.81]), r"gravity must have shape \(3,\) \(got \(2,\)"),
         (change("coils", "directions", 2, to=[0.0, 0.0, 1.01]), "coils directions must be unit vectors .* length 1.01"),
         (change("beams", "across", 1, 1, to=[0.0, 0.1, 0.0]), "beams across must be unit vectors .* length 0.1"),

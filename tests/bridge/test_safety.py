@@ -228,7 +228,6 @@ def test_a_profile_is_read_from_a_file(tmp_path: Path) -> None:
     ("text", "says"),
     [
         ('{"max_current": -1}', r"max_current must be above 0.* \(got -1"),
-        ('{"envelope": NaN}', r"envelope must be a finite number above 0.* \(got nan"),
         ('{"speed": 1}', r"parameter must be one of max_current, .* \(got 'speed'\)"),
         ("[1, 2]", r"must be a JSON object of limits by name [(]got \[1, 2\]"),
         (None, "cannot be read: No such file"),

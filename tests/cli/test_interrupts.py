@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.cli import program
 from maglev_mj.cli.program import _interruptible
 from maglev_mj.errors import MaglevError
 from maglev_mj.process import SideProcess, be_nice, interrupts_held, process_start
@@ -166,9 +165,6 @@ def test_a_frozen_program_in_place_of_its_worker_starts_no_other(monkeypatch: py
                 start()
     with pytest.raises(backend.DisplayError, match="MUJOCO_GL"):
         backend._first_working.__wrapped__()
-    monkeypatch.setattr("multiprocessing.freeze_support", lambda: sys.exit(7))
-    with pytest.raises(SystemExit, match="7"):
-        program.main()
 
 
 def test_what_is_sent_to_a_process_that_has_ended_is_lost() -> None:

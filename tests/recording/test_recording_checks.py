@@ -183,6 +183,7 @@ def late(parts: list[Part]) -> list[Part]:
 DAMAGED: list[tuple[Damage, str]] = [
     (lambda: b"a text", "not a journal"),
     (lambda: b"\x89MCAP0\r\n", "MCAP or .npz file, not a journal: maglev_mj 0.2"),
+    (lambda: made("drop").replace(b'"format": ', b'"offset": ', 1), "'offset' must be given once (got 2 times)"),
     (lambda: made("drop")[:4000], "incomplete header"),
     (entry("version", lambda _: 9), "format and version must be maglev_mj journal 1 (got maglev_mj journal 9"),
     (entry("offset", lambda _: 0), "offset must be the header's length, 4096 bytes"),

@@ -133,24 +133,18 @@ def test_the_command_sweeps_a_file_on_processes(file: Path, count: str, monkeypa
 
 @pytest.fixture
 def crowd(file: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Move into a folder of files named like modules of the standard library; yield one of modules beside a scene."""
+    """Move beside a folder of a scene and modules that it needs, both with files named as the standard library's."""
     law = FILE[FILE.index("from maglev_mj.control") : FILE.index("@figure")]
-    for folder in (here := file.parent / "here", file.parent):
-        folder.mkdir(exist_ok=True)
-        for name in sys.stdlib_module_names:
-            (folder / f"{name}.py").write_text("raise ImportError('not the one of the library')\n")
-    (package := file.parent / "cubic_laws").mkdir()
-    (package / "__init__.py").write_text("from .cubic import Cubic\n")
-    (package / "cubic.py").write_text(law)
-    (file.parent / "beside_it.py").write_text("pitch = 1.0\n")
-    scene = FILE.replace(
-        law, "from maglev_mj import Scene, Start, param\nfrom maglev_mj.scenes.results import figure\n"
-    )
-    scene = scene.replace("FURTHER", "* beside_it.pitch").replace("\nfrom typing", "\nimport beside_it\nfrom typing")
-    file.write_text(
-        scene.replace("        return [Cubic", "        from cubic_laws import Cubic\n\n        return [Cubic")
-    )
-    monkeypatch.chdir(here)
+    scene = FILE.replace(law, "import beside_it\nfrom maglev_mj import Scene, Start, figure, param\n")
+    scene = scene.replace("        return [Cubic", "        from cubic_laws import Cubic\n\n        return [Cubic")
+    texts = {file.name: scene.replace("FURTHER", "* beside_it.pitch"), "beside_it.py": "pitch = 1.0\n"}
+    texts |= {"cubic_laws/__init__.py": "from .cubic import Cubic\n", "cubic_laws/cubic.py": law}
+    names = [f"{folder}/{name}.py" for folder in (".", "here") for name in sys.stdlib_module_names]
+    texts |= dict.fromkeys(names, "raise ImportError\n")
+    for name, text in texts.items():
+        (path := file.parent / name).parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    monkeypatch.chdir(file.parent / "here")
     monkeypatch.setattr(sys, "path", [*sys.path])
     yield Path("..", file.name)
     for name in ("beside_it", "cubic_laws", "cubic_laws.cubic"):

@@ -263,28 +263,6 @@ def test_two_programs_with_one_record_lose_nothing(tmp_path: Path) -> None:
     assert list(kept(path, CELLS)) == [float(number) for number in range(10)]
 
 
-def test_a_writing_that_fails_half_way_leaves_the_shard_before_it(
-    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    record, write = kept(tmp_path / "record", CELLS), recording._write_table
-    record.add(range(5), pack([float(number) for number in range(5)]))
-    record.flush()
-
-    def half(kind: str, table: Any, file: Any) -> None:
-        write(kind, table, file)
-        file.truncate(file.tell() // 2)
-        raise OSError("no space left")
-
-    monkeypatch.setattr(recording, "_write_table", half)
-    record.add(range(5, 10), pack([float(number) for number in range(5, 10)]))
-    with pytest.raises(OSError, match="no space left"):
-        record.flush()
-    assert kept(tmp_path / "record", CELLS).done.tolist() == [True] * 5 + [False] * 5
-    monkeypatch.setattr(recording, "_write_table", write)
-    record.flush()
-    assert list(kept(tmp_path / "record", CELLS)) == [float(number) for number in range(10)]
-
-
 def test_a_result_is_written_while_a_long_job_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "_PAUSE", 0.0)
     path, deadline = tmp_path / "record", time.monotonic() + 60.0
