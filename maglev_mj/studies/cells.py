@@ -77,7 +77,8 @@ class _Processes(Executor):
         from multiprocessing import get_context
 
         quiet = (signal.SIGINT, signal.SIG_IGN)  # where interrupts cannot be held
-        self._pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=signal.signal, initargs=quiet)
+        with process_start():  # its locks start the resource tracker
+            self._pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=signal.signal, initargs=quiet)
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
         with process_start():  # the processes start here

@@ -160,7 +160,7 @@ def test_a_frozen_program_in_place_of_its_worker_starts_no_other(monkeypatch: py
     monkeypatch.setattr(sys, "frozen", True, raising=False)
     for word in ("--multiprocessing-fork", "from multiprocessing.resource_tracker import main;main(3)"):
         monkeypatch.setattr(sys, "argv", ["app", word])
-        for start in (lambda: SideProcess(repr), lambda: local_workers(1).make().submit(repr, 1)):
+        for start in (lambda: SideProcess(repr), lambda: local_workers(1).make()):
             with pytest.raises(MaglevError, match="freeze_support"):
                 start()
     with pytest.raises(backend.DisplayError, match="MUJOCO_GL"):
