@@ -121,6 +121,15 @@ def join(parts: Sequence[Component]) -> Array:
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
+def not_finite(name: str, parts: Six) -> str:
+    """Return the message for the first of six components, or the time after them, that is not finite; "" if all are."""
+    values = join(parts)
+    for *device, axis in np.argwhere(~np.isfinite(values)).tolist():
+        where = f", device {tuple(device)}" if device else ""
+        return f"{name} must be finite (got {(*AXES, 'time')[axis]} = {values[(*device, axis)]:g}{where})"
+    return ""
+
+
 _Function: TypeAlias = Callable[..., Any]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import fields, replace
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Sample, Timing, control, drive, linearise
+from maglev_mj.bridge import RemotePlant
 from maglev_mj.control import AxisLaw, Dahl, Friction, Law, LuGre, VelocityEstimator, Wall
 from maglev_mj.control.laws.base import Gains
 from maglev_mj.errors import ParameterError
@@ -21,6 +23,7 @@ from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 from tests.all_of import (
     LAWS,
+    LINES,
     MOTIONS,
     PERIOD,
     PLANTS,
@@ -190,11 +193,76 @@ def test_a_wall_with_a_force_limit_pushes_no_harder_in_its_pulses() -> None:
 
 @pytest.mark.parametrize("estimate", VELOCITIES, ids=lambda one: type(one).__name__)
 def test_a_velocity_estimate_of_a_ramp_is_its_slope_on_every_axis(estimate: VelocityEstimator) -> None:
-    slopes, state = np.array([0.01, -0.02, 0.03, 0.1, -0.2, 0.3]), None
-    for tick in range(80):
-        velocity, state = estimate((slopes * (PERIOD * tick) + 1e-3).tolist(), state, PERIOD)
-        assert tick > 0 or not np.any(velocity)
+    """At irregular times, and with lost samples."""
+    slopes, state = np.array([1e-4, -0.02, 0.03, 1e-3, -0.2, 0.3]), None
+    periods = PERIOD * np.random.default_rng(5).choice([0.7, 1.0, 1.1, 2.0, 3.0], 80)
+    for time, period in zip(np.cumsum(periods), periods):
+        velocity, state = estimate((slopes * time + 1e-3).tolist(), state, float(period))
+        assert time > period or not np.any(velocity)
     np.testing.assert_allclose(velocity, slopes, rtol=1e-9)
+
+
+STEADY = np.arange(80)[:, None] * PERIOD * [2e-3, 3e-3, -4e-3, 0.02, -0.03, 0.04] + [0.0, 0.0, 4e-4, 0.0, 0.0, 0.0]
+"""Motion at constant velocity that breaks each friction loose and enters each wall after sample 20."""
+
+
+def steady_commands(laws: Controller, *lost: int, path: Array = STEADY) -> list[Command]:
+    """Return the commands for that motion; that before a lost sample is held."""
+    given: list[Command] = []
+    for tick, pose in enumerate(path.tolist()):
+        given.append(given[-1] if tick in lost else laws.step(Sample(tick, 0.0, pose)))
+    return given
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_lost_samples_at_constant_velocity_do_not_change_the_other_forces(law: str) -> None:
+    """The pulse comes with the first sample inside the wall that arrives."""
+    wanted = np.array([command.wrench for command in steady_commands(controller_of(law))])
+    end = 37 if law in ("ObserverWall", "PassivityController") else 70  # inside, their own force is held
+    for first, gap in itertools.product(range(20, end, 7), (0, 1, 3)):
+        seen = steady_commands(controller_of(law), first, first + gap)
+        arrived = [tick for tick in range(len(STEADY)) if tick not in (first, first + gap)]
+        np.testing.assert_allclose([seen[tick].wrench for tick in arrived], wanted[arrived], rtol=1e-9, atol=1e-9)
+        pulsed = [tick for tick in arrived if seen[tick].pulse[1]]
+        assert law != "Wall" or pulsed == [tick for tick in arrived if STEADY[tick, 1] >= 2e-4][:1]
+
+
+@pytest.mark.parametrize("lost", [(), (30,), (30, 31), (30, 32)])
+def test_laws_that_observe_their_force_know_that_it_is_held_while_samples_are_lost(lost: tuple[int, ...]) -> None:
+    observer, watch = (Controller(LAWS[name], period=PERIOD) for name in ("ObserverWall", "PassivityController"))
+    with ExactPlant(Timing(**TIMING), pose=[0.0, 0.0, -1e-3, 0.0, 0.0, 0.0], gravity=0.0) as plant:
+        for tick, sample in zip(range(80), plant):
+            if tick not in lost:
+                plant.write(observer.step(sample))
+                assert observer.states[0][0][:2] == pytest.approx(np.stack(plant.state())[:, 2], rel=1e-9)
+    force = [command.force[2] for command in steady_commands(watch, *lost, path=STEADY[::-1])]
+    energy = 0.5 * (sum(force[:-2]) + sum(force[:-3])) * np.diff(STEADY[:2, 2])  # a delay of 1.5 periods
+    assert watch.signals["energy"] == pytest.approx(energy, rel=1e-9)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_sample_that_is_not_finite_is_refused_and_changes_no_state(law: str) -> None:
+    for poses, device in (STEADY, ""), (np.stack([STEADY] * 2, axis=1), r", device \(1,\)"):
+        laws, untouched = controller_of(law), controller_of(law)
+        for tick, pose in enumerate(poses[:3]):
+            for axis, bad in itertools.product(range(7), (math.nan, math.inf, -math.inf)):
+                row = np.insert(pose, 6, 0.0, axis=-1)
+                row[-1 if device else ..., axis] = bad
+                name = (*AXES, "time")[axis]
+                with pytest.raises(ParameterError, match=rf"tick {tick} must be .*got {name} = {bad:g}{device}\)"):
+                    laws.step(Sample(tick, row[..., 6], components(row[..., :6])))
+            good = Sample(tick, 0.0, components(pose))
+            assert np.array_equal(laws.step(good).wrench, untouched.step(good).wrench)
+            with pytest.raises(ParameterError, match=rf"tick must be above the previous tick {tick} \(got {tick}\)"):
+                laws.step(good)
+
+
+def test_the_first_sample_of_one_device_is_checked_without_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They take as long as several samples."""
+    laws = Controller([*LAWS["Wall"], *LAWS["Hold"]], period=PERIOD)
+    for module in ("controller", "laws.base"):
+        monkeypatch.setattr(f"maglev_mj.control.{module}.np", None)
+    assert laws.step(Sample(0, 0.0, STEADY[0].tolist())).force[2] < 0.0
 
 
 ANY = {"lower", "upper", "target"}
@@ -237,6 +305,20 @@ def bounced(kind: Any, pulse: float = 0.0, ticks: int = 60, timing: Timing | Non
     last = drive(plant, Controller([wall], period=own.period), ticks, observe=watch)
     watch(last, Command([0.0] * 6))  # the period up to the last sample
     return plant, watch
+
+
+@pytest.mark.parametrize("plant", [*PLANTS, *UNRECORDED, *LINES])
+def test_a_run_in_several_calls_answers_every_sample_as_in_one_call(plant: str) -> None:
+    runs: list[list[Any]] = []
+    for cuts in itertools.product((False, True), repeat=4):
+        with {**PLANTS, **UNRECORDED}.get(plant, lambda: RemotePlant(LINES[plant]()))() as made:
+            laws = Controller([*LAWS["Wall"], *LAWS["Dahl"]], period=made.period, velocity=VELOCITIES[2])
+            runs.append([])
+            for ticks in np.diff(np.flatnonzero([True, *cuts, True])).tolist():
+                last = drive(made, laws, ticks, observe=lambda *cycle: runs[-1].append(cycle))
+            runs[-1].append((last, Command(last.position)))
+    rows = [[(sample.tick, sample.pose.tolist(), command.wrench.tolist()) for sample, command in run] for run in runs]
+    assert rows.count(rows[0]) == len(rows) and [row[0] for row in rows[0]] == [*range(6)]
 
 
 @pytest.mark.parametrize("kind", MOTIONS)

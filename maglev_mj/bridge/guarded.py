@@ -108,7 +108,8 @@ class GuardedPlant:
         self.last_currents: Sequence[float] = ZERO
         # armed by this host, with no end of the flight reported
         self.disarmed = self._armed = False
-        self.guided = self._unanswered = False  # the last sample has no answer yet
+        self.guided = False
+        self.unanswered: Sample | None = None  # an answer that is too late is ignored by the device
         self._pose_tick, self.alarm = 0, ""
         self._frame: Frame | None = None  # the last sample
         self._located: Sequence[float] = _UNKNOWN  # its pose
@@ -141,7 +142,7 @@ class GuardedPlant:
             PlantError: If the plant is closed.
         """
         self._check_open()
-        if self._unanswered and self.lockstep:  # the device waits: repeat the previous answer, without its pulse
+        if self.unanswered and self.lockstep:  # the device waits: repeat the previous answer, without its pulse
             self._send(self.last_currents, None, 0.0)
         before, frame = self._frame, self._next_frame()
         report: StateReport = frame.body  # type: ignore[assignment]
@@ -205,7 +206,7 @@ class GuardedPlant:
 
     def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         self._send(held, pulsed, width)
-        self._unanswered = False
+        self.unanswered = None
         if self.state is _ACTIVE:
             self._output.add_command(held, pulsed, width)
         else:
@@ -300,10 +301,10 @@ class GuardedPlant:
         except Exception as error:
             self._fail_if_active(Fault.HOST, str(error))
             raise
-        unanswered = self.samples.elapsed - (not self._unanswered)
+        unanswered = self.samples.elapsed - (self.unanswered is None)
         if unanswered > 0:  # no new command: currents are held, or zero
             self._output.add_periods(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
-        self._frame, self._located, self._unanswered = frame, _UNKNOWN, False
+        self._frame, self._located, self.unanswered = frame, _UNKNOWN, None
         return frame
 
     def _adopt(self, state: int, faults: int) -> None:
@@ -328,8 +329,9 @@ class GuardedPlant:
             pose = self._track(spots)
         except SensingError as error:
             return list(_UNKNOWN), error, 0.0
-        since = (self.samples.tick - self._pose_tick) * self.period
-        self._pose_tick, self.pose, self._unanswered = self.samples.tick, pose, True
+        tick, self.pose = self.samples.tick, pose
+        since, self._pose_tick = (tick - self._pose_tick) * self.period, tick
+        self.unanswered = Sample(tick, tick * self.period, pose)
         self._located = tuple(pose)  # copy: the caller may modify the list
         return pose, None, since
 

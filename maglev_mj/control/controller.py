@@ -8,14 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from functools import partial
+from math import isfinite
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from maglev_mj.control.laws.base import Face, Law, VelocityEstimator, answer, as_law
+from maglev_mj.control.laws.base import Face, Law, VelocityEstimator, answer, as_law, shape_of
 from maglev_mj.control.laws.velocity import FiniteDifference
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
-from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample, Six, components
+from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample, Six, components, not_finite
 from maglev_mj.parameters import number
 
 _Calls: TypeAlias = tuple[tuple[int, Callable[..., Any]], ...]
@@ -71,6 +72,7 @@ class Controller:
         self._states: list[Any] = [law.start() for law in self.laws]
         self._velocity_state: Any = None
         self._tick: int | None = None
+        self._position: Six = ZERO
 
     @property
     def started(self) -> bool:
@@ -110,22 +112,27 @@ class Controller:
         """Return the command for one sample.
 
         Raises:
-            ParameterError: If the first sample after a reset does not match the batch shape of the laws, if a law
-                returns an invalid result for it, or if the tick of a later sample does not increase, as in a new run
-                without `reset()`.
+            ParameterError: If the sample is not finite, if the first sample after a reset does not match the batch
+                shape of the laws, if a law returns an invalid result for it, or if the tick of a later sample does not
+                increase, as in a new run without `reset()`.
         """
         position, tick, last, calls = sample.position, sample.tick, self._tick, self._calls
         if last is None:
             self._check(position)
             last = tick - 1
             calls = self._first_calls
-        if tick <= last:
+        total = sum(position, sample.time)  # finite only if all terms are, short of overflow
+        if not (isfinite(total) if total.__class__ is float else np.isfinite(total).all()):
+            if message := not_finite(f"sample at tick {tick}", (*position, sample.time)):
+                raise ParameterError(message)
+        if (periods := tick - last) < 1:
             raise ParameterError(
                 f"sample tick must be above the previous tick {last} (got {tick}); call reset() before a new run"
             )
-        # more than one period after a lost sample
-        time, self._tick = (tick - last) * self.period, tick
-        velocity, self._velocity_state = self._estimate(position, self._velocity_state, time)
+        velocity, self._velocity_state = self._estimate(position, self._velocity_state, periods * self.period)
+        if periods > 1:
+            self._skip(position, velocity, periods)
+        self._tick, self._position = tick, position
         wrench: list[Component] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         pulse: Six | None = None
         states = self._states
@@ -134,6 +141,13 @@ class Controller:
             if extra is not None:
                 pulse = extra if pulse is None else [first + second for first, second in zip(pulse, extra)]
         return Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
+
+    def _skip(self, position: Six, velocity: Six, periods: int) -> None:
+        """Advance the states over lost samples, at constant velocity; over at most 100, to bound the time of a tick."""
+        for index in range(max(1, periods - 100), periods):
+            between = [last + index / periods * (now - last) for last, now in zip(self._position, position)]
+            pairs = zip(self.laws, self._states)
+            self._states = [None if state is None else law.skip(between, velocity, state) for law, state in pairs]
 
     def at_rest(self, position: Six) -> Command:
         """Return the command for a flotor at rest, without a change of state.
@@ -149,7 +163,7 @@ class Controller:
     def _check(self, position: Six) -> None:
         if len(position) != len(AXES):
             raise ParameterError(f"a sample must have {len(AXES)} position components (got {len(position)})")
-        batch = np.broadcast_shapes(*(np.shape(part) for part in position if part.__class__ is not float))
+        batch = shape_of(position)
         for law in self.laws:
             if law.batch and law.batch != batch:
                 raise ParameterError(f"samples must have the batch shape {law.batch} of the laws (got {batch})")

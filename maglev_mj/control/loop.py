@@ -19,7 +19,7 @@ Record: TypeAlias = Callable[[Sample, Command, Command], object]
 
 
 class Plant(Protocol):
-    """Interface of a plant to the control loop."""
+    """Interface of a plant to the control loop; optionally with `unanswered`, the last sample until it is answered."""
 
     @property
     def period(self) -> float:
@@ -83,7 +83,7 @@ class ControlLoop:
         self._cycles: deque[tuple[Sample, Command]] = deque(maxlen=_HISTORY)
 
     def cycle(self, count: int = 1) -> None:
-        """Run `count` cycles.
+        """Run `count` cycles, the first from the plant's unanswered sample if there is one.
 
         After any exception the plant is commanded to zero, or closed if that fails too.
 
@@ -93,10 +93,11 @@ class ControlLoop:
         sample = command = None
         plant, observe, record = self._plant, self._observe, self._record
         read, step, write, keep = plant.read, self._controller.step, plant.write, self._cycles.append
+        waiting = [first] if (first := getattr(plant, "unanswered", None)) is not None else []
         try:
             for _ in range(count):
                 command = None
-                sample = read()
+                sample = waiting.pop() if waiting else read()
                 command = step(sample)
                 applied = write(command)
                 keep((sample, applied))
@@ -144,7 +145,7 @@ def drive(
     observe: Callable[[Sample, Command], object] | None = None,
     record: Record | None = None,
 ) -> Sample:
-    """Run the control loop for a number of ticks.
+    """Run the control loop for a number of ticks; the next call answers the sample that this one returns.
 
     Args:
         plant: Any plant; stays open.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Interval, Timeline, Timing
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
-from maglev_mj.frames import AXES, Array, Command, Component, Sample, Six, clipped, components, join
+from maglev_mj.frames import Array, Command, Component, Sample, Six, clipped, components, join, not_finite
 from maglev_mj.parameters import flag, number, six
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
@@ -60,6 +60,7 @@ class SampledPlant(ABC):
         before: Wrench of the actuators until the first command takes effect [N, N m], (..., 6).
         given: Constructor arguments by name.
         hand: Impedance of the hand on the flotor; None without a hand.
+        unanswered: Last sample until its command is written, then None; see `Plant`.
     """
 
     # rarely used attributes, in slots: lookup is slower in an object with more than 30 attributes
@@ -113,6 +114,7 @@ class SampledPlant(ABC):
         self._period, self._phase = timing.period, timing.phase
         self._intervals_of = self._timeline.period
         self._answer: tuple[Any, Any, float] | None = None
+        self.unanswered: Sample | None = None
         if np.shape(timing.delay) not in ((), batch):
             raise ParameterError(f"delay must be a number or have the shape {batch} (got {np.shape(timing.delay)})")
         self._limits = self._limit is not None
@@ -158,7 +160,7 @@ class SampledPlant(ABC):
         """
         if self._closed:
             raise PlantError("the plant is closed")
-        tick = self._tick
+        tick, self.unanswered = self._tick, None
         if tick >= 0:
             self._offset = 0.0
             run = self._run
@@ -182,7 +184,8 @@ class SampledPlant(ABC):
             position = self._measure(position)
             if len(position) != 6:
                 raise PlantError(f"a sensor must return 6 components (got {len(position)})")
-        return Sample(tick, time, position)
+        self.unanswered = sample = Sample(tick, time, position)
+        return sample
 
     def write(self, command: Command) -> Command:
         """Queue the command for the last sample; return it as applied, after the limits.
@@ -207,6 +210,7 @@ class SampledPlant(ABC):
             if width:
                 total = [held + pulse for held, pulse in zip(command.force, command.extra or ())]
         self._answer = self._prepare(command.force), self._prepare(total) if width else None, width
+        self.unanswered = None
         return command
 
     def _switch(
@@ -222,10 +226,11 @@ class SampledPlant(ABC):
             raise PlantError(f"currents must be finite and follow a sample (got {tuple(currents)} for {width:g} s)")
         held = drive_of(currents)
         self._timeline.answer(self._tick, held, held if pulsed is None else drive_of(pulsed), width, after=after)
+        self.unanswered = None
 
     def close(self) -> None:
         """Release the plant; may be called at any time and repeatedly."""
-        self._closed = True
+        self._closed, self.unanswered = True, None
 
     def trace(self) -> Trace:
         """Return the motion recorded since release.
@@ -379,10 +384,7 @@ def _invalid(force: Six, tick: int, batch: tuple[int, ...], what: str = "a comma
     wrench = join(force)
     if wrench.shape[:-1] not in ((), batch):
         return PlantError(f"{what} must have the batch shape {batch} of the plant (got {wrench.shape[:-1]})")
-    index = tuple(np.argwhere(~np.isfinite(wrench))[0])
-    device = f", device {index[:-1]}" if len(index) > 1 else ""
-    name = what.removeprefix("a ")
-    return PlantError(f"{name} at tick {tick} must be finite (got {wrench[index]:g} along {AXES[index[-1]]}{device})")
+    return PlantError(not_finite(f"{what.removeprefix('a ')} at tick {tick}", force))
 
 
 def _escaped(

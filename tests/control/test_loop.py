@@ -37,40 +37,6 @@ class Broken(Controller):
         return super().step(sample)
 
 
-def test_run_answers_every_sample_and_reads_once_more() -> None:
-    plant, seen = Recorder(), []
-    controller = Controller([Hold(stiffness=100.0, damping=1.0)], period=0.005)
-    last = drive(plant, controller, 10, observe=lambda sample, command: seen.append((sample.tick, command)))
-    assert last.tick == 10
-    assert [tick for tick, _ in seen] == list(range(10))
-    assert [command for _, command in seen] == plant.written
-    assert drive(plant, controller, 5).tick == 16
-
-
-@pytest.mark.parametrize(
-    ("ticks", "good"),
-    [
-        ((0, 1, 2), True),
-        ((7, 8, 12), True),  # samples were lost
-        ((5, 6, 6), False),
-        ((3, -1), False),
-    ],
-)
-def test_ticks_go_up(ticks: tuple[int, ...], good: bool) -> None:
-    controller = Controller([Hold(stiffness=100.0, damping=1.0)], period=0.005)
-    for tick in ticks[:-1]:
-        controller.step(Sample(tick, 0.0, [0.0] * 6))
-    last = Sample(ticks[-1], 0.0, [1e-3] * 6)
-    if good:
-        speed = 1e-3 / (0.005 * (ticks[-1] - ticks[-2]))
-        assert controller.step(last).force[2] == pytest.approx(-100.0 * 1e-3 - speed)
-    else:
-        with pytest.raises(
-            ParameterError, match=f"tick must be above the previous tick {ticks[-2]} [(]got {ticks[-1]}[)]; call"
-        ):
-            controller.step(last)
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_command_that_is_no_number_ends_in_zero_and_carries_the_last_cycles(bad: float) -> None:
     plant = Recorder()

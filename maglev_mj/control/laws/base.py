@@ -101,6 +101,10 @@ class Law:
         """
         raise NotImplementedError
 
+    def skip(self, position: Six, velocity: Six, state: Any) -> Any:
+        """Return the state after a lost sample, at an interpolated position; a law with pulses keeps it."""
+        return state if self.pulse_width > 0.0 else self(position, velocity, state, [0.0] * len(AXES))[0]
+
     def gains(self) -> Iterable[Gains] | None:
         """Return the linearisation of the law in each state; None for numerical linearisation."""
         return None
@@ -126,7 +130,7 @@ class VelocityEstimator(Protocol):
     """Interface of velocity estimators."""
 
     def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
-        """Return six velocity components and the next state; `state` is None at the first sample."""
+        """Return six velocity components and the next state (at first None); `period` is since the last sample [s]."""
 
 
 def gain(
@@ -321,7 +325,9 @@ def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Comp
         ParameterError: If the law raises, modifies its input, or returns a wrong shape or a value that is not finite.
     """
     name = f"law {getattr(law, 'name', type(law).__name__)}"
-    before = [part if part.__class__ is float else np.array(part) for part in (*position, *velocity)]
+    before = [*position, *velocity]
+    if batch := shape_of(before):
+        before = list(map(np.array, before))
     try:
         result = law(position, velocity, state, wrench)
     except MaglevError:
@@ -331,26 +337,28 @@ def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Comp
     if not (isinstance(result, tuple) and len(result) == 2):
         raise ParameterError(f"{name} must return (next state, pulse or None) (got {result!r})")
     after = [*position, *velocity]
-    if not (len(after) == len(before) and all(map(_same, after, before))):
+    if not (len(after) == len(before) and all(map(np.array_equal, after, before)) if batch else after == before):
         raise ParameterError(f"{name} must not modify its arguments position and velocity")
-    batch = np.broadcast_shapes(*(np.shape(part) for part in before if part.__class__ is not float))
     _check(name, "wrench", wrench, batch)
     if result[1] is not None:
         _check(name, "pulse", result[1], batch)
     return result
 
 
-def _same(a: Component, b: Component) -> bool:
-    return a is b or (a == b if a.__class__ is b.__class__ is float else np.array_equal(a, b))
+def shape_of(parts: Sequence[Component]) -> tuple[int, ...]:
+    """Return the batch shape of components; () for floats."""
+    if set(map(type, parts)) == {float}:
+        return ()  # one device: arrays take ten times as long
+    return np.broadcast_shapes(*map(np.shape, parts))
 
 
 def _check(name: str, what: str, parts: Six, batch: tuple[int, ...]) -> None:
     """Raise ParameterError unless `parts` are six finite components, each a number or of the batch shape."""
     if not hasattr(parts, "__len__") or len(parts) != len(AXES):
         raise ParameterError(f"{name} must have six {what} components (got {parts!r})")
+    if set(map(type, parts)) == {float} and math.isfinite(sum(parts)):
+        return
     for axis, part in zip(AXES, parts):
-        if part.__class__ is float and math.isfinite(part):
-            continue  # fast path: arrays take ten times as long
         array = np.asarray(part)
         if array.dtype.kind not in "fiu" or array.shape not in ((), batch):
             shape = f"of shape {batch}" if batch else "a number"

@@ -100,7 +100,7 @@ class LowPass:
 
 @dataclass(frozen=True)
 class Window:
-    """Mean velocity over a window of n samples: v[k] = (x[k] - x[k-n]) / (n T).
+    """Mean velocity over a window of n samples: v[k] = (x[k] - x[k-n]) / (n T), with the time between them for n T.
 
     The flotor is assumed at rest before the first sample.
 
@@ -118,10 +118,11 @@ class Window:
 
     def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
         """Return the mean velocity, zero at the first sample, and the next state."""
-        past = (position,) * self.samples if state is None else state
-        time = len(past) * period
+        past, periods = state or ((position,) * self.samples, (period,) * self.samples)
+        periods = (period, *periods[:-1])
+        time = math.fsum(periods)  # as exact as the product n T
         velocity = [(now - before) / time for now, before in zip(position, past[-1])]
-        return velocity, (position, *past[:-1])
+        return velocity, ((position, *past[:-1]), periods)
 
     def linear(self, period: ArrayLike) -> LinearController:
         """Return the state space model of one axis; its state is the last n positions, newest first."""
@@ -161,23 +162,24 @@ class AdaptiveWindow:
 
     def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
         """Return the velocity, zero at the first sample, and the next state."""
-        past: list[Six] = [] if state is None else state
-        history = [position, *past[: self.longest]]
-        velocity = [self._slope([sample[axis] for sample in history], self.noise[axis], period) for axis in range(6)]
-        return velocity, history
+        past, periods = state or ([], [])
+        history, periods = [position, *past[: self.longest]], [period, *periods[: self.longest]]
+        ages = [math.fsum(periods[:index]) for index in range(len(history))]
+        velocity = [self._slope([sample[axis] for sample in history], self.noise[axis], ages) for axis in range(6)]
+        return velocity, (history, periods)
 
     @staticmethod
-    def _slope(samples: list[Component], noise: float, period: float) -> Component:
-        """Return the slope over the longest fitting window; `samples` are newest first."""
+    def _slope(samples: list[Component], noise: float, ages: list[float]) -> Component:
+        """Return the slope over the longest fitting window; `samples`, of these ages [s], are newest first."""
         newest = samples[0]
         if len(samples) == 1:
             return newest - newest
-        slope = (newest - samples[1]) / period
+        slope = (newest - samples[1]) / ages[1]
         fits = slope == slope
         for width in range(2, len(samples)):
-            chord = (newest - samples[width]) / (width * period)
+            chord = (newest - samples[width]) / ages[width]
             for age in range(1, width):
-                fits = fits & (abs(newest - age * period * chord - samples[age]) <= noise)
+                fits = fits & (abs(newest - ages[age] * chord - samples[age]) <= noise)
             if fits is False:
                 break
             slope = choose(fits, chord, slope)

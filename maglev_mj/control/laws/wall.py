@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.laws.base import Answer, AxisLaw, Face, Gains, LinearController, choose, gain, setting
 from maglev_mj.control.timeline import check_delay
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Component, Six, clipped
+from maglev_mj.frames import AXES, ZERO, Array, Component, Six, clipped
 from maglev_mj.parameters import flag, number, store
 
 
@@ -309,6 +309,11 @@ class ObserverWall(_LowerWall):
         applied = force if self.force_limit == math.inf else clipped(force, self.force_limit)
         return force, estimate._replace(forces=(applied, *estimate.forces[:-1]))
 
+    def skip(self, position: Six, velocity: Six, state: Any) -> Any:
+        """Predict the estimates over a lost sample, with the forces held; see `Law`."""
+        after = [self._corrected(estimate, None, gains.inertia) for (_, gains), estimate in zip(self._each, state)]
+        return [estimate._replace(forces=(estimate.forces[0], *estimate.forces[:-1])) for estimate in after]
+
     def linear(self, stiffness: Array, damping: Array) -> LinearController:
         """Return the state space model of the law in contact, for gains (...,) and the inertia of its first axis.
 
@@ -330,13 +335,13 @@ class ObserverWall(_LowerWall):
             matrix[..., :size, :size], matrix[..., :size, size], matrix[..., size, :size], matrix[..., size, size]
         )
 
-    def _corrected(self, estimate: _Estimate, measured: Component, inertia: Component) -> _Estimate:
-        """Predict the state over one period and correct it by the measured position."""
+    def _corrected(self, estimate: _Estimate, measured: Component | None, inertia: Component) -> _Estimate:
+        """Predict the state over one period and correct it by the measured position, if any."""
         x, v, unknown, forces = estimate
         pole, period, remainder = self.pole, self.period, self._split[1]
         x, v = _propagate(x, v, unknown + forces[-1] / inertia, remainder)
         x, v = _propagate(x, v, unknown + forces[-2] / inertia, period - remainder)
-        residual = measured - x
+        residual = 0.0 * x if measured is None else measured - x
         if self.disturbance:
             first, second = 1.0 - pole**3, 1.5 * (1.0 - pole) ** 2 * (1.0 + pole)
             unknown = unknown + (1.0 - pole) ** 3 / period**2 * residual
@@ -404,6 +409,11 @@ class PassivityController(AxisLaw):
     def start(self) -> list[_AxisState]:
         """Return the state before the first sample."""
         return [(0.0, math.nan, (0.0,) * (self._split[0] + 2))] * len(self._each)
+
+    def skip(self, position: Six, velocity: Six, state: Any) -> Any:
+        """Count the energy of the held force; see `Law`."""
+        held = {axis: forces[0] for axis, (_, _, forces) in zip(self.indices, state)}
+        return self(position, ZERO, state, [held.get(axis, 0.0) for axis in range(len(AXES))])[0]
 
     def signals(self, state: Sequence[_AxisState]) -> dict[str, Sequence[Component]]:
         """Return the absorbed energy [J] of each axis."""
