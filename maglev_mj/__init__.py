@@ -39,7 +39,7 @@ Plants and the hand on them:
     Hand                     mass, damping and stiffness of a hand
     HANDS                    published hands, by name
     SpringHand               hand with a spring to a movable target pose
-    Trajectory               minimum-jerk movements between poses
+    Trajectory               path through timed poses: minimum-jerk, linear or cubic
 
 Scenes:
 

@@ -12,13 +12,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ModelError, ParameterError, check_one_of
+from maglev_mj.errors import ModelError, PlantError, check_one_of
 from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.lazy import has_engine, mujoco
-from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import Hand
-from maglev_mj.plants.model import COILS, Device, Model, load_model, reference_state
-from maglev_mj.spec import GRAVITY
+from maglev_mj.plants.model import COILS, Device, Model, acceleration, load_model, reference_state
 
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
 """Commanded wrench, or (None, six currents); engine controls; inverse coil map, None without coils."""
@@ -61,6 +60,24 @@ def engine_warnings_silenced() -> Iterator[None]:
         mujoco.set_mju_user_warning(handler)
 
 
+# not mjcb_time, a timer, which MuJoCo's viewer sets
+_CALLBACKS = "act_bias", "act_dyn", "act_gain", "contactfilter", "control", "passive", "sensor"
+
+
+def check_callbacks() -> None:
+    """Reject a callback of another component: MuJoCo's are global to the process and would act on every plant.
+
+    Raises:
+        PlantError: If one is set.
+    """
+    for name in _CALLBACKS:
+        if (callback := getattr(mujoco, f"get_mjcb_{name}")()) is not None:
+            raise PlantError(
+                f"mjcb_{name} must be None, because MuJoCo callbacks act on every plant of the process (got "
+                f"{callback!r}); mujoco.set_mjcb_{name}(None) clears it"
+            )
+
+
 INTEGRATORS = {
     "euler": "mjINT_EULER",
     "rk4": "mjINT_RK4",
@@ -75,7 +92,7 @@ INTEGRATORS = {
 def prepared(
     model: Model = "drop",
     *,
-    gravity: ArrayLike = GRAVITY,
+    gravity: ArrayLike | None = None,
     integrator: str = "rk4",
     stops: bool = False,
     force_falloff: float = 0.0,
@@ -85,7 +102,7 @@ def prepared(
 
     Args:
         model: See `load_model`.
-        gravity: Gravitational acceleration along -z, or in stator axes (3,) [m/s²].
+        gravity: Gravitational acceleration along -z, or in stator axes (3,) [m/s²], instead of the model's.
         integrator: One of `INTEGRATORS`.
         stops: Enable the metal stops.
         force_falloff: See `MuJoCoPlant`; needs a range of motion in the model.
@@ -94,15 +111,15 @@ def prepared(
     Raises:
         ParameterError: If a value is outside its bounds.
         ModelError: If the model is invalid, or lacks joint limits needed for stops and falloff.
+        PlantError: If a MuJoCo callback is set.
     """
+    check_callbacks()
     check_one_of("integrator", INTEGRATORS, integrator)
     loaded = load_model(model, **device)
     options = loaded.model.opt
     options.integrator = mujoco.mjtIntegrator.__members__[INTEGRATORS[integrator]]
-    acceleration = numbers("gravity", gravity)
-    if acceleration.shape not in ((), (3,)):
-        raise ParameterError(f"gravity must be a number or (3,) (got {acceleration.shape})")
-    options.gravity[:] = acceleration if acceleration.ndim else (0.0, 0.0, -float(acceleration))
+    options.gravity[:] = loaded.gravity if gravity is None else acceleration(gravity)
+    options.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     if not _has_passive_forces(loaded.model):  # both flags together disable all passive forces
         options.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
     # an automatic reset would hide divergence; currents are limited by the plant

@@ -16,7 +16,7 @@ from maglev_mj.frames import Array, Component, Six, components, join
 from maglev_mj.parameters import flag, number, numbers, six
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.hand import Hand, motion, transition
-from maglev_mj.plants.model import Model, load_model
+from maglev_mj.plants.model import Model, acceleration, load_model, moments_of_inertia
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 
 Drive: TypeAlias = tuple[Six, Six]
@@ -36,12 +36,14 @@ class ExactPlant(SampledPlant):
 
     Args:
         timing: Sample period, delay and phase; delays and phases (N,) need a pose (N, 6).
-        model: Source of mass, moments of inertia and drivers, as for `MuJoCoPlant`; None for the published device.
+        model: Source of mass, moments of inertia, gravity and drivers, as for `MuJoCoPlant`; None for the published
+            device.
         mass: Mass of the flotor with its handle [kg], instead of the model's; (N,) for N devices.
         inertia: Moments of inertia about x, y, z [kg m²], (3,), instead of the model's.
         pose: Pose at release [m, rad], (..., 6).
         twist: Velocity at release [m/s, rad/s], (..., 6).
-        gravity: Gravitational acceleration along -z [m/s²].
+        gravity: Gravitational acceleration along -z, or in stator axes (3,) for a tilted base [m/s²], instead of the
+            model's.
         driver_lag: Enable the first-order lag of the current drivers.
         driver_time_constant: Time constant of that lag [s], instead of the model's.
         hand: Hand on the flotor.
@@ -76,7 +78,7 @@ class ExactPlant(SampledPlant):
         inertia: ArrayLike | None = None,
         pose: ArrayLike = (0.0,) * 6,
         twist: ArrayLike = (0.0,) * 6,
-        gravity: float = GRAVITY,
+        gravity: ArrayLike | None = None,
         driver_lag: bool = False,
         driver_time_constant: float | None = None,
         hand: Hand | None = None,
@@ -84,20 +86,21 @@ class ExactPlant(SampledPlant):
         **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
-        moving, moments, lag = INERTIA[0], np.array(INERTIA[3:]), DRIVER_TIME_CONSTANT
+        moving, moments, lag, fall = INERTIA[0], np.array(INERTIA[3:]), DRIVER_TIME_CONSTANT, acceleration(GRAVITY)
         if model is not None:
             device = load_model(model, driver_lag=driver_lag, driver_time_constant=driver_time_constant)
             moving, moments, lag = device.mass, device.inertia, device.driver_time_constant
+            fall = device.gravity
         if driver_time_constant is not None:
             lag = number("driver_time_constant", driver_time_constant, above=0.0)
         start, motion, body = _start(
             timing, pose, twist, moving if mass is None else mass, moments if inertia is None else inertia
         )
-        fall = -number("gravity", gravity)
+        gx, gy, gz = self._fall = (fall if gravity is None else acceleration(gravity)).tolist()
         self.hand, self.start = hand, (start, motion)
         self.inertia = join(body)
-        self._body = (*(1.0 / value for value in body[2:]), fall)
-        self._weight = (0.0, 0.0, fall * body[2], 0.0, 0.0, 0.0)
+        self._body = tuple(1.0 / value for value in body[2:])
+        self._weight = gx * body[0], gy * body[1], gz * body[2], 0.0, 0.0, 0.0
         self.load = join(self._weight) + 0.0
         self._pose, self._velocity = _shared(components(start)), _shared(components(motion))
         self._lag = lag if flag("driver_lag", driver_lag) else 0.0
@@ -135,10 +138,14 @@ class ExactPlant(SampledPlant):
 
     def _prepare(self, force: Six) -> Drive:
         fx, fy, fz, tx, ty, tz = force
-        per_mass, by_x, by_y, by_z, fall = self._body
+        per_mass, by_x, by_y, by_z = self._body
+        gx, gy, gz = self._fall
         if self._uses_force:  # copied: the caller may reuse its list or arrays
             force = [part if part.__class__ is float else np.array(part) for part in force]
-        return (fx * per_mass, fy * per_mass, fz * per_mass + fall, tx * by_x, ty * by_y, tz * by_z), force
+        x, y, z = fx * per_mass, fy * per_mass, fz * per_mass + gz
+        if gx or gy:
+            x, y = x + gx, y + gy
+        return (x, y, z, tx * by_x, ty * by_y, tz * by_z), force
 
     def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
         pose, velocity = self._pose, self._velocity
@@ -180,7 +187,7 @@ class ExactPlant(SampledPlant):
         return sum(force * (end - start) for force, start, end in zip(drive[1], before, after))
 
     def _exert(self, effort: Six) -> None:
-        per_mass, by_x, by_y, by_z, _ = self._body
+        per_mass, by_x, by_y, by_z = self._body
         fx, fy, fz, tx, ty, tz = effort
         self._pull = fx * per_mass, fy * per_mass, fz * per_mass, tx * by_x, ty * by_y, tz * by_z
 
@@ -211,12 +218,9 @@ def _start(
 ) -> tuple[Array, Array, list[Any]]:
     """Return checked pose and twist of one shape, and mass and moments of inertia of the six axes."""
     start, motion = numbers("pose", pose), numbers("twist", twist)
-    moments = numbers("inertia", inertia, at_least=0.0)
     shapes = (start.shape, motion.shape, (*np.shape(timing.phase), 6))
-    if moments.shape != (3,) or any(shape[-1:] != (6,) for shape in shapes):
-        raise ParameterError(
-            f"pose and twist must be (..., 6) and inertia (3,) (got {start.shape}, {motion.shape} and {moments.shape})"
-        )
+    if any(shape[-1:] != (6,) for shape in shapes):
+        raise ParameterError(f"pose and twist must be (..., 6) (got {start.shape} and {motion.shape})")
     try:
         shape = np.broadcast_shapes(*shapes)
     except ValueError:
@@ -224,7 +228,7 @@ def _start(
     masses = numbers("mass", mass) if np.ndim(mass) else number("mass", mass, above=0.0)
     if np.shape(masses) not in ((), shape[:-1]) or not np.all(masses > 0.0):
         raise ParameterError(f"mass must be above 0, a number or of batch shape {shape[:-1]} (got {mass!r})")
-    body = [masses] * 3 + [number("inertia", value, above=0.0) for value in moments]
+    body = [masses] * 3 + moments_of_inertia(inertia).tolist()
     return np.broadcast_to(start, shape), np.broadcast_to(motion, shape), body
 
 

@@ -15,6 +15,7 @@ from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.engine import STOP_TIME
 from maglev_mj.plants.exact import ExactPlant
 from maglev_mj.plants.hand import HandForce
+from maglev_mj.plants.model import acceleration
 from maglev_mj.spec import RANGE
 
 
@@ -35,7 +36,7 @@ class ExactCoilPlant(ExactPlant):
         coils: Coil map.
         mass: Moving mass [kg].
         inertia: Moments of inertia about x, y, z [kg m²], (3,).
-        gravity: Gravitational acceleration in stator axes [m/s²], (3,).
+        gravity: Gravitational acceleration along -z, or in stator axes (3,) [m/s²].
         pose: Pose at release [m, rad], (6,).
         hand_force: Force of a hand on the flotor; see `SampledPlant`.
 
@@ -53,13 +54,13 @@ class ExactCoilPlant(ExactPlant):
         coils: CoilMap,
         mass: float,
         inertia: ArrayLike,
-        gravity: Array,
+        gravity: ArrayLike,
         pose: ArrayLike,
         hand_force: HandForce | None = None,
     ) -> None:
         self._coils, self._constants = coils, coils.force_constants.copy()
         super().__init__(timing, mass=mass, inertia=inertia, gravity=0.0, pose=pose, hand_force=hand_force)
-        self.load, self.stop_wrench = np.append(mass * gravity, np.zeros(3)), np.zeros(6)
+        self.load, self.stop_wrench = np.append(mass * acceleration(gravity), np.zeros(3)), np.zeros(6)
         self._timeline.compares = False  # drives are currents: one equal entry does not make them equal
 
     def drive(

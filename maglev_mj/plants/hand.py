@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError, check_instance, choice_message
+from maglev_mj.errors import ParameterError, check_instance, check_one_of, choice_message
 from maglev_mj.frames import AXES, Array, Component, Six, quaternion, rotation_vector
 from maglev_mj.parameters import axis_indices, common_shape, number, numbers, store
 
@@ -227,16 +227,26 @@ class HandForce(Protocol):
         """
 
 
+INTERPOLATIONS: Mapping[str, Callable[[float], float]] = {
+    "minimum-jerk": lambda s: s * s * s * (10.0 + s * (6.0 * s - 15.0)),
+    "linear": lambda s: s,
+    "cubic": lambda s: s * s * (3.0 - 2.0 * s),
+}
+"""Interpolations by name: share of the way from one pose to the next at 0 <= s <= 1; "cubic" adds the slopes."""
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Minimum-jerk path through timed poses.
+    """Path through timed poses.
 
     Args:
         times: Time of each pose [s], increasing, (N,).
         poses: The poses [m, rad], (N, 6).
+        interpolation: One of `INTERPOLATIONS`. "minimum-jerk" is for a few via points: the path stops at each. For a
+            recorded motion use "cubic" (slopes by differences, error of third order in the sample period) or "linear".
 
     Raises:
-        ParameterError: If shapes do not match or the times do not increase.
+        ParameterError: If shapes do not match, the times do not increase, or there is no such interpolation.
 
     Source: Flash & Hogan 1985, arm movement from rest to rest: 10 s³ - 15 s⁴ + 6 s⁵.
 
@@ -249,8 +259,10 @@ class Trajectory:
 
     times: ArrayLike
     poses: ArrayLike
+    interpolation: str = "minimum-jerk"
     _times: list[float] = field(init=False, repr=False)
     _poses: list[list[float]] = field(init=False, repr=False)
+    _slopes: list[list[float]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         times, poses = numbers("path times", self.times), numbers("path poses", self.poses)
@@ -258,7 +270,11 @@ class Trajectory:
             raise ParameterError(f"path must have times (N,) and poses (N, 6) (got {times.shape} and {poses.shape})")
         if not (np.diff(times) > 0.0).all():
             raise ParameterError(f"path times must increase (got {times.tolist()})")
-        store(self, _times=times.tolist(), _poses=poses.tolist())
+        check_one_of("interpolation", INTERPOLATIONS, self.interpolation)
+        slopes = np.zeros_like(poses)
+        if self.interpolation == "cubic" and times.size > 1:
+            slopes = np.gradient(poses, times, axis=0, edge_order=2 if times.size > 2 else 1)
+        store(self, _times=times.tolist(), _poses=poses.tolist(), _slopes=slopes.tolist())
 
     def at(self, time: float) -> list[float]:
         """Return the pose at a time [s]: the first one before the path, the last one after it."""
@@ -267,8 +283,12 @@ class Trajectory:
             return self._poses[index - 1 if index else 0]
         start, end = self._times[index - 1], self._times[index]
         s = (time - start) / (end - start)
-        share = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        return [a + share * (b - a) for a, b in zip(self._poses[index - 1], self._poses[index])]
+        share, pair = INTERPOLATIONS[self.interpolation](s), (self._poses[index - 1], self._poses[index])
+        if self.interpolation != "cubic":
+            return [a + share * (b - a) for a, b in zip(*pair)]
+        first, last = s * (1.0 - s) * (1.0 - s) * (end - start), s * s * (s - 1.0) * (end - start)
+        ends = zip(*pair, self._slopes[index - 1], self._slopes[index])
+        return [a + share * (b - a) + first * u + last * v for a, b, u, v in ends]
 
     @property
     def end(self) -> float:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand
+from maglev_mj.spec import GRAVITY, INERTIA, RANGE, Spec
 from maglev_mj.versions import MODELS
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
@@ -122,6 +123,13 @@ class Device:
         return float(self.model.body_subtreemass[self.flotor])
 
     @property
+    def gravity(self) -> Array:
+        """The model's gravitational acceleration in stator axes [m/s²], (3,); zero if it disables gravity."""
+        options = self.model.opt
+        disabled = options.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        return np.zeros(3) if disabled else np.array(options.gravity)
+
+    @property
     def mass_matrix(self) -> Array:
         """Mass matrix of the upright flotor at the centre [kg, kg m, kg m²], (6, 6), with a hand in a rigid grip."""
         flotor = slice(self.velocity_address, self.velocity_address + 6)
@@ -196,7 +204,7 @@ def load_model(
         lag=None if driver_time_constant is None else number("driver_time_constant", driver_time_constant, above=0.0),
         mass=None if mass is None else number("mass", mass, above=0.0),
         hand=hand,
-        inertia=None if inertia is None else _moments(inertia),
+        inertia=None if inertia is None else tuple(moments_of_inertia(inertia).tolist()),
     )
     if isinstance(model, mujoco.MjSpec):
         device = _compile(model.modelname, model.copy(), options)
@@ -213,11 +221,55 @@ def load_model(
     return device
 
 
-def _moments(inertia: ArrayLike) -> tuple[float, ...]:
+class Body(NamedTuple):
+    """Flotor and limits of a device.
+
+    Attributes:
+        inertia: Mass and moments of inertia [kg, kg m²], (6,).
+        gravity: Gravitational acceleration in stator axes [m/s²], (3,).
+        range: Range of motion to either side [m, rad], (6,); infinite without a stop.
+        force_limit: Largest force along z at the published peak current [N]; infinite without coils.
+    """
+
+    inertia: Array
+    gravity: Array
+    range: Array
+    force_limit: float
+
+
+def body_of(keywords: Mapping[str, Any]) -> Body:
+    """Return the device of a plant's keywords; without a model, the published one.
+
+    Raises:
+        ModelError: If its model is invalid.
+    """
+    body = Body(np.array(INERTIA), acceleration(GRAVITY), np.array(RANGE), Spec.largest_vertical_force.value)
+    if (model := keywords.get("model")) is not None:
+        device = load_model(model, **{name: keywords[name] for name in ("coils", "coil_map") if name in keywords})
+        limits = () if device.coils is None else device.coils.largest_wrench(Spec.peak_current.value)[2:3]
+        inertia = np.array([device.mass] * 3 + device.inertia.tolist())
+        body = Body(inertia, device.gravity, device.range[[0, 1, 2, 3, 3, 3]], float(min(limits, default=math.inf)))
+    for name, axes in (("mass", slice(3)), ("inertia", slice(3, None))):
+        if keywords.get(name) is not None:
+            body.inertia[axes] = keywords[name]
+    gravity = keywords.get("gravity")
+    return body if gravity is None else body._replace(gravity=acceleration(gravity))
+
+
+def moments_of_inertia(inertia: ArrayLike) -> Array:
+    """Return checked moments of inertia [kg m²], (3,)."""
     moments = numbers("inertia", inertia)
     if moments.shape != (3,) or not (moments > 0.0).all():
         raise ParameterError(f"inertia must be three numbers above 0 (got {moments.tolist()})")
-    return tuple(moments.tolist())
+    return moments
+
+
+def acceleration(gravity: ArrayLike) -> Array:
+    """Return gravity, along -z or in stator axes (3,), as an acceleration in stator axes [m/s²], (3,)."""
+    vector = numbers("gravity", gravity)
+    if vector.shape not in ((), (3,)):
+        raise ParameterError(f"gravity must be a number or (3,) (got {vector.shape})")
+    return vector if vector.ndim else np.array([0.0, 0.0, -float(vector)])
 
 
 class _Options(NamedTuple):
@@ -293,7 +345,7 @@ def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> Device:
         raise ModelError(f"model {name!r} must define its coils first, in the order {', '.join(COILS)}")
     if options.mass is not None:
         _share_out(model, flotor, options.mass)
-    return Device(
+    device = Device(
         model=model,
         flotor=flotor,
         position_address=first,
@@ -301,6 +353,11 @@ def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> Device:
         coils=_coil_map(model, flotor) if options.coils else None,
         driver_time_constant=constant,
     )
+    hand, inertia = options.hand, options.inertia
+    held = hand is None or not hand.soft or model.body("hand").mass[0] == hand.mass
+    if not held or (inertia is not None and not np.allclose(device.inertia, inertia, rtol=1e-9)):
+        raise invalid_model(name, "its compiler options change the requested inertia or the mass of the hand")
+    return device
 
 
 def _check_names(name: str, spec: mujoco.MjSpec, options: _Options) -> None:

@@ -22,12 +22,12 @@ from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import COILS, Model, load_model
 from maglev_mj.plants.sensor import Measure
-from maglev_mj.spec import GRAVITY
 
 _Snapshot: TypeAlias = tuple[Sequence[float], Sequence[float], engine.Drive]
 """Position and quaternion, velocity as in MuJoCo's qvel, and drive in effect."""
 
 _ENGINE_BOUND = 1e10
+_SELDOM = 63  # callbacks are checked every 64th sample: on each, it would cost a tenth of a tick
 
 
 class MuJoCoPlant(SampledPlant):
@@ -39,12 +39,14 @@ class MuJoCoPlant(SampledPlant):
 
     Args:
         timing: Sample period, delay and phase (a number).
-        model: Device: name of a model of the package, MJCF file, or specification; see `load_model`.
+        model: Device: name of a model of the package, MJCF file, or specification; see `load_model`. Its integrator
+            and time step are not used.
         mass: Moving mass [kg], instead of the model's.
         inertia: Moments of inertia about x, y, z [kg m²], (3,), instead of the model's.
         pose: Pose at release [m, rad], (6,).
         twist: Velocity at release [m/s, rad/s], (6,).
-        gravity: Gravitational acceleration along -z, or in stator axes (3,) for a tilted base [m/s²].
+        gravity: Gravitational acceleration along -z, or in stator axes (3,) for a tilted base [m/s²], instead of the
+            model's.
         coils: True applies each wrench by the six coils, with the coil map at the flotor's angle at the sample (as
             measured, if there is a sensor); False applies it to the flotor directly, as an ideal actuator.
         coil_map: Coils instead of the model's, such as calibrated ones.
@@ -70,6 +72,7 @@ class MuJoCoPlant(SampledPlant):
     Raises:
         ParameterError: If a value is outside its bounds or shapes do not match.
         ModelError: If the model is invalid.
+        PlantError: If a MuJoCo callback is set, which would act on every plant of the process.
 
     Example:
         >>> from maglev_mj import Command, MuJoCoPlant
@@ -111,7 +114,7 @@ class MuJoCoPlant(SampledPlant):
         inertia: ArrayLike | None = None,
         pose: ArrayLike = (0.0,) * 6,
         twist: ArrayLike = (0.0,) * 6,
-        gravity: ArrayLike = GRAVITY,
+        gravity: ArrayLike | None = None,
         coils: bool = True,
         coil_map: CoilMap | None = None,
         current_limit: float | None = None,
@@ -332,6 +335,8 @@ class MuJoCoPlant(SampledPlant):
             push[self._turning] = 0.0
 
     def _position(self) -> list[float]:
+        if not self._tick & _SELDOM:
+            engine.check_callbacks()
         if self._warns_unseen or self._refused[0]:
             self._check_warnings()
         x, y, z, q0, q1, q2, q3 = self._settle()
@@ -446,7 +451,7 @@ class MuJoCoBatchPlant(SampledPlant):
         inertia: Moments of inertia [kg m²], (3,), instead of the model's.
         pose: Poses at release [m, rad], (N, 6).
         twist: Velocities at release [m/s, rad/s], (N, 6) or (6,).
-        gravity: Gravitational acceleration [m/s²].
+        gravity: Gravitational acceleration [m/s²], instead of the model's.
         coils: True applies each wrench by the coils.
         coil_map: Coils instead of the model's.
         driver_lag: Enable the first-order lag of the current drivers.
@@ -470,7 +475,7 @@ class MuJoCoBatchPlant(SampledPlant):
         inertia: ArrayLike | None = None,
         pose: ArrayLike,
         twist: ArrayLike = (0.0,) * 6,
-        gravity: ArrayLike = GRAVITY,
+        gravity: ArrayLike | None = None,
         coils: bool = True,
         coil_map: CoilMap | None = None,
         driver_lag: bool = False,
@@ -534,6 +539,7 @@ class MuJoCoBatchPlant(SampledPlant):
         return wrench, np.matmul(self._inverse_map, wrench[..., None])[..., 0]
 
     def _advance(self, duration: Component, drive: _BatchDrive, pieces: int = 1) -> None:
+        engine.check_callbacks()
         self._controls[:] = drive[1]
         self._timestep[:] = np.reshape(duration, (-1, *(1,) * (self._timestep.ndim - 1))) / pieces
         if not self._corrects:

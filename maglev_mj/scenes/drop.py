@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from maglev_mj.control import Law
 from maglev_mj.errors import ParameterError
@@ -12,7 +12,7 @@ from maglev_mj.frames import Array
 from maglev_mj.parameters import param
 from maglev_mj.scenes.scene import Start
 from maglev_mj.scenes.wall_scene import WallScene, hold, others
-from maglev_mj.spec import ESCAPE, GRAVITY, Spec
+from maglev_mj.spec import ESCAPE, Spec
 from maglev_mj.theory.ideal import analog_wall
 
 
@@ -51,7 +51,7 @@ class Drop(WallScene):
         """Return the wall and the hold of the other axes."""
         # without a limit there is no clipped impulse to carry over
         limit = self.force_limit if self.force_limit and self.carry else math.inf
-        return [self.wall(force_limit=limit), hold(self, others("z"), self.mass)]
+        return [self.wall(force_limit=limit), hold(self, others("z"))]
 
     def variants(self) -> Mapping[str, Self]:
         """Return the drops to compare: this one, first, and the one without a pulse, last.
@@ -61,24 +61,25 @@ class Drop(WallScene):
 
         Source: Salcudean & Vlaar 1997, eq. (9) and figure 3.
         """
-        if self.pulse == 0.0:
-            return {"no pulse": self}
+        if (without := self.unpulsed()) is None:
+            return super().variants()
         variants = {f"+{self.pulse:g} N s/m ({self.damping + self.pulse:g} total)": self}
         if self.pulse == self.parameter("pulse").default and 0.0 < self.damping < self.pulse:
             variants[f"{self.pulse:g} N s/m total"] = self.replace(pulse=self.pulse - self.damping)
-        return variants | {"no pulse": self.replace(pulse=0.0)}
+        return variants | {"no pulse": without}
 
     def describe(self) -> str:
         """Return a one-line description."""
-        pulse = f"a braking pulse of {self.pulse:g} N s/m" if self.pulse else "no pulse"
+        pulse = f"a braking pulse of {self.pulse:g} N s/m" if self.unpulsed() else "no pulse"
         wall = f"a wall of {self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
         return f"a drop of {self.height * 1e3:g} mm on {wall}, {pulse}"
 
     @property
     def rest(self) -> float:
         """Equilibrium height on the wall [m]; NaN without stiffness."""
-        return -self.mass * GRAVITY / self.stiffness if self.stiffness > 0.0 else math.nan
+        return float(self.body.inertia[2] * self.body.gravity[2]) / self.stiffness if self.stiffness > 0.0 else math.nan
 
     def analog(self, time: Array) -> tuple[Array, Array, Array]:
         """Return z [m], velocity [m/s] and force [N] of this drop on the ideal analog wall; see `analog_wall`."""
-        return analog_wall(time, height=self.height, stiffness=self.stiffness, damping=self.damping, mass=self.mass)
+        device: Any = {"mass": self.body.inertia[2], "gravity": -self.body.gravity[2]}
+        return analog_wall(time, height=self.height, stiffness=self.stiffness, damping=self.damping, **device)

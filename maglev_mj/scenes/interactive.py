@@ -15,6 +15,7 @@ from maglev_mj.errors import ParameterError, check_one_of, named
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import Turn, axis_indices, number, param
 from maglev_mj.plants.hand import SpringHand, Trajectory
+from maglev_mj.plants.model import body_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import hold
 from maglev_mj.spec import GRAVITY, RANGE, Spec
@@ -129,7 +130,7 @@ def spring(axes: str | Sequence[str], *, stiffness: float, damping: float, targe
 
 def weight(scene: InteractiveScene) -> list[Bias]:
     """Return the weight compensation, if enabled."""
-    return [Bias(WEIGHT)] if scene.weightless else []
+    return [Bias(scene.lift)] if scene.weightless else []
 
 
 Face: TypeAlias = tuple[str, int, float]
@@ -223,9 +224,15 @@ class InteractiveScene(Scene):
         gains = shared(self) if sticks else self
         return [law for law in laws if not law.faces()] + walls(gains, self.walls)
 
+    @property
+    def lift(self) -> tuple[float, ...]:
+        """Wrench that compensates the weight of the device in use [N, N m]."""
+        body = body_of(self.plant_options())
+        return (*(0.0 - body.inertia[0] * body.gravity).tolist(), 0.0, 0.0, 0.0)
+
     def start(self) -> Start:
         """Return a flotor at rest, its weight compensated if `weightless`."""
-        return Start(pose=self.pose, wrench=WEIGHT if self.weightless else ZERO)
+        return Start(pose=self.pose, wrench=self.lift if self.weightless else ZERO)
 
     def scripted_hand(self, phase: float = 0.0) -> SpringHand | None:
         """Return a hand that follows the script, if there is one."""

@@ -15,7 +15,6 @@ from maglev_mj.pictures import HEAD, SHADE, TITLE, broken, line_style, name_curv
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import RunResult, Variants, figure_head, parameter_texts, rank_text
 from maglev_mj.scenes.stability_check import wall_margin
-from maglev_mj.spec import Spec
 
 _FINE, _POINTS = 1e-4, 2001
 _MOST_PANELS = 4
@@ -130,7 +129,7 @@ def spread(variants: Variants) -> Any:
             lines = panel.plot(*broken(each.phases, values.reshape(len(each.phases), -1)), **line_style(index))
             lines[0].set_label(label if len(swept) > 1 else None)
         if name == figure_head("peak_force") and scene.axis == "z":
-            panel.axhline(Spec.largest_vertical_force.value, **_LIMIT)
+            _draw_limit(panel, scene)
         panel.set_xlim(0.0, 1.0)
     name_curves(figure, figure.axes)
     return figure
@@ -152,7 +151,7 @@ def time_series(variants: Variants) -> Any:
     bottom = min(heights[0].get_ylim()[0], -0.5)
     for upper, lower in zip(heights, forces, strict=True):
         upper.axhspan(bottom, 0.0, **SHADE)
-        lower.axhline(Spec.largest_vertical_force.value, **_LIMIT)
+        _draw_limit(lower, variants.first.scene)
         lower.set_xlabel("time after release (s)")
     heights[0].set(ylim=(bottom, None), ylabel="height above the wall (mm)")
     forces[0].set_ylabel("actuator force (N)")
@@ -214,12 +213,14 @@ _AS_PIXELS = {"rasterized": True}
 
 _IDEAL: dict[str, Any] = {"color": REFERENCE, "linestyle": ":", "linewidth": 1.8}
 _ANALOG: dict[str, Any] = _IDEAL | {"label": "analog wall, 10 kHz low-pass"}
-_LIMIT: dict[str, Any] = {
-    "color": "black",
-    "linestyle": (0, (6, 3)),
-    "linewidth": 1.0,
-    "label": f"force limit, {Spec.largest_vertical_force.value:g} N",
-}
+_LIMIT: dict[str, Any] = {"color": "black", "linestyle": (0, (6, 3)), "linewidth": 1.0}
+
+
+def _draw_limit(panel: Any, scene: Any) -> None:
+    """Draw the force limit of the device in use."""
+    limit = scene.body.force_limit
+    if np.isfinite(limit):
+        panel.axhline(limit, label=f"force limit, {limit:.4g} N", **_LIMIT)
 
 
 def _published(scene: Any) -> tuple[float, float, float] | None:

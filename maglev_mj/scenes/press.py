@@ -80,7 +80,7 @@ class Press(WallScene):
 
     def laws(self) -> list[Law]:
         """Return the wall and the hold of the other axes."""
-        return [self.wall(gate=self.pulse_gate), hold(self, others("z"), self.mass)]
+        return [self.wall(gate=self.pulse_gate), hold(self, others("z"))]
 
     def timing(self, phase: Component = 0.0) -> Timing:
         """Return a timing without phase, which shifts the hand's motion instead: the hand is always in contact."""
@@ -99,7 +99,7 @@ class Press(WallScene):
 
         The recorded curve is then within a nanometre of the exact one.
         """
-        fastest = float(np.abs(np.linalg.eigvals(motion(self.mass, self.impedance)[0])).max())
+        fastest = float(np.abs(np.linalg.eigvals(motion(self.body.inertia[2], self.impedance)[0])).max())
         # the engine integrates the hand, the exact plant only records it
         most = self.period if plant == "exact" else 5e-4
         return max(min(most, 0.1 / fastest), 1e-5)

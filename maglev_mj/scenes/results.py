@@ -18,7 +18,6 @@ from maglev_mj.parameters import flag, number
 from maglev_mj.pictures import save
 from maglev_mj.plants.trace import Trace
 from maglev_mj.result import Result, Table, number_text, plain
-from maglev_mj.spec import RANGE, Spec
 
 _MOST_SHOWN = 4
 _SHARES = 50.0, 5.0, 95.0
@@ -342,12 +341,14 @@ class Variants(Result):
         phases: Figures at many sampling phases by label; may be empty.
         bands: Motion at many sampling phases by label, drawn around the runs; may be empty.
         gap: Maximum deviation between the two plants in the first run [m, rad]; None if not compared.
+        chaotic: Deviation of a run if its phase changes by 1e-12 [m, rad], by label, if above a sensor step.
     """
 
     runs: Mapping[str, RunResult]
     phases: Mapping[str, Phases] = field(default_factory=dict)
     bands: Mapping[str, RunResult] = field(default_factory=dict)
     gap: float | None = None
+    chaotic: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def first(self) -> Any:
@@ -417,6 +418,8 @@ class Variants(Result):
     def _remarks(self) -> Iterator[str]:
         yield from self._rank()
         yield from self._missing()
+        for label, moved in self.chaotic.items():
+            yield chaos_note(label, moved, unit_of("m", self.first.scene.axis))
         if self.gap is not None:
             yield f"max. deviation, MuJoCo vs exact plant: {self.gap:.1e} {unit_of('m', self.first.scene.axis)}"
 
@@ -435,17 +438,18 @@ class Variants(Result):
 
     def _warnings(self) -> Iterator[str]:
         """Yield a line for a force and for a motion that the device cannot produce."""
-        limit, scene = Spec.largest_vertical_force.value, self.first.scene
+        scene = self.first.scene
+        limit, limits = scene.body.force_limit, scene.body.range
         # the last knot's force has not acted yet
         peaks = [float(np.abs(result.trace.wrench[:-1, 2]).max(initial=0.0)) for result in self.runs.values()]
         if (peak := max(peaks, default=0.0)) > limit * _ROUNDING:
             axis = "" if scene.axis == "z" else " along z"
-            option = f"; --force-limit {limit:g} applies it" if hasattr(scene, "force_limit") else ""
-            yield f"Warning: peak force {peak:.3g} N{axis} exceeds the device's {limit:g} N limit{option}"
-        texts, limits, exceeded = [], np.array(RANGE), np.zeros(len(RANGE))
+            option = f"; --force-limit {limit:.4g} applies it" if hasattr(scene, "force_limit") else ""
+            yield f"Warning: peak force {peak:.3g} N{axis} exceeds the device's {limit:.4g} N limit{option}"
+        texts, exceeded = [], np.zeros(len(AXES))
         for label in dict.fromkeys([*self.runs, *self.phases]):
             alone = [self.runs[label].trace.furthest()] if label in self.runs else []
-            swept = self.phases[label].furthest if label in self.phases else np.empty((0, len(RANGE)))
+            swept = self.phases[label].furthest if label in self.phases else np.empty((0, len(AXES)))
             furthest = np.vstack([*alone, swept])
             outside = np.where(furthest > limits * _ROUNDING, furthest, 0.0)
             if outside.any():
@@ -455,6 +459,12 @@ class Variants(Result):
                 texts.append(f"{label} {_distances(outside.max(axis=0))}{count}")
         if texts:
             yield f"Warning: motion exceeds the range of {_distances(exceeded)}: {', '.join(texts)}"
+
+
+def chaos_note(subject: str, moved: float, unit: str) -> str:
+    """Return the note on runs whose single figures are not reproducible."""
+    change = f"a change of the phase by 1e-12 moves the flotor by up to {moved:.2g} {unit}"
+    return f"{subject}: chaotic, single figures are not reproducible ({change}); use many phases for the spread"
 
 
 class _RunTable(Table):
@@ -499,6 +509,7 @@ def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:
     texts += [] if "delay" in without else [f"delay {scene.delay * 1e3:g} ms"]
     for parameter in scene.parameters():
         name, value = parameter.name, getattr(scene, parameter.name)
+        value = float(scene.body.inertia[2]) if name == "mass" else value  # of the device in use
         if name in ("period", "delay", *without) or parameter.kind in (object, bool) or value is None:
             continue
         text = f"{value:.6g}" if parameter.kind in (int, float) else str(value)

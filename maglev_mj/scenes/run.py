@@ -21,7 +21,7 @@ from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.results import Phases, RunResult, Variants
 from maglev_mj.scenes.scene import PLANTS, Scene
-from maglev_mj.spec import ESCAPE
+from maglev_mj.spec import ESCAPE, RESOLUTION
 
 _MOST_PHASES = 10_000
 _CHUNK = 64
@@ -175,7 +175,20 @@ def run_variants(
         if runs:
             error.partial = next(iter(runs.values()))
         raise
-    return Variants(runs, swept, drawn, gap)
+    return Variants(runs, swept, drawn, gap, {label: each for label, one in runs.items() if (each := sensitivity(one))})
+
+
+def sensitivity(result: RunResult) -> float:
+    """Return the deviation of a run with pulses if its phase changes by 1e-12 [m, rad]; 0 below a sensor step."""
+    scene: Scene = result.scene
+    if not (scene.has_pulses and scene.takes_phase):
+        return 0.0
+    step = getattr(scene, "quantize", 0.0) or RESOLUTION[scene.axis_index]
+    try:
+        moved = _deviation(result, result.plant, abs(result.phase - 1e-12))
+    except DivergenceError:
+        moved = ESCAPE
+    return moved if moved > step else 0.0
 
 
 def _plant_deviation(result: RunResult) -> float | None:
@@ -183,7 +196,11 @@ def _plant_deviation(result: RunResult) -> float | None:
     others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
     if not others or not has_engine():
         return None
-    other, time = run(result.scene, plant=others[0], phase=result.phase), result.times()
+    return _deviation(result, others[0], result.phase)
+
+
+def _deviation(result: RunResult, plant: str, phase: float) -> float:
+    other, time = run(result.scene, plant=plant, phase=phase), result.times()
     return float(np.abs(result.motion(time)[0] - other.motion(time)[0]).max())
 
 

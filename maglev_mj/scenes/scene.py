@@ -20,9 +20,10 @@ from maglev_mj.parameters import Parameters, Turn, axis_indices, param
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.base import PlantKeywords
 from maglev_mj.plants.hand import HandForce
+from maglev_mj.plants.model import Body, body_of
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.scenes.results import RunResult
-from maglev_mj.spec import ESCAPE, GRAVITY, Spec
+from maglev_mj.spec import ESCAPE, Spec
 
 RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
 """Key steps of the sample rate."""
@@ -52,18 +53,18 @@ class Start:
         pose: Pose [m, rad], (6,).
         twist: Velocity [m/s, rad/s], (6,).
         wrench: Wrench of the coils until the first command takes effect [N, N m], (6,).
-        gravity: Acceleration of free fall [m/s²].
+        gravity: Acceleration of free fall along -z, or in stator axes (3,) [m/s²]; None for the device's, 9.81 m/s².
 
     Example:
         >>> from maglev_mj import Start
-        >>> Start(pose=(0.0, 0.0, 0.002, 0.0, 0.0, 0.0)).gravity
-        9.81
+        >>> Start(pose=(0.0, 0.0, 0.002, 0.0, 0.0, 0.0), gravity=0.0).gravity  # weight compensated
+        0.0
     """
 
     pose: Sequence[float] = ZERO
     twist: Sequence[float] = ZERO
     wrench: Sequence[float] = ZERO
-    gravity: float = GRAVITY
+    gravity: float | Sequence[float] | None = None
 
 
 class Scene(Parameters):
@@ -198,6 +199,17 @@ class Scene(Parameters):
     def axis_index(self) -> int:
         """Index into AXES of the shown axis."""
         return AXES.index(self.axis)
+
+    @property
+    def body(self) -> Body:
+        """Flotor and limits of the device in use."""
+        return body_of({"gravity": self.start().gravity} | self.plant_options())
+
+    @property
+    def has_pulses(self) -> bool:
+        """True if a law exerts force pulses."""
+        laws = self.controller().laws
+        return any(law.pulse_width > 0.0 and np.any(getattr(law, "pulse", True)) for law in laws)
 
     @property
     def end(self) -> float:

@@ -20,7 +20,7 @@ from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.closed_loop import bisect
-from maglev_mj.theory.verdict import axis_loop, inertia_of, stability
+from maglev_mj.theory.verdict import axis_loop, stability
 
 STEP_FORCE = 2.0
 """Default limit of force steps caused by other programs [N].
@@ -109,7 +109,7 @@ def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: floa
         ParameterError: If the stability cannot be computed.
     """
     period, delay = scene.period, scene.delay if delay is None else delay
-    body = inertia_of(scene) if inertia is None else numbers("inertia", inertia)
+    body = scene.body.inertia if inertia is None else numbers("inertia", inertia)
     verdict = stability(scene, inertia=body, delay=delay)
     if verdict.stable:
         return None
@@ -173,7 +173,7 @@ def wall_margin(
         >>> print(wall_margin(find_scene("drop")()))
         spectral radius 0.877, 59 % of critical stiffness
     """
-    body = inertia_of(scene) if inertia is None else numbers("inertia", inertia)
+    body = scene.body.inertia if inertia is None else numbers("inertia", inertia)
     delay, gain = scene.delay if delay is None else delay, getattr(scene, "stiffness", 0.0)
     faces = scene.controller().faces or ([(2, 1.0, 0.0)] if isinstance(scene, WallScene) else [])
     if not (faces and gain):

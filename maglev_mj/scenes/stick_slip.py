@@ -15,7 +15,7 @@ from maglev_mj.scenes.figures import changes
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, hold, others, stepped
-from maglev_mj.spec import INERTIA, Spec
+from maglev_mj.spec import INERTIA
 from maglev_mj.theory.ideal import FrictionEvent, KarnoppMotion, karnopp
 
 LAWS: Mapping[str, Callable[..., control.Friction]] = {
@@ -50,7 +50,7 @@ def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> 
     """Declare a parameter along the axis; on a rotation its default scales by a power of the radius of gyration."""
 
     def derived(scene: StickSlip) -> float:
-        radius = 1.0 if AXES.index(scene.axis) < 3 else math.sqrt(scene.inertia / Spec.moving_mass.value)
+        radius = 1.0 if AXES.index(scene.axis) < 3 else math.sqrt(INERTIA[AXES.index(scene.axis)] / INERTIA[0])
         return value * radius**power
 
     return param(help, unit, default=None, derive=derived, along=True, **keywords)
@@ -111,7 +111,7 @@ class StickSlip(Scene):
     @property
     def inertia(self) -> float:
         """Inertia on the axis [kg, kg m²]."""
-        return INERTIA[AXES.index(self.axis)]
+        return float(self.body.inertia[AXES.index(self.axis)])
 
     def exact(self, time: Array) -> KarnoppMotion:
         """Return the exact motion with ideal friction, and the same spring, mass and damping.

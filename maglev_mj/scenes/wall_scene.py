@@ -36,7 +36,7 @@ def stepped(axis: str, quantum: float) -> Sensor | None:
     return Sensor(quantum=along(axis, quantum)) if quantum else None
 
 
-def hold(scene: Scene, axes: str | Sequence[str], mass: float = Spec.moving_mass.value) -> Hold:
+def hold(scene: Scene, axes: str | Sequence[str], mass: float | None = None) -> Hold:
     """Return a soft hold of some axes, as stiff as period and delay allow with a wide margin.
 
     Example:
@@ -46,13 +46,15 @@ def hold(scene: Scene, axes: str | Sequence[str], mass: float = Spec.moving_mass
         >>> round(float(hold(find_scene("drop")(period=0.001), ["x", "y"]).stiffness[0]))
         1750
     """
-    return _hold(axes if isinstance(axes, str) else tuple(axes), mass, scene.period, scene.delay)
+    body = scene.body.inertia.tolist()
+    body[:3] = body[:3] if mass is None else [mass] * 3
+    return _hold(axes if isinstance(axes, str) else tuple(axes), tuple(body), scene.period, scene.delay)
 
 
 @lru_cache
-def _hold(axes: str | tuple[str, ...], mass: float, period: float, delay: float) -> Hold:
+def _hold(axes: str | tuple[str, ...], body: tuple[float, ...], period: float, delay: float) -> Hold:
     """Return a hold, cached for all scenes of a sweep."""
-    inertia = [mass if index < 3 else INERTIA[index] for index in axis_indices(axes)]
+    inertia = [body[index] for index in axis_indices(axes)]
     return Hold.critically_damped(axes, inertia=inertia, period=period, delay=delay)
 
 
@@ -78,7 +80,8 @@ def wall_controller(
     if law is None:
         columns: Any = {name: gain if np.ndim(gain) == 0 else np.asarray(gain)[:, None] for name, gain in gains.items()}
         law = Wall(axes="z", lower=0.0, **columns)
-    return Controller([law, _hold(tuple(others("z")), mass, period, delay)], period=period, velocity=velocity)
+    rest = _hold(tuple(others("z")), (mass,) * 3 + INERTIA[3:], period, delay)
+    return Controller([law, rest], period=period, velocity=velocity)
 
 
 class WallScene(Scene):
@@ -128,9 +131,14 @@ class WallScene(Scene):
 
     def variants(self) -> Mapping[str, Self]:
         """See `Scene`."""
-        if self.pulse == 0.0:
-            return {"no pulse": self}
-        return {"with pulse": self, "without pulse": self.replace(pulse=0.0)}
+        if (without := self.unpulsed()) is None:
+            return super().variants() if self.pulse else {"no pulse": self}
+        return {"with pulse": self, "without pulse": without}
+
+    def unpulsed(self) -> Self | None:
+        """Return the scene without its pulse; None if the parameter `pulse` decides on no pulse of its laws."""
+        without = self.replace(pulse=0.0)
+        return without if self.has_pulses and not without.has_pulses else None
 
     def series(self, result: RunResult, time: Array) -> dict[str, Array]:
         """Return height [m] and force of the actuators [N]."""

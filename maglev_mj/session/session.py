@@ -136,7 +136,7 @@ class SessionRecorder:
 def device_controller(scene: Scene) -> Controller:
     """Return a scene's controller for a device, with weight compensation added if the scene has no gravity."""
     controller = scene.controller()
-    if scene.start().gravity:
+    if (gravity := scene.start().gravity) is None or np.any(gravity):
         return controller
     return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
 

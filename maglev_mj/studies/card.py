@@ -23,7 +23,6 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
 from maglev_mj.theory import StiffestWall, largest_stable_stiffness, least_passive_damping
 from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS, Design, SampledLoop, bisect, is_stable
-from maglev_mj.theory.verdict import inertia_of
 
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
 _WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10
@@ -121,7 +120,7 @@ def device_card(scene: Scene) -> DeviceCard:
     """
     k, b, quantum = (getattr(scene, name, 0.0) for name in ("stiffness", "damping", "quantize"))
     k, b, quantum = k or Drop().stiffness, b or Drop().damping, quantum or Spec.translation_resolution.value
-    period, mass = scene.period, float(inertia_of(scene)[0])
+    period, mass = scene.period, float(scene.body.inertia[0])
     delays = np.array([0.0, scene.delay, min(scene.delay + period, MAX_DELAY_PERIODS * period)])
     loops = [SampledLoop(period=period, delay=scene.delay, mass=mass, hand=get_hand(name)) for name in HANDS]
     keywords: list[Any] = [{"period": period, "mass": mass, "hand": loop.hand} for loop in loops]

@@ -184,7 +184,7 @@ def loop_of(scene: Scene, level: str) -> SampledLoop:
     return SampledLoop(
         period=scene.period,
         delay=scene.delay + LEVELS[level_index(level)].more_delay,
-        mass=scene.plant_options().get("mass", Spec.moving_mass.value),
+        mass=float(scene.body.inertia[2]),
         hand=_hand_of(scene),
         driver_lag=_LAG if lags else 0.0,
     )

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
@@ -28,8 +29,8 @@ from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, reference_of, scene_from_reference, text_of
 from maglev_mj.scenes.names import installed_scenes
-from maglev_mj.scenes.results import Figure, figure_head, parameter_texts, parameters_json
-from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of
+from maglev_mj.scenes.results import Figure, chaos_note, figure_head, parameter_texts, parameters_json
+from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of, run, sensitivity
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Study, Workers, chosen_workers
 from maglev_mj.studies.record import Cell, Record
@@ -41,6 +42,7 @@ MOST_CELLS = 100_000_000
 _SHARES = 0.0, 50.0, 100.0
 _JOBS, _MOST_TOGETHER = 8, 50
 _LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
+_CHAOS = 8
 _CHECKED = 1000  # cells computed to check a grid
 
 _Run: TypeAlias = tuple[Scene, str, float]
@@ -60,6 +62,7 @@ class Sweep(Result):
         results: Figures of each cell by name, or {"error": ...} for a failed run; stored in columns.
         resumed: Number of cells whose results were in the record before.
         record: Folder of the record; None for none.
+        chaos: Note on chaotic cells among up to 8 of the grid; empty for none.
     """
 
     scene: type[Scene]
@@ -68,6 +71,7 @@ class Sweep(Result):
     results: Record
     resumed: int = field(repr=False)  # JSON must not depend on the record
     record: str | None = field(repr=False)
+    chaos: str = field(default="", repr=False)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return varied values and figures, a row for each cell.
@@ -155,6 +159,7 @@ class Sweep(Result):
             place = f"in {self.record}, {self.resumed} resumed" if self.resumed else f"written to {self.record}"
             notes.append(f"{total} {place}")
         notes += [f"{_count(len(failed))} failed, first error: {self.results[failed[0]]['error']}"] if failed else []
+        notes += [self.chaos] if self.chaos else []
         head = "", *([", ".join(choices)] if choices else []), "min", "median", "max", "unit", "cells"
         title = f"Sweep of {self.scene.name} over {over}: {_count(len(self.results))}"
         return Table(title, head, rows, "\n".join(notes))
@@ -231,7 +236,19 @@ def sweep(
     # by the total number of cells, so that a resumed sweep has the same batches
     results = study.run(_cells_a_job(len(cells), executor.window, {*cells.axes["plant"]} == {"exact"}))
     varied = {name: list(values) for name, values in vary.items()}
-    return Sweep(type(chosen), varied, cells, results, resumed, file)
+    return Sweep(type(chosen), varied, cells, results, resumed, file, _chaos(cells, _text(type(chosen))))
+
+
+def _chaos(cells: Grid, text: str | None) -> str:
+    """Return a note on chaotic cells among some, evenly spaced; empty for none."""
+    moved, unit = [], ""
+    for index in np.unique(np.linspace(0, len(cells) - 1, _CHAOS, dtype=np.int64)).tolist():
+        with suppress(Exception):  # a failed cell reports its error
+            scene, plant, phase = _run_of(dict(cells[index]), text)
+            moved.append(sensitivity(run(scene, plant=plant, phase=phase)) if scene.has_pulses else 0.0)
+            unit = unit_of("m", scene.axis)
+    count = np.count_nonzero(moved)
+    return chaos_note(f"{count} of {len(moved)} cells checked", max(moved), unit) if count else ""
 
 
 def _count(cells: int) -> str:

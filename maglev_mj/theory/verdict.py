@@ -22,7 +22,7 @@ from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import number, numbers
 from maglev_mj.pictures import save
 from maglev_mj.plants.hand import Hand, get_hand
-from maglev_mj.plants.model import load_model
+from maglev_mj.plants.model import Body
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS, SampledLoop
@@ -182,28 +182,9 @@ class Judged(Protocol):
     def start(self) -> Any:
         """Return the state at release, with its `pose`."""
 
-    def plant_options(self) -> Mapping[str, Any]:
-        """Return keywords of the plant.
-
-        Those used are model, mass and inertia.
-        """
-
-
-def inertia_of(scene: Judged) -> Array:
-    """Return a scene's mass and moments of inertia [kg, kg m²], (6,).
-
-    Raises:
-        ModelError: If the model of its device is invalid.
-    """
-    options = scene.plant_options()
-    body = np.array(INERTIA)
-    if options.get("model") is not None:
-        device = load_model(options["model"])
-        body[:3], body[3:] = device.mass, device.inertia
-    for name, axes in (("mass", slice(3)), ("inertia", slice(3, None))):
-        if options.get(name) is not None:
-            body[axes] = options[name]
-    return body
+    @property
+    def body(self) -> Body:
+        """Flotor of the device in use."""
 
 
 def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Verdict:
@@ -225,7 +206,7 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
     """
     if isinstance(scene, type) or not hasattr(scene, "controller"):
         raise ParameterError(f"scene must be a Scene, such as find_scene('drop')() (got {scene!r})")
-    body, delay = inertia_of(scene) if inertia is None else inertia, scene.delay if delay is None else delay
+    body, delay = scene.body.inertia if inertia is None else inertia, scene.delay if delay is None else delay
     return judge(scene.controller(), delay=delay, pose=scene.start().pose, inertia=body)
 
 

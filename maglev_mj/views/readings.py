@@ -22,7 +22,7 @@ from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.stability_check import WallMargin, wall_margin
 from maglev_mj.session import DEVICE_PARAMETERS, SHOWN, Snapshot
-from maglev_mj.theory import Verdict, inertia_of, largest_stable_stiffness, stability, stated_gains
+from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
 
 _DAMPINGS = 32
 _EMPTY = np.zeros(0)
@@ -60,7 +60,7 @@ def margin(scene: Scene, delay: float | None = None, inertia: Sequence[float] | 
         delay: See `stability`.
         inertia: See `stability`.
     """
-    body, lag = inertia_of(scene) if inertia is None else np.array(inertia), scene.delay if delay is None else delay
+    body, lag = scene.body.inertia if inertia is None else np.array(inertia), scene.delay if delay is None else delay
     try:
         gains = stated_gains(scene.controller())
         verdict, wall = stability(scene, inertia=body, delay=lag), wall_margin(scene, inertia=body, delay=lag)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,12 @@ from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, Sample
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant
 from maglev_mj.plants.coils import CoilMap
-from maglev_mj.plants.model import load_model, model_path
+from maglev_mj.plants.exact_coils import ExactCoilPlant
+from maglev_mj.plants.hand import get_hand
+from maglev_mj.plants.model import body_of, load_model, model_path
 from maglev_mj.plants.trace import EnergyAccount, HandWork, PassivityObserver, hand_work
 from maglev_mj.spec import GRAVITY, INERTIA
+from tests.all_of import PLANTS, UNRECORDED
 from tests.sweeps import sweep
 
 PERIOD = 0.005
@@ -302,12 +306,12 @@ def test_inertia_of_ones_own_turns_the_flotor_as_it_says() -> None:
         plant.write(Command([0.0, 0.0, 0.0, 0.0, 1e-3, 0.0]))
         plant.read()
         assert np.ravel(plant.state()[1])[4] == pytest.approx(1e-3 * PERIOD / moments[1], rel=1e-6)
+        with pytest.raises(ParameterError, match=r"inertia must be three numbers above 0 .got"):
+            kind(inertia=[1e-3, 1e-3])
     with pytest.raises(ParameterError, match="flotor without its handle would not be a rigid body"):
         load_model("maglev", inertia=[2e-4, 1e-3, 1e-3])
     with pytest.raises(ParameterError, match=r"inertia \[0.001, 0.0001, 0.0001\] kg m² is impossible"):
         MuJoCoPlant(inertia=[1e-3, 1e-4, 1e-4])
-    with pytest.raises(ParameterError, match=r"inertia must be three numbers above 0 .got"):
-        MuJoCoPlant(inertia=[1e-3, 1e-3])
 
 
 @pytest.mark.parametrize("kind", [MuJoCoPlant, ExactPlant, partial(MuJoCoBatchPlant, pose=np.zeros((2, 6)))])
@@ -386,3 +390,78 @@ def test_a_file_that_is_changed_is_read_again(tmp_path: Path) -> None:
     assert load_model(own_model(tmp_path)).mass == pytest.approx(0.7)
     path = own_model(tmp_path, *HEAVIER)
     assert load_model(path).mass == pytest.approx(1.0)
+
+
+# -- what a user's model says, and what other components do --------------------------------------------
+
+
+def changed(part: str, field: str, value: Any) -> Any:
+    """Return the specification of the device with one field of its options or compiler changed."""
+    spec = mujoco.MjSpec.from_file(str(model_path("maglev")))
+    setattr(getattr(spec, part), field, value)
+    return spec
+
+
+@pytest.mark.parametrize("gravity", [None, 0.0, 1.5, [0.4, -0.3, -1.2]])
+@pytest.mark.parametrize("option", [("gravity", [0.0, 0.2, -1.62]), ("disableflags", 1 << 7)])
+def test_gravity_is_the_models_or_the_plants(option: tuple[str, Any], gravity: Any) -> None:
+    own = np.array(option[1] if option[0] == "gravity" else [0.0] * 3)
+    fall = own if gravity is None else np.array(gravity if np.ndim(gravity) else [0.0, 0.0, -gravity])
+    common: Any = {"model": changed("option", *option), "gravity": gravity}
+    coils: Any = {"coils": load_model("maglev").coils, "mass": 0.7, "inertia": INERTIA[3:], "gravity": fall}
+    plants: list[Any] = [kind(TIMING, **common) for kind in (ExactPlant, MuJoCoPlant)]
+    plants += [MuJoCoBatchPlant(TIMING, **common, pose=[[0.0] * 6]), ExactCoilPlant(TIMING, **coils, pose=[0.0] * 6)]
+    for plant in plants:
+        pose = [(plant.read(), plant.state()[0])[1] for _ in range(4)][-1]
+        np.testing.assert_allclose(np.ravel(pose)[:3], 0.5 * fall * (3 * PERIOD) ** 2, atol=1e-15)
+        np.testing.assert_allclose(getattr(plant, "load", 0.7 * fall)[:3], 0.7 * fall, atol=1e-15)
+    assert body_of(common).gravity.tolist() == fall.tolist()
+
+
+STYLUS: Any = get_hand("stylus")
+
+
+def fields(kind: object) -> list[str]:
+    return [name for name in dir(kind) if not name.startswith("_")]
+
+
+# integrator and time step are the plant's, as its docstring says
+@pytest.mark.parametrize("name", sorted({*fields(mujoco.MjOption)} - {"integrator", "timestep"}))
+def test_every_option_of_a_model_acts(name: str) -> None:
+    default = getattr(mujoco.MjSpec().option, name)
+    value = default + 0.25 if np.ndim(default) or isinstance(default, float) else default - 1 if default > 1 else 1
+    acting = getattr(MuJoCoPlant(model=changed("option", name, value)).device.model.opt, name)
+    assert acting & value == value if name.endswith("flags") else np.array_equal(acting, value)
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute")
+@pytest.mark.parametrize("name", fields(mujoco.MjsCompiler))
+def test_no_option_of_the_compiler_replaces_what_a_plant_is_given(name: str) -> None:
+    default, given = getattr(mujoco.MjSpec().compiler, name), {"inertia": [2e-3] * 3, "mass": 0.9, "hand": STYLUS}
+    for keyword, value in given.items() if isinstance(default, bool | int | float) else ():
+        with suppress(ModelError, ParameterError):
+            device = load_model(changed("compiler", name, type(default)(not default)), **{keyword: value})
+            if keyword == "hand":
+                assert device.model.body("hand").mass == STYLUS.mass
+            else:
+                np.testing.assert_allclose(getattr(device, keyword), value, rtol=1e-9)
+
+
+# a timer, which MuJoCo's viewer sets, changes no motion
+CALLBACKS = [name for name in fields(mujoco) if name.startswith("set_mjcb_") and name != "set_mjcb_time"]
+
+
+@pytest.mark.parametrize("name", CALLBACKS)
+@pytest.mark.parametrize("kind", [*PLANTS, *UNRECORDED])
+def test_a_callback_of_another_component_is_refused(kind: str, name: str) -> None:
+    make = {**PLANTS, **UNRECORDED}[kind]
+    plant = make()
+    plant.read()
+    getattr(mujoco, name)(lambda *_: 0.0)
+    try:
+        for attempt in (make, lambda: [plant.read() for _ in range(64)]):
+            refused = pytest.raises(PlantError, match=f"{name[4:]} must be None")
+            with nullcontext() if isinstance(plant, ExactPlant) else refused:
+                attempt()
+    finally:
+        getattr(mujoco, name)(None)

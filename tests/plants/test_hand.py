@@ -101,6 +101,17 @@ def test_a_path_is_of_minimum_jerk() -> None:
     assert path.end == 1.5
 
 
+@pytest.mark.parametrize(("name", "order"), [("linear", 2), ("cubic", 3)])
+@pytest.mark.parametrize("step", [0.001, 0.005, 0.02])
+def test_a_recorded_motion_is_followed_between_its_samples(name: str, order: int, step: float) -> None:
+    time, rate, amplitude = np.arange(0.0, 1.0, step), 2.0 * math.pi, 3e-3
+    path = Trajectory(time, np.outer(np.sin(rate * time), [amplitude] * 6), name)
+    fine = np.arange(0.0, time[-1], 2.5e-4)
+    positions = np.array([path.at(instant) for instant in fine.tolist()])[:, 0]
+    assert_allclose(positions, amplitude * np.sin(rate * fine), atol=amplitude * (rate * step) ** order / 8.0)
+    assert np.abs(np.diff(positions)).max() / 2.5e-4 <= amplitude * rate * (1.0 + (rate * step) ** (order - 1))
+
+
 def test_the_springs_hand_pulls_as_its_stiffness_says() -> None:
     hand = SpringHand(stiffness=300.0, damping=15.0, turning_stiffness=0.5, turning_damping=0.02)
     plant = MuJoCoPlant(TIMING, gravity=0.0, hand_force=hand)

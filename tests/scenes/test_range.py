@@ -5,19 +5,25 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from maglev_mj import AXES
+from maglev_mj import AXES, Wall, find_scene
+from maglev_mj import sweep as sweep_of
 from maglev_mj.frames import Array
+from maglev_mj.plants.model import model_path
 from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
-from maglev_mj.scenes.run import run, run_phases
+from maglev_mj.scenes.run import run, run_phases, run_variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import RANGE, Spec
+from tests.all_of import SCENES
 from tests.sweeps import further, sweep
 
 LINE = re.compile(r"  Warning: motion exceeds the range of (.*?): (.*)")
@@ -117,3 +123,54 @@ def test_a_force_beyond_the_devices_is_told_if_it_acted(knot: int, told: bool) -
     forces[knot, 2] = -1.5 * most
     text = str(Variants({"drop": replace(ran, trace=replace(ran.trace, wrench=forces))}).table())
     assert (f"Warning: peak force {1.5 * most:.3g} N exceeds the device's {most:g} N limit" in text) is told
+
+
+@pytest.fixture(scope="module")
+def light(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the model of a device of 0.3 kg with half the force, 2 mm of range and the moon's gravity."""
+    spec, file = mujoco.MjSpec.from_file(str(model_path("maglev"))), tmp_path_factory.mktemp("light") / "light.xml"
+    spec.body("flotor").mass, spec.option.gravity = 0.25, [0.0, 0.0, -1.62]
+    for actuator in spec.actuators:
+        actuator.gainprm[0] = 1.0
+    for joint in spec.body("flotor").joints[:3]:
+        joint.range = [-0.002, 0.002]
+    file.write_text(spec.to_xml())
+    return str(file)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_is_judged_by_the_device_in_use(name: str, light: str) -> None:
+    base: Any = find_scene(name)
+
+    def options(self: Any) -> dict[str, Any]:
+        return {**super(type(self), self).plant_options(), "model": light, "mass": None}
+
+    scene = type("Light", (base,), {"plant_options": options})()
+    fall = 1.62 if scene.start().gravity is None else 0.0
+    assert scene.body.inertia[0] == pytest.approx(0.3) and scene.body.gravity[2] == -fall
+    assert scene.body.range[0] == 0.002 and scene.body.force_limit == pytest.approx(30.0)
+    for plant in (scene.plant(kind) for kind in scene.plants if kind != "none"):
+        assert_allclose([plant.inertia[0], plant.load[2]], [0.3, -0.3 * fall], rtol=1e-9)
+        carried = getattr(scene, "weightless", False)
+        assert_allclose(plant.before[2] + carried * plant.load[2], 0.0, atol=1e-12)
+        assert_allclose(scene.controller().carried[2] + carried * plant.load[2], 0.0, atol=1e-12)
+    if name == "drop":
+        text = " ".join(str(run(scene, plant="exact").table()).split())
+        assert "mass 0.3 kg" in text and "device's 30 N" in text and "range of 2 mm" in text
+        assert scene.rest == pytest.approx(-0.3 * 1.62 / scene.stiffness)
+
+
+@pytest.mark.parametrize(("name", "gain"), [("drop", 0.0), ("drop", 50.0), ("press", 0.0), ("press", 50.0)])
+def test_variants_are_compared_only_if_the_parameter_decides_on_a_pulse(name: str, gain: float) -> None:
+    base: Any = find_scene(name)
+    wall = Wall(axes="z", lower=0.0, stiffness=3000.0, damping=20.0, pulse=gain, pulse_width=0.003)
+    scene = type("Mine", (base,), {"laws": lambda self: [wall]})()
+    assert dict(scene.variants()) == {"mine": scene}
+    assert [each.has_pulses for each in base().variants().values()] == [True] * (1 + (name == "drop")) + [False]
+
+
+def test_a_chaotic_bounce_says_that_single_figures_are_not_reproducible() -> None:
+    chaotic = Drop(period=1.0 / 1300.0, stiffness=18000.0, damping=0.0, pulse=900.0, duration=0.75)
+    for scene, told in ((chaotic, True), (Drop(), False)):
+        for result in (run_variants({"with pulse": scene}, plant="exact"), sweep_of(scene, {"pulse_width": [0.003]})):
+            assert ("chaotic, single figures are not reproducible" in str(result.table())) == told

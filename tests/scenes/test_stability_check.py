@@ -20,7 +20,7 @@ from maglev_mj.scenes.interactive import INERTIA, MASS, Box, Corner, Interactive
 from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.session import STEP_FORCE, check_step, unstable_loop
 from maglev_mj.spec import RANGE
-from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
+from maglev_mj.theory import largest_stable_stiffness, stability
 from tests.sweeps import sweep
 from tests.theory.test_linearise import WEIGHTS, Detent, Echo
 
@@ -263,7 +263,7 @@ def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia:
             return options
 
     scene = Own(stiffness=15_000.0)
-    body = inertia_of(scene)
+    body = scene.body.inertia
     np.testing.assert_allclose(body, inertia, rtol=2e-3)
     np.testing.assert_array_equal(scene.plant("exact").inertia, body)  # type: ignore[attr-defined]
     assert stability(scene).spectral_radius == stability(scene, inertia=body).spectral_radius

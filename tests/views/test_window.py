@@ -26,7 +26,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
 from maglev_mj.session.replay import Replay
-from maglev_mj.theory import inertia_of, largest_stable_stiffness
+from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, stop_contacts
 from maglev_mj.views.window.keys import KEYS, MAGNIFY, help_rows
 from maglev_mj.views.window.layout import Area, Font, Layout, arranged
@@ -263,7 +263,7 @@ def test_ranges_fit_the_data_and_do_not_jitter() -> None:
 
 def test_the_margin_is_that_of_the_total_gains() -> None:
     # Those of wall and centring, of the walls alone where there is a wall, and of the loop that is refused.
-    found, body = margin(Joystick()), inertia_of(Joystick())
+    found, body = margin(Joystick()), Joystick().body.inertia
     assert found.stable and found.axis == "x"
     assert found.stiffness == pytest.approx(6000.0 + CENTRING) and found.damping == pytest.approx(92.0)
     most = float(largest_stable_stiffness(92.0, period=0.005, delay=0.0015, mass=float(body[0])))
