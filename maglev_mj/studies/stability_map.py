@@ -26,10 +26,10 @@ from maglev_mj.parameters import Parameters, number, param, param_range
 from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HANDS, Hand, get_hand
+from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_controller
-from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory import boundary as bounds
@@ -92,7 +92,7 @@ class RestingWall(Scene):
     def laws(self) -> list[Law]:
         """Return the wall and the hold of the other axes."""
         wall = Wall(axes="z", lower=0.0, stiffness=self.stiffness, damping=self.damping)
-        return [wall, hold(self, others("z"), self.mass)]
+        return [wall, hold(self, others("z"))]
 
     def start(self) -> Start:
         """Return a flotor displaced slightly from its equilibrium.
@@ -116,12 +116,13 @@ class RestingWall(Scene):
         """Equilibrium of weight, wall and arm [m]."""
         hand = self.impedance
         arm = 0.0 if hand is None else float(hand.static_stiffness)
-        return -self.mass * GRAVITY / (self.stiffness + arm)
+        body = body_of(self.plant_options())
+        return float(body.inertia[2] * body.gravity[2]) / (self.stiffness + arm)
 
     @property
     def loop(self) -> LoopKeywords:
         """Keywords of the theory besides the gains."""
-        return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": self.impedance}
+        return {"period": self.period, "delay": self.delay, "mass": float(self.body.inertia[2]), "hand": self.impedance}
 
     def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
         """Return the figures of theory and simulation.
@@ -311,7 +312,12 @@ class StabilityParameters(Parameters):
     @property
     def loop(self) -> LoopKeywords:
         """Keywords of the theory besides the gains."""
-        return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": get_hand(self.hand)}
+        return {
+            "period": self.period,
+            "delay": self.delay,
+            "mass": float(self.body.inertia[2]),
+            "hand": get_hand(self.hand),
+        }
 
 
 @dataclass(frozen=True, eq=False)
