@@ -312,12 +312,7 @@ class StabilityParameters(Parameters):
     @property
     def loop(self) -> LoopKeywords:
         """Keywords of the theory besides the gains."""
-        return {
-            "period": self.period,
-            "delay": self.delay,
-            "mass": float(self.body.inertia[2]),
-            "hand": get_hand(self.hand),
-        }
+        return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": get_hand(self.hand)}
 
 
 @dataclass(frozen=True, eq=False)
