@@ -134,19 +134,9 @@ def test_a_recorded_run_is_the_run_of_the_table(
         return made[-1]
 
     monkeypatch.setattr(Drop, "plant", plant_of)
-    words = [
-        "drop",
-        "--plant",
-        "exact",
-        "--phase",
-        "0.3",
-        "--duration",
-        "0.1",
-        "--record",
-        str(tmp_path / "run.maglev"),
-    ]
+    words = f"drop --plant exact --phase 0.3 --duration 0.1 --record {tmp_path}/run.maglev".split()
     assert main([*words, "--json", "-"]) == 0
-    assert len(made) == 1  # one run, recorded and told
+    assert len(made) == 2  # one run, recorded and told, and one that shows whether it is chaotic
     said = json.loads(capsys.readouterr().out)
     (segment,) = Recording.load(tmp_path / "run.maglev").segments
     trace = made[0].trace()
