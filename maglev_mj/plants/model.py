@@ -243,7 +243,7 @@ def body_of(keywords: Mapping[str, Any]) -> Body:
     Raises:
         ModelError: If its model is invalid.
     """
-    body = Body(np.array(INERTIA), acceleration(GRAVITY), np.array(RANGE), Spec.largest_vertical_force.value)
+    body = Body(np.array(INERTIA), np.array([0.0, 0.0, -GRAVITY]), np.array(RANGE), Spec.largest_vertical_force.value)
     if (model := keywords.get("model")) is not None:
         device = load_model(model, **{name: keywords[name] for name in ("coils", "coil_map") if name in keywords})
         limits = () if device.coils is None else device.coils.largest_wrench(Spec.peak_current.value)[2:3]

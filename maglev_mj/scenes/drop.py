@@ -77,7 +77,8 @@ class Drop(WallScene):
     @property
     def rest(self) -> float:
         """Equilibrium height on the wall [m]; NaN without stiffness."""
-        return float(self.body.inertia[2] * self.body.gravity[2]) / self.stiffness if self.stiffness > 0.0 else math.nan
+        body = self.body
+        return float(body.inertia[2] * body.gravity[2]) / self.stiffness if self.stiffness > 0.0 else math.nan
 
     def analog(self, time: Array) -> tuple[Array, Array, Array]:
         """Return z [m], velocity [m/s] and force [N] of this drop on the ideal analog wall; see `analog_wall`."""
