@@ -97,8 +97,8 @@ def first_contact(variants: Variants) -> Any:
         bottom = panels["position"].get_ylim()[0]
         panels["position"].axhspan(bottom, 0.0, **SHADE)
         panels["position"].set(ylabel="height above the wall (mm)", ylim=(bottom, None))
-    if "force" in panels and panels["force"].get_ylim()[1] > 0.5 * Spec.largest_vertical_force.value:
-        panels["force"].axhline(Spec.largest_vertical_force.value, **_LIMIT)
+    if "force" in panels:
+        _draw_limit(panels["force"], variants.first.scene)
     name_curves(figure, figure.axes)
     return figure
 
