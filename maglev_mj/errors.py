@@ -14,11 +14,13 @@ if TYPE_CHECKING:
 
     from maglev_mj.frames import Command, Sample
 
-_MAX_CHARACTERS = 200
+_MAX_CHARACTERS, _MAX_MESSAGE = 200, 480
 
 
 class MaglevError(Exception):
     """Base class of all errors raised by this package.
+
+    Messages are truncated to 480 characters: their input may have any size.
 
     Attributes:
         cycles: The last (sample, command) pairs before the error, oldest first; empty outside a control loop.
@@ -33,6 +35,24 @@ class MaglevError(Exception):
     """
 
     cycles: tuple[tuple[Sample, Command], ...] = ()
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(_truncated(part) if isinstance(part, str) else part for part in args))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickle restores, whatever the arguments of a subclass."""
+        return _restored, (type(self), self.args), vars(self)
+
+
+def _restored(cls: type[MaglevError], args: tuple[object, ...]) -> MaglevError:
+    error = cls.__new__(cls)
+    error.args = args
+    return error
+
+
+def _truncated(text: str) -> str:
+    """Return a text of at most 480 characters, cut in the middle: the end has the remedy."""
+    return text if len(text) <= _MAX_MESSAGE else f"{text[: _MAX_MESSAGE - 141]}…{text[-140:]}"
 
 
 class ParameterError(MaglevError, ValueError):

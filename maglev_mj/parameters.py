@@ -156,6 +156,30 @@ def numbers(
     return array
 
 
+def shaped(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
+    """Return `value` as a finite float array with one of the shapes.
+
+    Raises:
+        ParameterError: If an entry is not a finite number, or the shape is another.
+    """
+    array = numbers(name, value)
+    if array.shape not in shapes:
+        raise ParameterError(f"{name} must have shape {' or '.join(map(str, shapes))} (got {array.shape})")
+    return array
+
+
+def last_six(name: str, value: ArrayLike) -> Array:
+    """Return `value` as a finite float array (..., 6).
+
+    Raises:
+        ParameterError: If an entry is not a finite number, or the last dimension is not six.
+    """
+    array = numbers(name, value)
+    if array.shape[-1:] != (len(AXES),):
+        raise ParameterError(f"{name} must have shape (..., 6) (got {array.shape})")
+    return array
+
+
 def store(frozen: object, **values: Any) -> None:
     """Set attributes of a frozen dataclass, by name."""
     for name, value in values.items():

@@ -161,8 +161,12 @@ class Controller:
         return static.step(Sample(0, 0.0, position))
 
     def _check(self, position: Six) -> None:
-        if len(position) != len(AXES):
-            raise ParameterError(f"a sample must have {len(AXES)} position components (got {len(position)})")
+        try:
+            count = len(position)
+        except TypeError:  # a number, also as an array
+            count = 1
+        if count != len(AXES):
+            raise ParameterError(f"a sample must have {len(AXES)} position components (got {count})")
         batch = shape_of(position)
         for law in self.laws:
             if law.batch and law.batch != batch:

@@ -64,9 +64,9 @@ class Timing:
 
     Args:
         period: Sample period [s], above 0.
-        delay: Transport delay [s], from 0 to 10 000 periods; (N,) for N devices, all with the same number of whole
-            periods.
-        phase: Sampling phase in [0, 1); (N,) for N devices.
+        delay: Transport delay [s], from 0 to 10 000 periods; (...,) for a batch, all with the same number of
+            whole periods.
+        phase: Sampling phase in [0, 1); (...,) for a batch.
         jitter: Half-width of the uniform distribution delay ± jitter [s], common to a batch. It must not move a
             command into another period.
         seed: Seed of the jitter; equal seeds give equal runs.

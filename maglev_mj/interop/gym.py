@@ -11,11 +11,13 @@ from typing import Any, ClassVar, TypeAlias
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
+from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Array, components, join
-from maglev_mj.parameters import axis_indices
+from maglev_mj.parameters import axis_indices, shaped, whole
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.run import checked_plant
 from maglev_mj.spec import INERTIA, RANGE
@@ -71,9 +73,15 @@ class TargetTask:
         self.observation_space = Box(-high, high, dtype=np.float64)
         self.steps = self.scene.ticks(self.scene.timing())
 
-    def reset(self, random: np.random.Generator) -> Array:
-        """Draw targets and disturbances, and return the first observation, (..., 3 axes)."""
-        drawn = random.uniform(-1.0, 1.0, (*self._batch, 2, len(self._axes)))
+    def reset(self, *randoms: np.random.Generator) -> Array:
+        """Draw targets and disturbances, and return the first observation, (..., 3 axes).
+
+        Args:
+            randoms: One generator, or one per device.
+        """
+        batch = self._batch if len(randoms) == 1 else ()
+        draws = [random.uniform(-1.0, 1.0, (*batch, 2, len(self._axes))) for random in randoms]
+        drawn = draws[0] if len(draws) == 1 else np.stack(draws)
         self.target, self._disturbance = _TARGET * drawn[..., 0, :] * self._reach, _DISTURBANCE * drawn[..., 1, :]
         phase = np.zeros(self._batch) if self._batch else 0.0
         self._plant = self.scene.plant("exact", phase=phase, timing=self.scene.timing(), escape=_FAR)
@@ -90,10 +98,12 @@ class TargetTask:
             target, and falls linearly to 0 at a mean distance of the range of motion.
 
         Raises:
+            ParameterError: If the action has another shape, or is not finite.
             DivergenceError: If unstable laws make numbers overflow.
         """
+        action = shaped("action", action, (*self._batch, len(self._axes)))
         command, wrench = self._controller.step(self._sample), list(ZERO)
-        for index, part in zip(self._axes, components(self._limit * (np.asarray(action) + self._disturbance))):
+        for index, part in zip(self._axes, components(self._limit * (action + self._disturbance))):
             wrench[index] = part
         command.force = [law + agent for law, agent in zip(command.force, wrench)]
         self._plant.write(command)
@@ -167,6 +177,7 @@ class TargetVectorEnv(VectorEnv[Array, Array, Array]):
         self, num_envs: int = 1, scene: SceneLike = "joystick", axes: str | Sequence[str] = "", **parameters: Any
     ) -> None:
         self.task, self.num_envs, self._over = TargetTask(scene, axes, (num_envs,), **parameters), num_envs, False
+        self._randoms: list[np.random.Generator] = []
         self.single_action_space, self.single_observation_space = self.task.action_space, self.task.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -174,10 +185,22 @@ class TargetVectorEnv(VectorEnv[Array, Array, Array]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Array, _Info]:
-        """Start an episode of all devices; one seed determines targets and disturbances."""
-        super().reset(seed=seed)  # type: ignore[arg-type]
+        """Start an episode of all devices; one seed, or one per device, determines targets and disturbances.
+
+        A device with its own seed gets the episodes of a `TargetEnv` with that seed.
+
+        Raises:
+            ParameterError: If the number of seeds is not that of devices, or one is not an integer.
+        """
+        if seed is None or isinstance(seed, int | np.integer):
+            super().reset(seed=seed)
+            self._randoms = [self.np_random] if seed is not None else self._randoms or [self.np_random]
+        else:
+            if len(seed) != self.num_envs:
+                raise ParameterError(f"seed must be an integer or one per device, {self.num_envs} (got {len(seed)})")
+            self._randoms = [np_random(None if one is None else whole("seed", one))[0] for one in seed]
         self._over = False
-        return self.task.reset(self.np_random), {}
+        return self.task.reset(*self._randoms), {}
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, _Info]:
         """See `TargetTask.step`; actions are (N, axes)."""

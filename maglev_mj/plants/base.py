@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Interval, Timeline, Timing
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
-from maglev_mj.frames import Array, Command, Component, Sample, Six, clipped, components, join, not_finite
-from maglev_mj.parameters import flag, number, six
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, Six, clipped, components, join, not_finite
+from maglev_mj.parameters import flag, number, shaped, six
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
 from maglev_mj.plants.trace import HandWork, Trace, TraceRecorder
@@ -97,7 +97,7 @@ class SampledPlant(ABC):
         self.batch = batch
         self._limit = None if wrench_limit is None else components(six("wrench_limit", wrench_limit, batch))
         self._measure = None if sensor is None else measuring(sensor)
-        distance, angle = (number("escape", value, above=0.0) for value in escape)
+        distance, angle = (number("escape", value, above=0.0) for value in shaped("escape", escape, (2,)).tolist())
         self._escape = distance * distance, angle * angle
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
         self._recorder = TraceRecorder(timing.time, self._arrays) if flag("record", record) else None
@@ -197,12 +197,15 @@ class SampledPlant(ABC):
             raise PlantError("the plant is closed" if self._closed else "write() needs a sample: call read() first")
         width = 0.0
         total = command.force
-        if command.extra is not None:
-            total = [held + pulse for held, pulse in zip(total, command.extra)]
-            width = command.pulse_width
-            if not 0.0 < width < math.inf:
-                raise PlantError(f"pulse_width must be finite and above 0 (got {width:g})")
-        check = sum(total)  # finite only if all terms are, short of overflow
+        try:
+            if command.extra is not None:
+                total = [held + pulse for held, pulse in zip(total, command.extra, strict=True)]
+                width = command.pulse_width
+                if not 0.0 < width < math.inf:
+                    raise PlantError(f"pulse_width must be finite and above 0 (got {width:g})")
+            check = sum(total)  # finite only if all terms are, short of overflow
+        except (TypeError, ValueError):
+            raise PlantError(f"a command must have 6 components, and so must its pulse (got {command})") from None
         if len(total) != 6 or not (isfinite(check) if check.__class__ is float else self._valid(check)):
             raise _invalid(total, self._tick, self.batch)
         if self._limits:

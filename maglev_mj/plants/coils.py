@@ -13,7 +13,7 @@ import numpy as np
 
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, Command
-from maglev_mj.parameters import store
+from maglev_mj.parameters import last_six, number, numbers, store
 
 UPRIGHT = 1e-9
 """Largest angle [rad] at which the upright coil map is used; its error is negligible."""
@@ -55,9 +55,10 @@ class CoilMap:
 
     def __post_init__(self) -> None:
         for name in ("points", "directions", "force_constants"):
-            store(self, **{name: np.array(getattr(self, name), dtype=np.float64)})
-        if self.points.shape != (6, 3) or self.directions.shape != (6, 3):
-            raise ModelError(f"six coils are needed for six axes (got {len(self.points)})")
+            array, shape = np.array(numbers(name, getattr(self, name))), (6,) if name == "force_constants" else (6, 3)
+            if array.shape != shape:
+                raise ModelError(f"six coils are needed for six axes: {name} must have shape {shape} (got {array.shape})")
+            store(self, **{name: array})
         forces = self.directions * self.force_constants[:, None]
         upright = np.concatenate([forces.T, np.cross(self.points, forces).T])
         if np.linalg.matrix_rank(upright) < len(upright):
@@ -72,7 +73,9 @@ class CoilMap:
             array.setflags(write=False)  # shared by many plants
 
     def inverse_at(self, rotation: Array) -> Array:
-        """Return the inverse coil map [A/N, A/(N m)], (..., 6, 6), at rotation matrices (..., 9)."""
+        """Return the inverse coil map [A/N, A/(N m)], (6, 6) or (N, 6, 6), at rotation matrices (9,) or (N, 9)."""
+        if rotation.shape[-1:] != (9,) or rotation.ndim > 2:
+            raise ParameterError(f"rotation must have shape (9,) or (N, 9) (got {rotation.shape})")
         if rotation.ndim > 1:
             maps = np.repeat(self.wrench_per_current[None], len(rotation), axis=0)
             maps[:, 3:] = (rotation @ self._turning.T).reshape(-1, 3, 6)
@@ -100,11 +103,11 @@ class CoilMap:
 
     def currents(self, wrench: Array) -> Array:
         """Return the currents [A] for a wrench [N, N m], (..., 6) each."""
-        return wrench @ self.current_per_wrench.T
+        return last_six("wrench", wrench) @ self.current_per_wrench.T
 
     def wrench(self, currents: Array) -> Array:
         """Return the wrench [N, N m] of currents [A], (..., 6) each."""
-        return currents @ self.wrench_per_current.T
+        return last_six("currents", currents) @ self.wrench_per_current.T
 
     def largest_wrench(self, current: float) -> Array:
         """Return the largest force or torque on each axis, with zero on all others [N, N m], (6,).
@@ -115,9 +118,7 @@ class CoilMap:
         Raises:
             ParameterError: If the current is negative.
         """
-        if current < 0.0:
-            raise ParameterError(f"current must be at least 0 (got {current:g})")
-        return np.asarray(current / np.abs(self.current_per_wrench).max(axis=0))
+        return np.asarray(number("current", current, at_least=0.0) / np.abs(self.current_per_wrench).max(axis=0))
 
     def condition_number(self, length: float) -> float:
         """Return the 2-norm condition number, with torques divided by a length [m]."""

@@ -37,7 +37,7 @@ class Hand:
 
     Rigid grip: m moves with the flotor, f = -m dv/dt - b v - k x. Soft grip: the hand has its own position x_h, and a
     spring and damper connect it to the flotor; without an arm (k = b = 0) it floats freely. The hand adds no weight.
-    Each value is a number, or (N,) for N devices.
+    Each value is a number, or (...,) for a batch.
 
     Args:
         mass: Mass of the hand [kg].
@@ -268,8 +268,9 @@ class Trajectory:
         times, poses = numbers("path times", self.times), numbers("path poses", self.poses)
         if times.ndim != 1 or not times.size or poses.shape != (times.size, len(AXES)):
             raise ParameterError(f"path must have times (N,) and poses (N, 6) (got {times.shape} and {poses.shape})")
-        if not (np.diff(times) > 0.0).all():
-            raise ParameterError(f"path times must increase (got {times.tolist()})")
+        if (wrong := np.flatnonzero(np.diff(times) <= 0.0)).size:
+            index = int(wrong[0]) + 1
+            raise ParameterError(f"path times must increase (got {times[index - 1]} then {times[index]} at index {index})")
         check_one_of("interpolation", INTERPOLATIONS, self.interpolation)
         slopes = np.zeros_like(poses)
         if self.interpolation == "cubic" and times.size > 1:

@@ -16,7 +16,7 @@ from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Array, Component
-from maglev_mj.parameters import Parameters, Turn, axis_indices, param
+from maglev_mj.parameters import Parameters, Turn, axis_indices, param, shaped
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.base import PlantKeywords
 from maglev_mj.plants.hand import HandForce
@@ -65,6 +65,10 @@ class Start:
     twist: Sequence[float] = ZERO
     wrench: Sequence[float] = ZERO
     gravity: float | Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("pose", "twist", "wrench"):
+            shaped(f"start {name}", getattr(self, name), (len(AXES),))
 
 
 class Scene(Parameters):

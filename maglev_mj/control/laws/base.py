@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import MaglevError, ParameterError, named
 from maglev_mj.frames import AXES, Array, Component, Six
-from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis, store
+from maglev_mj.parameters import axis_indices, batch_shape, flag, last_six, number, numbers, per_axis, store
 from maglev_mj.spec import INERTIA
 
 
@@ -476,9 +476,7 @@ class Bias(Law):
     _parts: tuple[Component, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        wrench = numbers("bias wrench", self.wrench)
-        if wrench.shape[-1:] != (len(AXES),):
-            raise ParameterError(f"bias wrench must be (..., 6) (got {wrench.shape})")
+        wrench = last_six("bias wrench", self.wrench)
         store(self, batch=wrench.shape[:-1], _parts=per_axis("bias wrench", wrench, len(AXES)))
 
     def __call__(self, position: Six, velocity: Six, state: None, wrench: list[Component]) -> tuple[None, None]:
