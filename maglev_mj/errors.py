@@ -67,6 +67,18 @@ class ParameterError(MaglevError, ValueError):
     """
 
 
+class KeywordError(ParameterError, TypeError):
+    """Unknown, missing or contradictory arguments of a public function or class.
+
+    Example:
+        >>> from maglev_mj import Timing
+        >>> Timing(period=0.001, rate=1000)
+        Traceback (most recent call last):
+            ...
+        maglev_mj.errors.KeywordError: period and rate must not both be given
+    """
+
+
 class MissingPackageError(MaglevError):
     """An optional dependency is not installed."""
 

@@ -68,9 +68,20 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
     with open(f"{file}i", encoding="utf-8") as stub:
         home = {words[3]: words[1] for words in map(str.split, stub) if words[:1] == ["from"]}
 
+    cache: dict[str, Any] = {}  # wrapped functions, which keep their identity
+
     def load(name: str) -> Any:
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(home[name]), name)
+        if name not in cache:
+            from maglev_mj.keywords import with_hints
+
+            value = getattr(import_module(home[name]), name)
+            public = getattr(value, "__module__", "").startswith("maglev_mj.") and callable(value)
+            cache[name] = with_hints(value) if public else value
+            if cache[name] is not value:
+                value = cache[name]
+                value.__module__ = package
+        return cache[name]
 
     return load, lambda: sorted(home), sorted(home)

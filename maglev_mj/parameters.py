@@ -30,12 +30,25 @@ from typing import (
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import MaglevError, ParameterError, check_one_of, choice_message
+from maglev_mj.errors import MaglevError, ParameterError, check_one_of, choice_message, one_line
 from maglev_mj.files import parse_json, read_text
 from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.keywords import with_hints, with_period
 
 _NOT_NUMBERS = bool, np.bool_, str, bytes
 """Types that float() accepts but `number` rejects."""
+
+MIN_PERIOD, MAX_PERIOD = 1e-6, 0.1
+"""Bounds of every sample period [s]: 1 MHz to 10 Hz."""
+
+SAMPLE_PERIOD: Any = {"at_least": MIN_PERIOD, "at_most": MAX_PERIOD, "unit": "s"}
+"""The same as keywords of `number`."""
+
+DRIVER_LAG: Any = {"at_most": 0.01, "unit": "s"}
+"""Bounds of a current driver's time constant."""
+
+MAX_DELAY_PERIODS = 10
+"""Largest delay, in sample periods."""
 
 _LARGEST = sys.float_info.max
 _T = TypeVar("_T")
@@ -64,6 +77,8 @@ def number(
 ) -> float:
     """Return `value` as a finite float within the bounds; the unit is for the message.
 
+    A time in seconds that was meant in milliseconds, or a period that is a rate, is named in the message.
+
     Raises:
         ParameterError: If it is not a number, not finite, or outside the bounds.
     """
@@ -71,12 +86,19 @@ def number(
         result = math.nan if isinstance(value, _NOT_NUMBERS) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         result = math.nan
-    if not (above < result < below and at_least <= result <= at_most and math.isfinite(result)):
+
+    def fits(number: float) -> bool:
+        return above < number < below and at_least <= number <= at_most and math.isfinite(number)
+
+    if not fits(result):
         bounds = {"above": above, "at least": at_least, "below": below, "at most": at_most}
         limits = " and ".join(f"{word} {bound:g}" for word, bound in bounds.items() if math.isfinite(bound))
-        limits = re.sub(r"e\+0?", "e", re.sub(r"^at least (\S+ and) at most", r"between \1", limits))
+        limits = re.sub(r"e\+?(-?)0?(?=\d)", r"e\1", re.sub(r"^at least (\S+ and) at most", r"between \1", limits))
         allowed = [*["a finite number"] * (not limits or not math.isfinite(result)), *[limits] * bool(limits), unit]
-        raise ParameterError(f"{name} must be {' '.join(filter(None, allowed))} (got {value!r})")
+        near = [f"{result * 1e-3:g} s"] * (unit == "s" and result > 0.0 and fits(result * 1e-3))
+        near += [f"a rate of {result:g} Hz"] * (name == "period" and result > 0.0 and fits(1.0 / result))
+        hint = f"; did you mean {' or '.join(near)}?" if near else ""
+        raise ParameterError(f"{name} must be {' '.join(filter(None, allowed))} (got {one_line(value)}){hint}")
     return result
 
 
@@ -154,6 +176,38 @@ def numbers(
     if at_most < math.inf and not (array <= at_most).all():
         raise ParameterError(f"{name} must be at most {at_most:g} (got {array.max():g})")
     return array
+
+
+def sample_period(value: ArrayLike) -> Array:
+    """Return checked sample periods [s], (...,).
+
+    Raises:
+        ParameterError: If one is not a number, or is outside its bounds.
+    """
+    periods = numbers("period", value)
+    for extreme in (periods.min(), periods.max()) if periods.size else ():
+        number("period", float(extreme), **SAMPLE_PERIOD)
+    return periods
+
+
+def transport_delay(value: ArrayLike, period: ArrayLike) -> Array:
+    """Return checked delays [s], (...,), of at most ten of the periods [s], (...,).
+
+    Raises:
+        ParameterError: If one is not a number, is negative or too long, or the shapes do not match.
+    """
+    delays, periods = numbers("delay", value, at_least=0.0), np.asarray(period)
+    shape = common_shape("period and delay", periods.shape, delays.shape)
+    ratio = delays / periods
+    if not (ratio <= MAX_DELAY_PERIODS * (1.0 + 1e-9)).all():
+        delay, time = (float(np.broadcast_to(part, shape).flat[np.argmax(ratio)]) for part in (delays, periods))
+        limit = MAX_DELAY_PERIODS * time
+        hint = f"; did you mean {delay * 1e-3:g} s?" if 1e-5 <= delay * 1e-3 <= limit else ""
+        raise ParameterError(
+            f"delay must be at most {MAX_DELAY_PERIODS} periods of {time:g} s, {limit:g} s "
+            f"(got {delay:g} s, {delay / time:.4g} periods){hint}"
+        )
+    return delays
 
 
 def shaped(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
@@ -483,7 +537,7 @@ class Parameters:
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         _check_names(cls)
-        dataclass(frozen=True, kw_only=True)(cls)
+        with_hints(dataclass(frozen=True, kw_only=True)(cls))
         hints = get_type_hints(cls)
         cls._declared = {item.name: _parameter(cls, item, hints[item.name]) for item in fields(cls)}  # type: ignore[arg-type]
 
@@ -539,6 +593,7 @@ class Parameters:
         Raises:
             ParameterError: If a name is unknown, or a value is outside its bounds.
         """
+        changes = with_period(self._declared, changes)
         for name in changes:
             self.parameter(name)
         copy = object.__new__(type(self))

@@ -220,20 +220,21 @@ def line_style(index: int) -> dict[str, Any]:
 
 
 @overload
-def save(figure: Any, path: Path) -> Path: ...
+def save(figure: Any, path: Path | str) -> Path: ...
 
 
 @overload
-def save(figure: Any, path: Path | None) -> Any: ...
+def save(figure: Any, path: Path | str | None) -> Any: ...
 
 
-def save(figure: Any, path: Path | None) -> Any:
+def save(figure: Any, path: Path | str | None) -> Any:
     """Write a figure and return the path; without a path, return the figure.
 
     Long curves of a large SVG are rasterised.
     """
     if path is None:
         return figure
+    path = errors.file_path(path)
     dpi = 150 if path.suffix == ".png" else 110  # for rasterised curves
     with atomic_path(path) as partial:
         figure.savefig(partial, dpi=dpi, format=path.suffix[1:] or FORMATS[0])

@@ -141,7 +141,7 @@ class Result:
         frame.attrs["units"] = {name: unit for name, unit in self.units.items() if name in frame}
         return frame
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw a chart; return the matplotlib figure, or the path of the file.
 
         Args:

@@ -176,7 +176,7 @@ class SegmentReport(Result):
         span = f"{figures.samples} samples, {figures.start:.4g} to {figures.end:.4g} s, {figures.missed} lost"
         return Table(f"{self.run_title}: {span}", [], [], below=[*below, self.identified.table()])
 
-    def plot(self, path: Path | None = None, axis: str | None = None) -> Any:
+    def plot(self, path: Path | str | None = None, axis: str | None = None) -> Any:
         """Draw recording and simulation of the run on an axis; see `Result.plot`.
 
         Args:

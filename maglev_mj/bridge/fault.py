@@ -215,7 +215,7 @@ class FaultRecord(Result):
         """Return the values by name, (N,) each."""
         return self.values
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw the last cycles; see `Result.plot`."""
         from maglev_mj.bridge.pictures import last_cycles
 

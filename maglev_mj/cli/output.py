@@ -157,6 +157,8 @@ def check_folder(name: str, path: Path) -> None:
         ParameterError: If it is a file or not writable.
     """
     existing = next(folder for folder in (path, *path.parents) if folder.exists())
+    if not path.exists() and path.suffix[1:].lower() in FORMATS:
+        raise ParameterError(f"{name} must be a folder; try --out . --format {path.suffix[1:]} (got {str(path)!r})")
     if not existing.is_dir():
         raise ParameterError(f"{name} must be a folder (got {str(path)!r})")
     if not _is_writable(existing):
@@ -259,6 +261,8 @@ def add_pictures(parser: Parser, help: str = "output folder for charts", default
         help: Help of --out.
         default: Default folder; None for no charts.
     """
+    if "--out" in parser._option_string_actions:  # of another function of the same command
+        return
     output = parser.group("output")
     output.add_argument("--out", metavar="DIR", type=Path, default=default, help=help)
     output.add_argument(

@@ -34,6 +34,7 @@ from maglev_mj.cli.options import (
 )
 from maglev_mj.cli.output import Progress, check_folder, write_result, write_results
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.keywords import with_period
 from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import PictureFolder
 from maglev_mj.plants.hand import HANDS
@@ -138,6 +139,7 @@ def sweep(
         ),
     ],
     set: Annotated[list[str], option("fixed parameter value; repeatable", "grid", "NAME=VALUE")],
+    rate: Annotated[float | None, option("sample rate [Hz], as --set rate=RATE", "grid")] = None,
     json: Annotated[str | None, json_of("cells and figures")] = None,
     record: Annotated[
         Path | None,
@@ -147,8 +149,9 @@ def sweep(
     pictures: Picture,
 ) -> int:
     """Run a scene over a grid of its parameters."""
-    fixed = {name: [value_of(scene, name, text)] for name, text in _assignments(set).items()}
-    varied = {name: _values(scene, name, text) for name, text in _assignments(vary).items()}
+    names, set = [item.name for item in scene.parameters()], set + [f"rate={rate!r}"] * (rate is not None)
+    fixed = with_period(names, {name: [value_of(scene, name, text)] for name, text in _assignments(set).items()})
+    varied = with_period(names, {name: _values(scene, name, text) for name, text in _assignments(vary).items()})
     if not varied:
         raise ParameterError(f"a sweep needs --vary NAME=VALUES; for one run: maglev-mj run {name}")
     if common := sorted(fixed.keys() & varied.keys()):
@@ -290,12 +293,13 @@ def _add_stability_scene(parser: Parser) -> None:
 _JudgedScene: TypeAlias = Annotated[Scene, Shared(_add_stability_scene, chosen_scene)]
 
 
-def stability(*, scene: _JudgedScene, json: Json = None) -> int:
+def stability(*, scene: _JudgedScene, json: Json = None, pictures: Picture) -> int:
     """Map the stability of a wall by theory and simulation (figure 2), or judge a scene."""
     verdict = judge(scene)
     data = {"scene": scene.name, "parameters": scene.as_json(), **verdict.as_json()}
     heading = "\n".join(wrapped(f"{scene.name}: {scene.describe()}", "", "  "))
-    write_results(json, lambda: data, lambda: f"{heading}\n{verdict.table()}")
+    draw = partial(lambda folder: [verdict.plot(folder.path("stability"))] if folder else [], pictures)
+    write_results(json, lambda: data, lambda: f"{heading}\n{verdict.table()}", draw)
     return 0
 
 

@@ -17,7 +17,7 @@ from maglev_mj.control.laws.base import Face, Law, VelocityEstimator, answer, as
 from maglev_mj.control.laws.velocity import FiniteDifference
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample, Six, components, not_finite
-from maglev_mj.parameters import number
+from maglev_mj.parameters import SAMPLE_PERIOD, number
 
 _Calls: TypeAlias = tuple[tuple[int, Callable[..., Any]], ...]
 
@@ -54,7 +54,7 @@ class Controller:
         period: float,
         velocity: VelocityEstimator | None = None,
     ) -> None:
-        self.period = number("period", period, above=0.0)
+        self.period = number("period", period, **SAMPLE_PERIOD)
         check_instance("laws", laws, Iterable, "a list of laws")
         self.laws = tuple(map(as_law, laws))
         widths = {law.pulse_width for law in self.laws if law.pulse_width > 0.0}

@@ -11,14 +11,11 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.parameters import number, numbers, store, whole
+from maglev_mj.parameters import SAMPLE_PERIOD, number, numbers, store, transport_delay, whole
 from maglev_mj.spec import Spec
 
 Interval: TypeAlias = tuple[Any, Any]
 """Duration [s] and drive in effect, of the type passed to the `Timeline`."""
-
-MAX_DELAY_PERIODS = 10_000
-"""Largest delay, in sample periods."""
 
 _ROUNDING = 1e-9
 """Rounding tolerance, as a fraction of a period."""
@@ -52,7 +49,7 @@ def split_delay(delay: Component, period: Component) -> tuple[Component, Compone
 
 def check_delay(delay: float, period: float) -> tuple[int, float]:
     """Check a delay [s]; return its whole periods and remainder [s]."""
-    periods, remainder = split_delay(number("delay", delay, at_least=0.0, at_most=MAX_DELAY_PERIODS * period), period)
+    periods, remainder = split_delay(float(transport_delay(number("delay", delay), period)), period)
     return int(periods), remainder
 
 
@@ -63,8 +60,8 @@ class Timing:
     Sample k is taken at (k + phase) period after release; its command takes effect `delay` later.
 
     Args:
-        period: Sample period [s], above 0.
-        delay: Transport delay [s], from 0 to 10 000 periods; (...,) for a batch, all with the same number of
+        period: Sample period [s], from 1 µs to 0.1 s.
+        delay: Transport delay [s], from 0 to 10 periods; (...,) for a batch, all with the same number of
             whole periods.
         phase: Sampling phase in [0, 1); (...,) for a batch.
         jitter: Half-width of the uniform distribution delay ± jitter [s], common to a batch. It must not move a
@@ -95,15 +92,11 @@ class Timing:
     """Rounding tolerance of times [s]."""
 
     def __post_init__(self) -> None:
-        period = number("period", self.period, above=0.0)
-        delay = np.asarray((numbers if np.ndim(self.delay) else number)("delay", self.delay, at_least=0.0))
+        period = number("period", self.period, **SAMPLE_PERIOD)
+        delay = transport_delay(self.delay, period)
         phase = numbers("phase", self.phase, at_least=0.0)
         if not (phase < 1.0).all():
             raise ParameterError(f"phase must be at least 0 and below 1 (got {float(phase.max()):g})")
-        if (delay / period > MAX_DELAY_PERIODS).any():
-            raise ParameterError(
-                f"delay must be at most {MAX_DELAY_PERIODS} periods of {period:g} s (got {float(delay.max()):g} s)"
-            )
         periods, rest = map(np.asarray, split_delay(delay, period))
         if np.ptp(periods):
             raise ParameterError(

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Interval, Timeline, Timing
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
-from maglev_mj.frames import AXES, Array, Command, Component, Sample, Six, clipped, components, join, not_finite
+from maglev_mj.frames import Array, Command, Component, Sample, Six, clipped, components, join, not_finite
 from maglev_mj.parameters import flag, number, shaped, six
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring

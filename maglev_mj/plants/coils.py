@@ -57,7 +57,9 @@ class CoilMap:
         for name in ("points", "directions", "force_constants"):
             array, shape = np.array(numbers(name, getattr(self, name))), (6,) if name == "force_constants" else (6, 3)
             if array.shape != shape:
-                raise ModelError(f"six coils are needed for six axes: {name} must have shape {shape} (got {array.shape})")
+                raise ModelError(
+                    f"six coils are needed for six axes: {name} must have shape {shape} (got {array.shape})"
+                )
             store(self, **{name: array})
         forces = self.directions * self.force_constants[:, None]
         upright = np.concatenate([forces.T, np.cross(self.points, forces).T])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, Six, components, join
-from maglev_mj.parameters import flag, number, numbers, six
+from maglev_mj.parameters import DRIVER_LAG, flag, number, numbers, six
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.hand import Hand, motion, transition
 from maglev_mj.plants.model import Model, acceleration, load_model, moments_of_inertia
@@ -92,7 +92,7 @@ class ExactPlant(SampledPlant):
             moving, moments, lag = device.mass, device.inertia, device.driver_time_constant
             fall = device.gravity
         if driver_time_constant is not None:
-            lag = number("driver_time_constant", driver_time_constant, above=0.0)
+            lag = number("driver_time_constant", driver_time_constant, above=0.0, **DRIVER_LAG)
         start, motion, body = _start(
             timing, pose, twist, moving if mass is None else mass, moments if inertia is None else inertia
         )

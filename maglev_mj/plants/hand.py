@@ -270,7 +270,9 @@ class Trajectory:
             raise ParameterError(f"path must have times (N,) and poses (N, 6) (got {times.shape} and {poses.shape})")
         if (wrong := np.flatnonzero(np.diff(times) <= 0.0)).size:
             index = int(wrong[0]) + 1
-            raise ParameterError(f"path times must increase (got {times[index - 1]} then {times[index]} at index {index})")
+            raise ParameterError(
+                f"path times must increase (got {times[index - 1]} then {times[index]} at index {index})"
+            )
         check_one_of("interpolation", INTERPOLATIONS, self.interpolation)
         slopes = np.zeros_like(poses)
         if self.interpolation == "cubic" and times.size > 1:

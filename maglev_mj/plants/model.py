@@ -18,7 +18,7 @@ from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
 from maglev_mj.lazy import mujoco
-from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.parameters import DRIVER_LAG, flag, number, numbers
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import GRAVITY, INERTIA, RANGE, Spec
@@ -81,6 +81,7 @@ def model_path(model: str | Path) -> Path:
         >>> model_path("drop").name
         'drop.xml'
     """
+    check_instance("model", model, str | Path, "a name, an MJCF file or an MjSpec")
     if isinstance(model, Path) or model.endswith(".xml"):
         path = Path(model)
         if not path.is_file():
@@ -201,7 +202,9 @@ def load_model(
         driver_lag=flag("driver_lag", driver_lag),
         coils=flag("coils", coils),
         flexible=flag("flexible", flexible),
-        lag=None if driver_time_constant is None else number("driver_time_constant", driver_time_constant, above=0.0),
+        lag=None
+        if driver_time_constant is None
+        else number("driver_time_constant", driver_time_constant, above=0.0, **DRIVER_LAG),
         mass=None if mass is None else number("mass", mass, above=0.0),
         hand=hand,
         inertia=None if inertia is None else tuple(moments_of_inertia(inertia).tolist()),

@@ -85,7 +85,7 @@ class Trace(Result):
             raise ParameterError(f"trace must be of one device on six axes, (K, 6) (got {self.pose.shape})")
         return dict(zip(self.units, [self.time, *self.pose.T, *self.twist.T, *self.wrench.T], strict=True))
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Plot position and force of the moving axes over time; see `Result.plot`.
 
         Raises:

@@ -171,7 +171,7 @@ class Recording(Result):
         events = f", {len(self.events)} events" if self.events else ""
         return Table(f"recording of {self.ticks} samples{events}", head, rows)
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw position and command of the moving axes over time; see `Result.plot`."""
         return self.samples().plot(path)
 
@@ -351,7 +351,7 @@ class Samples(_Fields, Result):
                 columns[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
         return columns
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw position and command of the moving axes over time; see `Result.plot`.
 
         Raises:

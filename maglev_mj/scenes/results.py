@@ -211,7 +211,7 @@ class RunResult(Result):
         """Unit of each predefined column."""
         return {name: unit_of(unit, self.scene.axis) for name, unit in _UNITS.items()}
 
-    def plot(self, path: Path | None = None, picture: str | None = None) -> Any:
+    def plot(self, path: Path | str | None = None, picture: str | None = None) -> Any:
         """Draw the run with the plots of its scene; see `Variants.plot`.
 
         Raises:
@@ -292,7 +292,7 @@ class Phases(Result):
         units = {name: unit_of(figure.si_unit, self.scene.axis, figure.along) for name, figure in named.items()}
         return {column: units[column.partition(".")[0]] for column in self.columns() if column != "phase"}
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw each figure over the sampling phase; see `Result.plot`.
 
         Raises:
@@ -380,7 +380,7 @@ class Variants(Result):
         phases = [{"sweep": swept.as_json()} for swept in self.phases.values()]
         return {**(self.first.as_json() if self.runs else {}), **(phases[0] if phases else {})}
 
-    def plot(self, path: Path | None = None, picture: str | None = None) -> Any:
+    def plot(self, path: Path | str | None = None, picture: str | None = None) -> Any:
         """Draw the runs or their phases; see `Result.plot`.
 
         Args:

@@ -16,7 +16,17 @@ from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Array, Component
-from maglev_mj.parameters import Parameters, Turn, axis_indices, param, shaped
+from maglev_mj.parameters import (
+    MAX_DELAY_PERIODS,
+    MAX_PERIOD,
+    MIN_PERIOD,
+    Parameters,
+    Turn,
+    axis_indices,
+    param,
+    shaped,
+    transport_delay,
+)
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.base import PlantKeywords
 from maglev_mj.plants.hand import HandForce
@@ -93,7 +103,8 @@ class Scene(Parameters):
         band_phases: Number of sampling phases in the bands of the plots; 0 for none.
 
     Raises:
-        ParameterError: If a parameter is outside its bounds, or a run has more than a million periods.
+        ParameterError: If a parameter is outside its bounds, the delay has more than ten periods, or a run more than a
+            million.
 
     Example:
         >>> from maglev_mj import Hold, Scene, Start, param, run
@@ -129,14 +140,14 @@ class Scene(Parameters):
     model: ClassVar[str | Path] = "scenes/joystick"
 
     period: float = param(
-        "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0, live=RATE
+        "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=MIN_PERIOD, at_most=MAX_PERIOD, live=RATE
     )
     delay: float = param(
         "delay from a sample to the effect of its command",
         "s",
         default=Spec.transport_delay.value,
         at_least=0.0,
-        at_most=1.0,
+        at_most=MAX_DELAY_PERIODS * MAX_PERIOD,
         live=DELAY,
     )
 
@@ -154,6 +165,7 @@ class Scene(Parameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        transport_delay(self.delay, self.period)
         if self.end / self.period > _MOST_PERIODS:
             raise ParameterError(f"duration must be at most {_MOST_PERIODS} periods (got {self.end:g} s)")
 

@@ -14,11 +14,13 @@ from maglev_mj.control import Hold, LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array
+from maglev_mj.parameters import MAX_DELAY_PERIODS
 from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.result import Result, Table, with_unit
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
 from maglev_mj.theory import StiffestWall, largest_stable_stiffness, least_passive_damping
@@ -70,7 +72,7 @@ class DeviceCard(Result):
         """Return the impedances over frequency."""
         return dict(zip(self.units, self.impedance))
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw stable walls by hand, and impedances over frequency; see `Result.plot`."""
         from maglev_mj.studies.pictures import device_card
 
@@ -100,17 +102,17 @@ class DeviceCard(Result):
         return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables)
 
 
-def device_card(scene: Scene) -> DeviceCard:
+def device_card(scene: SceneLike) -> DeviceCard:
     """Return the card of a scene's device, by theory and by simulation on the exact plant.
 
     The target wall has the scene's stiffness and damping, the sensor its `quantize`; defaults are those of `drop` and
     of Table 1.
 
     Args:
-        scene: The scene.
+        scene: The scene, its class, or a text for `find_scene`.
 
     Raises:
-        ParameterError: If the delay is longer than ten periods.
+        ParameterError: If there is no such scene, or the delay is longer than ten periods.
 
     Example:
         >>> from maglev_mj import device_card, find_scene
@@ -118,6 +120,7 @@ def device_card(scene: Scene) -> DeviceCard:
         >>> round(float(card.walls[0].stiffness[1]))  # free, at the device's delay
         10173
     """
+    scene = get_scene(scene)
     k, b, quantum = (getattr(scene, name, 0.0) for name in ("stiffness", "damping", "quantize"))
     k, b, quantum = k or Drop().stiffness, b or Drop().damping, quantum or Spec.translation_resolution.value
     period, mass = scene.period, float(scene.body.inertia[0])

@@ -106,7 +106,7 @@ class DesignResult(Result):
         mass, delay = np.meshgrid(self.masses, self.delays, indexing="ij")
         return {"mass": mass.ravel(), "delay": delay.ravel(), "spectral_radius": self.map.ravel()}
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw the spectral radius over mass and delay; see `Result.plot`."""
         from maglev_mj.studies.pictures import design_map
 

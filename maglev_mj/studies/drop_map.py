@@ -132,7 +132,7 @@ class DropMap(GainMap):
         """Cells below theory's boundary, (K, B)."""
         return np.asarray(self.stiffness[:, None] <= self.boundary)
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw the final swing over the gains; see `Result.plot`."""
         from maglev_mj.studies.pictures import drop_map
 

@@ -243,7 +243,7 @@ class FidelityResult(Result):
         rows = [row._asdict() for row in self.levels]
         return {name: np.array([row[name] for row in rows]) for name in LevelResult._fields if name != "adds"}
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw each level's distance from those above; see `Result.plot`."""
         from maglev_mj.studies.pictures import fidelity
 

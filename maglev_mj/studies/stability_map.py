@@ -20,9 +20,9 @@ import maglev_mj.theory as theory
 from maglev_mj.control import Law, Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
-from maglev_mj.errors import MaglevError, ParameterError, check_one_of
+from maglev_mj.errors import MaglevError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.parameters import Parameters, number, param, param_range
+from maglev_mj.parameters import Parameters, param, param_range, transport_delay
 from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HANDS, Hand, get_hand
@@ -33,7 +33,7 @@ from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_con
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory import boundary as bounds
-from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS, LoopKeywords
+from maglev_mj.theory.closed_loop import LoopKeywords
 
 _MOVED = 1e-6
 _DECIDED = 1e4
@@ -78,7 +78,7 @@ class RestingWall(Scene):
     plants: ClassVar[Sequence[str]] = ("none", *PLANTS)
     takes_phase: ClassVar[bool] = False
 
-    delay: float = Scene.like("delay", at_most=None, live=False)  # the bound is in periods: see `check`
+    delay: float = Scene.like("delay", live=False)
     stiffness: float = WallScene.like("stiffness", above=0.0, at_least=None, live=False)
     damping: float = WallScene.like("damping", live=False)
     mass: float = WallScene.like("mass")
@@ -86,7 +86,6 @@ class RestingWall(Scene):
 
     def check(self) -> None:
         """See `Scene`."""
-        number("delay", self.delay, at_least=0.0, at_most=MAX_DELAY_PERIODS * self.period)
         get_hand(self.hand)
 
     def laws(self) -> list[Law]:
@@ -297,10 +296,7 @@ class StabilityParameters(Parameters):
 
     def check(self) -> None:
         """See `Parameters`."""
-        if self.delay > MAX_DELAY_PERIODS * self.period:
-            raise ParameterError(
-                f"delay must be at most {MAX_DELAY_PERIODS} periods of {self.period:g} s (got {self.delay:g})"
-            )
+        transport_delay(self.delay, self.period)
         get_hand(self.hand)
 
     @property
@@ -383,7 +379,7 @@ class StabilityMap(GainMap):
             None if self.simulated is None else (theory.is_stable(self.spectral_radius) != self.simulated) & ~self.near
         )
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw level sets by theory and simulated verdicts; see `Result.plot`."""
         from maglev_mj.studies.pictures import stability_map
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 import maglev_mj
 from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array, unit_of
+from maglev_mj.keywords import with_period
 from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import save
 from maglev_mj.result import Result, Table, plain
@@ -133,7 +134,7 @@ class Sweep(Result):
         plant = [] if "plant" in several else [f"plant {self.cells.axes['plant'][0]}"]
         return f"{self.scene.name}: {', '.join([*plant, *parameter_texts(scene, without=several)])}"
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw each figure over the first varied parameter; see `Result.plot`."""
         from maglev_mj.studies.pictures import sweep
 
@@ -213,7 +214,7 @@ def sweep(
     Args:
         scene: The scene, its class, or a text for `find_scene`. On other machines a user's own scene file cannot
             import files beside it.
-        vary: Values by parameter; "plant" and "phase" vary too.
+        vary: Values by parameter; "plant", "phase" and "rate" vary too.
         plant: Name from PLANTS; the scene's default by default.
         phase: Phase of the samples, in [0, 1).
         workers: Number of processes on this machine, or `dask_workers`; None for this process.
@@ -227,6 +228,8 @@ def sweep(
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
     chosen = get_scene(scene)
+    check_instance("vary", vary, Mapping, "a mapping of parameters to lists of values")
+    vary = with_period([one.name for one in chosen.parameters()], vary)
     if not vary:
         raise ParameterError("vary must give a list of values for at least one parameter, not {}; see run()")
     cells = Grid(chosen, vary, plant=plant, phase=phase)
@@ -291,7 +294,6 @@ class Grid(Sequence[Cell]):
     def __init__(
         self, scene: Scene, vary: Mapping[str, Sequence[Any]], *, plant: str | None = None, phase: float = 0.0
     ) -> None:
-        check_instance("vary", vary, Mapping, "lists of values by parameter")
         for name, values in vary.items():
             if isinstance(values, str) or not isinstance(values, Collection) or not len(values):
                 raise ParameterError(f"vary must give a list of values for {name} (got {values!r})")
@@ -431,7 +433,7 @@ def _is_ours(cls: type[Scene]) -> bool:
 def value_of(cls: type[Scene], name: str, text: str) -> Any:
     """Return a parameter's value from its text.
 
-    The parameter may be "plant" or "phase".
+    The parameter may be "plant", "phase" or "rate".
 
     Raises:
         ParameterError: If there is no such parameter, or the text is not of its kind.
@@ -439,9 +441,9 @@ def value_of(cls: type[Scene], name: str, text: str) -> Any:
     _check_name(cls, name)
     if name == "plant":
         return text
-    return parsed_number(name, text) if name == "phase" else cls.parameter(name).from_text(text)
+    return parsed_number(name, text) if name in ("phase", "rate") else cls.parameter(name).from_text(text)
 
 
 def _check_name(cls: type[Scene], name: str) -> None:
-    names = ["plant", *(["phase"] if cls.takes_phase else []), *(one.name for one in cls.parameters())]
+    names = ["plant", *(["phase"] if cls.takes_phase else []), *(one.name for one in cls.parameters()), "rate"]
     check_one_of(f"parameter of {cls.name}", names, name)

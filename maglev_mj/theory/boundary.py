@@ -26,7 +26,8 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
-from maglev_mj.parameters import common_shape, number, numbers
+from maglev_mj.keywords import with_hints
+from maglev_mj.parameters import common_shape, number, numbers, sample_period
 from maglev_mj.theory.closed_loop import ROUNDING, Design, LoopKeywords, SampledLoop, is_stable, pd, rendered_stiffness
 
 _HIGHEST = 8.0
@@ -361,6 +362,7 @@ def _roots(series: Array) -> Array:
     return result
 
 
+@with_hints
 def least_passive_damping(
     stiffness: ArrayLike,
     damping: ArrayLike = 0.0,
@@ -399,6 +401,7 @@ def least_passive_damping(
     return np.asarray(needed.max(axis=-1))
 
 
+@with_hints
 def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
     """Return the stiffness of the linear stability condition, (b + B) / (T/2 + T_d).
 
@@ -418,5 +421,5 @@ def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_dam
     the tests.
     """
     b, virtual = numbers("physical_damping", physical_damping, at_least=0.0), numbers("damping", damping)
-    half = 0.5 * numbers("period", period, at_least=0.0, above=0.0)
+    half = 0.5 * sample_period(period)
     return (b + virtual) / (half + numbers("delay", delay, at_least=0.0))

@@ -18,11 +18,20 @@ from maglev_mj.control import FiniteDifference, LinearController, LowPass, Veloc
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
-from maglev_mj.parameters import common_shape, number, numbers, store
+from maglev_mj.keywords import with_hints
+from maglev_mj.parameters import (
+    DRIVER_LAG,
+    MAX_DELAY_PERIODS,
+    common_shape,
+    number,
+    numbers,
+    sample_period,
+    store,
+    transport_delay,
+)
 from maglev_mj.plants.hand import Hand, get_hand, motion, transition
 from maglev_mj.spec import Spec
 
-MAX_DELAY_PERIODS = 10
 _CHUNK = 1 << 16
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
@@ -75,6 +84,7 @@ def rendered_stiffness(controller: LinearController, z: ArrayLike = 1.0) -> Arra
     return np.asarray(-(np.matmul(controller.give[..., None, :], memory)[..., 0, 0] + controller.direct))
 
 
+@with_hints
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledLoop:
     """Closed loop of a wall without its gains.
@@ -107,16 +117,11 @@ class SampledLoop:
     """Broadcast shape of period, delay, mass, prediction, hand."""
 
     def __post_init__(self) -> None:
-        for name, above in (("period", 0.0), ("delay", None), ("mass", 0.0), ("prediction", None)):
+        period = sample_period(self.period)
+        store(self, period=period, delay=transport_delay(self.delay, period), hand=get_hand(self.hand))
+        for name, above in (("mass", 0.0), ("prediction", None)):
             store(self, **{name: numbers(name, getattr(self, name), at_least=0.0, above=above)})
-        number("driver_lag", self.driver_lag, at_least=0.0)
-        store(self, hand=get_hand(self.hand))
-        common_shape("period and delay", np.shape(self.period), np.shape(self.delay))
-        ratio = np.asarray(self.delay) / np.asarray(self.period)
-        if not (ratio <= MAX_DELAY_PERIODS * (1.0 + 1e-9)).all():
-            raise ParameterError(
-                f"delay must be at most {MAX_DELAY_PERIODS} periods (got {float(ratio.max()):g} periods)"
-            )
+        number("driver_lag", self.driver_lag, at_least=0.0, **DRIVER_LAG)
         shapes = [np.shape(part) for part in (self.period, self.delay, self.mass, self.prediction)]
         shapes += [] if self.hand is None else [self.hand.shape]
         store(self, shape=common_shape("period, delay, mass, prediction, hand", *shapes))

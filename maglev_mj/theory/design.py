@@ -16,12 +16,11 @@ import numpy as np
 from maglev_mj.control import Law, ObserverWall
 from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array
-from maglev_mj.parameters import Parameters, interval, param, param_range
+from maglev_mj.parameters import MAX_PERIOD, MIN_PERIOD, Parameters, param, param_range, transport_delay
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
 from maglev_mj.theory.closed_loop import (
-    MAX_DELAY_PERIODS,
     Design,
     SampledLoop,
     least_dynamic_stiffness,
@@ -63,7 +62,9 @@ class WallRequirements(Parameters):
         (0.7, 0.0015)
     """
 
-    period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
+    period: float = param(
+        "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=MIN_PERIOD, at_most=MAX_PERIOD
+    )
     mass: tuple[float, float] = param_range(
         "mass",
         "range of the moving mass",
@@ -87,7 +88,7 @@ class WallRequirements(Parameters):
 
     def check(self) -> None:
         """See `Parameters`."""
-        interval("delay", self.delay, at_least=0.0, at_most=MAX_DELAY_PERIODS * self.period)
+        transport_delay(self.delay, self.period)
         if not self.hands or len(set(self.hands)) != len(self.hands):
             raise ParameterError(
                 f"hands must be at least one, without duplicates (got {', '.join(self.hands) or 'none'})"

@@ -66,7 +66,7 @@ class Linearised(Result):
             columns[f"{AXES[to]}.{AXES[source]}"] = self.response[:, to, source]
         return columns
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw the wrench after a unit displacement at one sample; see `Result.plot`."""
         from maglev_mj.theory.pictures import impulse_response
 
@@ -167,7 +167,7 @@ class ClosedLoop(Result):
         frequency = np.abs(np.angle(poles)) / (2.0 * np.pi * self.period)
         return {"real": poles.real, "imaginary": poles.imag, "magnitude": np.abs(poles), "frequency": frequency}
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw the poles and the unit circle; see `Result.plot`."""
         from maglev_mj.theory.pictures import pole_map
 

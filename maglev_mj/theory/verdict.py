@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import MAX_DELAY_PERIODS, number, numbers, transport_delay
 from maglev_mj.pictures import save
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import Body
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import INERTIA, RANGE
-from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS, SampledLoop
+from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
@@ -120,7 +120,7 @@ class Verdict(Result):
         gains = {"stiffness": np.diag(self.stiffness), "damping": np.diag(self.damping)}
         return {"axis": np.array(AXES), "pose": self.pose, **gains}
 
-    def plot(self, path: Path | None = None) -> Any:
+    def plot(self, path: Path | str | None = None) -> Any:
         """Draw the eigenvalues in the unit circle; see `Result.plot`."""
         from maglev_mj.theory.pictures import pole_map
 
@@ -236,7 +236,7 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
     if start.shape != (6,) or body.shape != (6,):
         raise ParameterError(f"pose and inertia must have shape (6,) (got {start.shape} and {body.shape})")
-    number("delay", delay, at_least=0.0)
+    transport_delay(number("delay", delay), controller.period)
     gains = stated_gains(controller)
     if gains is None:
         return _numerically(controller, delay, start, body)

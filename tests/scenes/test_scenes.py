@@ -188,7 +188,7 @@ def test_phases_outside_their_bounds_are_refused() -> None:
             run(Fall(), plant="exact", phase=phase)  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match=r"phase must be a number on mujoco; use run_phases"):
         run(Fall(), plant="mujoco", phase=[0.0, 0.5])
-    longest: dict[str, Any] = {"duration": 10.0, "period": 1e-5}
+    longest: dict[str, Any] = {"duration": 10.0, "period": 1e-5, "delay": 0.0}
     assert Drop(**longest).end == 10.0
     kinds: list[Any] = [Drop, Press, StickSlip, Twist, LetGo, SixAxes]
     for cls in kinds:

@@ -165,7 +165,7 @@ class Failing(Joystick):
 
 def test_mass_period_and_delay_of_settings_are_the_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
-    asks = Asks(Joystick(stiffness=3000.0, period=0.001, delay=0.02))
+    asks = Asks(Joystick(stiffness=3000.0, period=0.001, delay=0.01))
     flown, plant = flight(publishers=[asks])
     with plant:
         assert flown.run(0.3).ticks == 60

@@ -36,7 +36,7 @@ from maglev_mj.control.loop import Answers, ControlLoop, Plant
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import SAMPLE_PERIOD, number, numbers, transport_delay
 from maglev_mj.plants.coils import CoilMap
 
 LINES = np.array([[4.5 + axis, 10.5 + axis] for axis in range(6)])
@@ -126,7 +126,7 @@ class Trim(AxisLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        number("period", self.period, above=0.0)
+        number("period", self.period, **SAMPLE_PERIOD)
 
     def force(self, x: Component, v: Component, gains: Any, state: Component | None) -> tuple[Component, Component]:
         """Return force and next state of one axis, which are equal; see `AxisLaw`."""
@@ -333,8 +333,10 @@ def identify(
     if x.ndim != 2 or x.shape[1:] != (6,) or i.shape != x.shape:
         raise ParameterError(f"poses and currents must both have shape (N, 6) (got {x.shape} and {i.shape})")
     frequencies = numbers("lines", lines, at_least=0.0).ravel()
-    number("the highest line", float(frequencies.max(initial=0.0)), below=0.5 / number("period", period, above=0.0))
-    wholes, remainder = split_delay(number("delay", delay, at_least=0.0), period)
+    number(
+        "the highest line", float(frequencies.max(initial=0.0)), below=0.5 / number("period", period, **SAMPLE_PERIOD)
+    )
+    wholes, remainder = split_delay(float(transport_delay(number("delay", delay), period)), period)
     ahead, switched = int(wholes) + 2, remainder / period
     if (count := len(x) - ahead - 1) < 1:
         raise IdentificationError(f"the motion must be longer than {len(x)} samples")

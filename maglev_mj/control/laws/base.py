@@ -9,6 +9,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from functools import wraps
 from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, dataclass_transform
 
 import numpy as np
@@ -16,7 +17,19 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import MaglevError, ParameterError, named
 from maglev_mj.frames import AXES, Array, Component, Six
-from maglev_mj.parameters import axis_indices, batch_shape, flag, last_six, number, numbers, per_axis, store
+from maglev_mj.keywords import with_hints
+from maglev_mj.parameters import (
+    SAMPLE_PERIOD,
+    axis_indices,
+    batch_shape,
+    flag,
+    last_six,
+    number,
+    numbers,
+    per_axis,
+    store,
+    transport_delay,
+)
 from maglev_mj.spec import INERTIA
 
 
@@ -168,7 +181,7 @@ def gain(
     return field(default=default, metadata={"help": help, "unit": unit, "gain": bounds})
 
 
-def setting(*, default: Any = MISSING, **bounds: float) -> Any:
+def setting(*, default: Any = MISSING, **bounds: Any) -> Any:
     """Declare a parameter of an `AxisLaw` that is common to all axes; bounds as in `number`."""
     return field(default=default, metadata={"setting": bounds})
 
@@ -215,7 +228,7 @@ class AxisLaw(Law):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        dataclass(frozen=True, kw_only=True, eq=False)(cls)
+        with_hints(dataclass(frozen=True, kw_only=True, eq=False)(cls))
         cls.per_device = tuple(entry.name for entry in fields(cls) if "gain" in entry.metadata)
         names = (name for name in inspect.get_annotations(cls) if name not in ("axes", "pulse_width"))
         if hidden := [name for name in names if hasattr(AxisLaw, name)]:
@@ -225,6 +238,8 @@ class AxisLaw(Law):
         if not _takes(cls.force, 5):
             signature = inspect.signature(cls.force)
             raise ParameterError(f"{cls.__name__}.force must take (self, x, v, gains, state) (got {signature})")
+        if "force" in vars(cls):
+            cls._force, cls.force = cls.force, _with_gains(cls.force)  # type: ignore[method-assign]
 
     def __post_init__(self) -> None:
         name, indices = self._title or type(self).__name__, axis_indices(self.axes)
@@ -259,9 +274,11 @@ class AxisLaw(Law):
         """
         raise ParameterError(f"{named(type(self))} must define force(self, x, v, gains, state)")
 
+    _force = force  # unchecked: called on every tick
+
     def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """Add the forces for one sample; see `Law`."""
-        following, force = [], self.force
+        following, force = [], self._force
         for (axis, gains), memory in zip(self._each, state):
             result = force(position[axis], velocity[axis], gains, memory)
             if result.__class__ is tuple:
@@ -367,6 +384,16 @@ def _check(name: str, what: str, parts: Six, batch: tuple[int, ...]) -> None:
             raise ParameterError(f"{name}: {what} on {axis} must be finite (got {wrong.flat[0]})")
 
 
+def _with_gains(force: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(force)
+    def checked(law: AxisLaw, x: Component, v: Component, gains: Any, state: Any) -> Any:
+        if gains is None:
+            raise ParameterError("gains must be those of one axis; use Controller.step for a whole law (got None)")
+        return force(law, x, v, gains, state)
+
+    return checked
+
+
 def _takes(function: Callable[..., Any], count: int) -> bool:
     try:
         inspect.signature(function).bind(*[None] * count)
@@ -407,6 +434,7 @@ class Hold(AxisLaw):
         store(self, _gains=tuple((axis, law.stiffness, law.damping, law.target) for axis, law in self._each))
 
     @classmethod
+    @with_hints
     def critically_damped(
         cls,
         axes: str | Sequence[str] = AXES,
@@ -428,7 +456,7 @@ class Hold(AxisLaw):
             inertia: Mass or moment of inertia m on these axes [kg, kg m²]; the published device's by default.
             target: Target pose [m, rad].
         """
-        lag = number("period", period, above=0.0) + number("delay", delay, at_least=0.0)
+        lag = number("period", period, **SAMPLE_PERIOD) + float(transport_delay(number("delay", delay), period))
         frequency = min(50.0, 0.25 / lag)
         body = (
             np.array(INERTIA)[list(axis_indices(axes))]

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.laws.base import Answer, AxisLaw, Gains, apply, choose, gain, setting
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component, Six, clipped
-from maglev_mj.parameters import flag
+from maglev_mj.parameters import MAX_PERIOD, MIN_PERIOD, flag
 
 SLIDING_SHARE = 0.95
 """Fraction of the limit force above which an axis counts as sliding.
@@ -197,7 +197,7 @@ class ImplicitCoulomb(Friction):
         [0.0, -0.6, -1.8, -2.0]
     """
 
-    period: float = setting(above=0.0)
+    period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
     element_damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
 
     @property
@@ -277,7 +277,7 @@ class LuGre(_Bristle):
     Source: Canudas de Wit, Olsson, Astrom & Lischinsky 1995; not checked against the original.
     """
 
-    period: float = setting(above=0.0)
+    period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
     coulomb: float = setting(default=0.8, above=0.0, at_most=1.0)
     stribeck: ArrayLike = gain(unit="m/s, rad/s", default=0.01, above=0.0)
     bristle_damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
