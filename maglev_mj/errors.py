@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import os
 import sys
 from collections.abc import Collection, Iterable
@@ -40,14 +41,7 @@ class MaglevError(Exception):
         super().__init__(*(_truncated(part) if isinstance(part, str) else part for part in args))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what pickle restores, whatever the arguments of a subclass."""
-        return _restored, (type(self), self.args), vars(self)
-
-
-def _restored(cls: type[MaglevError], args: tuple[object, ...]) -> MaglevError:
-    error = cls.__new__(cls)
-    error.args = args
-    return error
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 def _truncated(text: str) -> str:
@@ -68,15 +62,7 @@ class ParameterError(MaglevError, ValueError):
 
 
 class KeywordError(ParameterError, TypeError):
-    """Unknown, missing or contradictory arguments of a public function or class.
-
-    Example:
-        >>> from maglev_mj import Timing
-        >>> Timing(period=0.001, rate=1000)
-        Traceback (most recent call last):
-            ...
-        maglev_mj.errors.KeywordError: period and rate must not both be given
-    """
+    """Unknown or contradictory arguments of a public function or class."""
 
 
 class MissingPackageError(MaglevError):

@@ -68,7 +68,7 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
     with open(f"{file}i", encoding="utf-8") as stub:
         home = {words[3]: words[1] for words in map(str.split, stub) if words[:1] == ["from"]}
 
-    cache: dict[str, Any] = {}  # wrapped functions, which keep their identity
+    cache: dict[str, Any] = {}
 
     def load(name: str) -> Any:
         if name not in home:
@@ -77,11 +77,10 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
             from maglev_mj.keywords import with_hints
 
             value = getattr(import_module(home[name]), name)
-            public = getattr(value, "__module__", "").startswith("maglev_mj.") and callable(value)
-            cache[name] = with_hints(value) if public else value
-            if cache[name] is not value:
-                value = cache[name]
-                value.__module__ = package
+            if callable(value) and getattr(value, "__module__", "").startswith("maglev_mj."):
+                cache[name] = with_hints(value)
+            if cache.setdefault(name, value) is not value:
+                cache[name].__module__ = package  # pickled by this name
         return cache[name]
 
     return load, lambda: sorted(home), sorted(home)

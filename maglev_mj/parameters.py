@@ -30,25 +30,18 @@ from typing import (
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import MaglevError, ParameterError, check_one_of, choice_message, one_line
+from maglev_mj.errors import MaglevError, ParameterError, check_one_of, choice_message, file_path, one_line
 from maglev_mj.files import parse_json, read_text
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.keywords import with_hints, with_period
+from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
 
 _NOT_NUMBERS = bool, np.bool_, str, bytes
 """Types that float() accepts but `number` rejects."""
 
-MIN_PERIOD, MAX_PERIOD = 1e-6, 0.1
-"""Bounds of every sample period [s]: 1 MHz to 10 Hz."""
-
 SAMPLE_PERIOD: Any = {"at_least": MIN_PERIOD, "at_most": MAX_PERIOD, "unit": "s"}
-"""The same as keywords of `number`."""
-
-DRIVER_LAG: Any = {"at_most": 0.01, "unit": "s"}
-"""Bounds of a current driver's time constant."""
-
-MAX_DELAY_PERIODS = 10
-"""Largest delay, in sample periods."""
+LAG: Any = {"at_most": 0.01, "unit": "s"}
+"""Bounds of a sample period and of a driver's time constant, as keywords of `number`."""
 
 _LARGEST = sys.float_info.max
 _T = TypeVar("_T")
@@ -95,7 +88,7 @@ def number(
         limits = " and ".join(f"{word} {bound:g}" for word, bound in bounds.items() if math.isfinite(bound))
         limits = re.sub(r"e\+?(-?)0?(?=\d)", r"e\1", re.sub(r"^at least (\S+ and) at most", r"between \1", limits))
         allowed = [*["a finite number"] * (not limits or not math.isfinite(result)), *[limits] * bool(limits), unit]
-        near = [f"{result * 1e-3:g} s"] * (unit == "s" and result > 0.0 and fits(result * 1e-3))
+        near = [f"{result * 1e-3:g} s"] * (unit[:2] in ("s", "s,") and result >= 0.01 and fits(result * 1e-3))
         near += [f"a rate of {result:g} Hz"] * (name == "period" and result > 0.0 and fits(1.0 / result))
         hint = f"; did you mean {' or '.join(near)}?" if near else ""
         raise ParameterError(f"{name} must be {' '.join(filter(None, allowed))} (got {one_line(value)}){hint}")
@@ -138,56 +131,56 @@ def numbers(
     name: str,
     value: ArrayLike,
     *,
+    shape: str = "",
     at_least: float = -math.inf,
     above: float | None = None,
     at_most: float = math.inf,
     finite: bool = True,
+    unit: str = "",
 ) -> Array:
     """Return `value` as a float array with checked entries.
 
     Args:
         name: Name for the message.
         value: Number or array.
+        shape: Allowed shapes, such as "(6,) or (N, 6)" or "(..., 6)"; empty for any.
         at_least: Inclusive lower bound.
         above: Exclusive lower bound; None for none.
         at_most: Inclusive upper bound.
         finite: False allows infinity; NaN is never allowed.
+        unit: Unit for the message.
 
     Raises:
-        ParameterError: If an entry is not a number, not finite, or outside the bounds.
+        ParameterError: If an entry is not a number, not finite, or outside the bounds, or the shape is another.
     """
-    if value.__class__ is float and max(at_least, -_LARGEST) <= value <= min(at_most, _LARGEST) and above is None:
+    lower, plain = -math.inf if above is None else above, above is None and not shape
+    if value.__class__ is float and plain and max(at_least, -_LARGEST) <= value <= min(at_most, _LARGEST):
         return np.array(value)  # fast path: a third of the cost
     try:
         raw = np.asarray(value)
     except ValueError:  # ragged rows
         raw = np.asarray("")
     if raw.dtype.kind not in "fiu" or _has_flag(value):
-        raise ParameterError(f"{name} must be a number or an array of numbers (got {value!r})")
+        raise ParameterError(f"{name} must be a number or an array of numbers (got {one_line(value)})")
     array = np.asarray(raw, dtype=np.float64)
-    good = array >= at_least
+    good = (array >= at_least) & (array <= at_most)
+    if above is not None:
+        good &= array > above
     if finite:
         good &= np.isfinite(array)
     if not good.all():
-        allowed = ["finite"] * finite + [f"at least {at_least:g}"] * math.isfinite(at_least) or ["a number"]
-        raise ParameterError(f"{name} must be {' and '.join(allowed)} (got {array[~good].flat[0]:g})")
-    if above is not None and not (array > above).all():
-        raise ParameterError(f"{name} must be above {above:g} (got {array.min():g})")
-    if at_most < math.inf and not (array <= at_most).all():
-        raise ParameterError(f"{name} must be at most {at_most:g} (got {array.max():g})")
+        number(name, float(array[~good].flat[0]), at_least=at_least, above=lower, at_most=at_most, unit=unit)
+    if shape and not any(_has_shape(array.shape, one) for one in shape.split(" or ")):
+        allowed = f"have shape {shape}".replace("have shape () or", "be a number or have shape")
+        raise ParameterError(f"{name} must {allowed} (got {array.shape})")
     return array
 
 
-def sample_period(value: ArrayLike) -> Array:
-    """Return checked sample periods [s], (...,).
-
-    Raises:
-        ParameterError: If one is not a number, or is outside its bounds.
-    """
-    periods = numbers("period", value)
-    for extreme in (periods.min(), periods.max()) if periods.size else ():
-        number("period", float(extreme), **SAMPLE_PERIOD)
-    return periods
+def _has_shape(shape: tuple[int, ...], allowed: str) -> bool:
+    sizes = re.findall(r"\w+|\.{3}", allowed)
+    if sizes[:1] == ["..."]:
+        sizes, shape = sizes[1:], shape[max(len(shape) - len(sizes) + 1, 0) :]
+    return len(shape) == len(sizes) and all(name in (str(size), "N", "L", "M", "P") for size, name in zip(shape, sizes))
 
 
 def transport_delay(value: ArrayLike, period: ArrayLike) -> Array:
@@ -198,40 +191,11 @@ def transport_delay(value: ArrayLike, period: ArrayLike) -> Array:
     """
     delays, periods = numbers("delay", value, at_least=0.0), np.asarray(period)
     shape = common_shape("period and delay", periods.shape, delays.shape)
-    ratio = delays / periods
-    if not (ratio <= MAX_DELAY_PERIODS * (1.0 + 1e-9)).all():
+    if (ratio := delays / periods).size:
         delay, time = (float(np.broadcast_to(part, shape).flat[np.argmax(ratio)]) for part in (delays, periods))
-        limit = MAX_DELAY_PERIODS * time
-        hint = f"; did you mean {delay * 1e-3:g} s?" if 1e-5 <= delay * 1e-3 <= limit else ""
-        raise ParameterError(
-            f"delay must be at most {MAX_DELAY_PERIODS} periods of {time:g} s, {limit:g} s "
-            f"(got {delay:g} s, {delay / time:.4g} periods){hint}"
-        )
+        most = MAX_DELAY_PERIODS * time * (1.0 + 1e-9)
+        number("delay", delay, at_most=most, unit=f"s, {MAX_DELAY_PERIODS} periods")
     return delays
-
-
-def shaped(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
-    """Return `value` as a finite float array with one of the shapes.
-
-    Raises:
-        ParameterError: If an entry is not a finite number, or the shape is another.
-    """
-    array = numbers(name, value)
-    if array.shape not in shapes:
-        raise ParameterError(f"{name} must have shape {' or '.join(map(str, shapes))} (got {array.shape})")
-    return array
-
-
-def last_six(name: str, value: ArrayLike) -> Array:
-    """Return `value` as a finite float array (..., 6).
-
-    Raises:
-        ParameterError: If an entry is not a finite number, or the last dimension is not six.
-    """
-    array = numbers(name, value)
-    if array.shape[-1:] != (len(AXES),):
-        raise ParameterError(f"{name} must have shape (..., 6) (got {array.shape})")
-    return array
 
 
 def store(frozen: object, **values: Any) -> None:
@@ -248,10 +212,8 @@ def six(
     Raises:
         ParameterError: If an entry is below the bound or the shape is wrong.
     """
-    array = numbers(name, value, at_least=at_least, finite=finite)
-    if array.shape not in ((), (6,), (*batch, 6)):
-        allowed = "(6,)" if not batch else f"(6,) or {(*batch, 6)}"
-        raise ParameterError(f"{name} must be a number or have shape {allowed} (got {array.shape})")
+    shape = "() or (6,)" + (f" or {(*batch, 6)}" if batch else "")
+    array = numbers(name, value, shape=shape, at_least=at_least, finite=finite)
     return np.broadcast_to(array, (6,)) if array.ndim == 0 else array
 
 
@@ -667,7 +629,7 @@ def read_json(
         MaglevError: Of type `error`, if the file cannot be read or parsed; one line with path and reason.
     """
     try:
-        return parse(parse_json(read_text(Path(path)), parse_constant=float, **options))
+        return parse(parse_json(read_text(file_path(path)), parse_constant=float, **options))
     except OSError as failure:
         raise error(f"{kind} {str(path)!r} cannot be read: {failure.strerror}") from None
     except (MaglevError, UnicodeError) as failure:

@@ -63,6 +63,9 @@ ESCAPE = 10.0 * Spec.translation_range.value
 RESOLUTION = (*[Spec.translation_resolution.value] * 3, *[Spec.rotation_resolution.value] * 3)
 """Sensor resolution on the six axes [m, rad]."""
 
+MIN_PERIOD, MAX_PERIOD, MAX_DELAY_PERIODS = 1e-6, 0.1, 10
+"""Bounds of sample periods [s], and of delays in sample periods, everywhere."""
+
 DRIVER_TIME_CONSTANT = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
 """Time constant of the drivers' first-order lag [s]."""
 

@@ -35,11 +35,11 @@ from maglev_mj.analysis.motion import OfWall, reconstruct
 from maglev_mj.control.timeline import recorded_switches, split_delay
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.parameters import MAX_DELAY_PERIODS
 from maglev_mj.recording import RunMetadata, Segment
 from maglev_mj.recording.recording import SEGMENT_TYPE
 from maglev_mj.recording.sample import Face
 from maglev_mj.result import Table, plain
+from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory import largest_stable_stiffness
 
 _MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6

@@ -17,8 +17,7 @@ from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, FlotorGuard, HostLi
 from maglev_mj.bridge.wire import Fault, Flag, State, StateReport
 from maglev_mj.errors import SensingError
 from maglev_mj.frames import ZERO
-from maglev_mj.parameters import MAX_DELAY_PERIODS
-from maglev_mj.spec import INERTIA
+from maglev_mj.spec import INERTIA, MAX_DELAY_PERIODS
 
 _DELAY_SHARE = 0.8
 """Delay limit as a share of the critical delay: near the critical delay a loop rings long after a tap."""

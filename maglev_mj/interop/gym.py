@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Array, components, join
-from maglev_mj.parameters import axis_indices, shaped, whole
+from maglev_mj.parameters import axis_indices, numbers, whole
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.run import checked_plant
 from maglev_mj.spec import INERTIA, RANGE
@@ -74,14 +74,9 @@ class TargetTask:
         self.steps = self.scene.ticks(self.scene.timing())
 
     def reset(self, *randoms: np.random.Generator) -> Array:
-        """Draw targets and disturbances, and return the first observation, (..., 3 axes).
-
-        Args:
-            randoms: One generator, or one per device.
-        """
-        batch = self._batch if len(randoms) == 1 else ()
-        draws = [random.uniform(-1.0, 1.0, (*batch, 2, len(self._axes))) for random in randoms]
-        drawn = draws[0] if len(draws) == 1 else np.stack(draws)
+        """Draw targets and disturbances, by one generator or one per device; return the observation, (..., 3 axes)."""
+        size = *self._batch[len(randoms) > 1 :], 2, len(self._axes)
+        drawn = np.reshape([random.uniform(-1.0, 1.0, size) for random in randoms], (*self._batch, *size[-2:]))
         self.target, self._disturbance = _TARGET * drawn[..., 0, :] * self._reach, _DISTURBANCE * drawn[..., 1, :]
         phase = np.zeros(self._batch) if self._batch else 0.0
         self._plant = self.scene.plant("exact", phase=phase, timing=self.scene.timing(), escape=_FAR)
@@ -101,7 +96,7 @@ class TargetTask:
             ParameterError: If the action has another shape, or is not finite.
             DivergenceError: If unstable laws make numbers overflow.
         """
-        action = shaped("action", action, (*self._batch, len(self._axes)))
+        action = numbers("action", action, shape=str((*self._batch, len(self._axes))))
         command, wrench = self._controller.step(self._sample), list(ZERO)
         for index, part in zip(self._axes, components(self._limit * (action + self._disturbance))):
             wrench[index] = part
@@ -192,13 +187,13 @@ class TargetVectorEnv(VectorEnv[Array, Array, Array]):
         Raises:
             ParameterError: If the number of seeds is not that of devices, or one is not an integer.
         """
-        if seed is None or isinstance(seed, int | np.integer):
-            super().reset(seed=seed)
-            self._randoms = [self.np_random] if seed is not None else self._randoms or [self.np_random]
-        else:
+        if isinstance(seed, Sequence | np.ndarray):
             if len(seed) != self.num_envs:
                 raise ParameterError(f"seed must be an integer or one per device, {self.num_envs} (got {len(seed)})")
             self._randoms = [np_random(None if one is None else whole("seed", one))[0] for one in seed]
+        else:
+            super().reset(seed=seed)
+            self._randoms = [self.np_random] if seed is not None or not self._randoms else self._randoms
         self._over = False
         return self.task.reset(*self._randoms), {}
 

@@ -106,7 +106,7 @@ class Navigator:
         Raises:
             ParameterError: If pose or force are not finite or not (6,), or the time is below 0.
         """
-        now = _six("pose", pose)
+        now = numbers("pose", pose, shape="(6,)")
         number("elapsed", elapsed, at_least=0.0)
         motion = np.zeros(len(AXES)) if self._last is None else now - self._last
         if anchors is None:
@@ -115,7 +115,8 @@ class Navigator:
         else:
             # friction starts stuck: an axis that never stuck has none
             self._has_friction |= np.isfinite(anchors)
-            share = (now - anchors) / self._give if force is None else -_six("force", force) / self._breakaway
+            force = force if force is None else numbers("force", force, shape="(6,)")
+            share = (now - anchors) / self._give if force is None else -force / self._breakaway
             pushed = self._pushed(np.sign(now), np.isfinite(anchors), motion, share, elapsed)
         self.rates = (np.abs(now) > self._edge) & pushed
         rate = self._gain * (now - self._edge * np.sign(now)) * elapsed
@@ -130,10 +131,3 @@ class Navigator:
         self._pressed = np.where(outward > _PUSH_ON, self._pressed + elapsed, 0.0)
         held = (self._pressed >= _PUSH_TIME) | (self.rates & (outward > _PUSH_OFF))
         return np.where(stuck, held, np.where(self._has_friction, motion * side > 0.0, True))
-
-
-def _six(name: str, value: ArrayLike) -> Array:
-    values = numbers(name, value)
-    if values.shape != (len(AXES),):
-        raise ParameterError(f"{name} must have shape (6,) (got {values.shape})")
-    return values

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Interval, Timeline, Timing
-from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
+from maglev_mj.errors import DivergenceError, PlantError, check_instance
 from maglev_mj.frames import Array, Command, Component, Sample, Six, clipped, components, join, not_finite
-from maglev_mj.parameters import flag, number, shaped, six
+from maglev_mj.parameters import flag, number, numbers, six
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
 from maglev_mj.plants.trace import HandWork, Trace, TraceRecorder
@@ -97,7 +97,7 @@ class SampledPlant(ABC):
         self.batch = batch
         self._limit = None if wrench_limit is None else components(six("wrench_limit", wrench_limit, batch))
         self._measure = None if sensor is None else measuring(sensor)
-        distance, angle = (number("escape", value, above=0.0) for value in shaped("escape", escape, (2,)).tolist())
+        distance, angle = numbers("escape", escape, shape="(2,)", above=0.0).tolist()
         self._escape = distance * distance, angle * angle
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
         self._recorder = TraceRecorder(timing.time, self._arrays) if flag("record", record) else None
@@ -115,8 +115,7 @@ class SampledPlant(ABC):
         self._intervals_of = self._timeline.period
         self._answer: tuple[Any, Any, float] | None = None
         self.unanswered: Sample | None = None
-        if np.shape(timing.delay) not in ((), batch):
-            raise ParameterError(f"delay must be a number or have the shape {batch} (got {np.shape(timing.delay)})")
+        numbers("delay", timing.delay, shape=f"() or {batch}")
         self._limits = self._limit is not None
 
     @abstractmethod

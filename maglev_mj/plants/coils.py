@@ -11,9 +11,9 @@ from typing import cast
 
 import numpy as np
 
-from maglev_mj.errors import ModelError, ParameterError
+from maglev_mj.errors import ModelError
 from maglev_mj.frames import Array, Command
-from maglev_mj.parameters import last_six, number, numbers, store
+from maglev_mj.parameters import number, numbers, store
 
 UPRIGHT = 1e-9
 """Largest angle [rad] at which the upright coil map is used; its error is negligible."""
@@ -32,7 +32,8 @@ class CoilMap:
         force_constants: Force constants [N/A], (6,).
 
     Raises:
-        ModelError: If there are not six coils, or their map is singular.
+        ParameterError: If there are not six coils.
+        ModelError: If their map is singular.
 
     Example:
         >>> from maglev_mj import Calibration
@@ -55,12 +56,8 @@ class CoilMap:
 
     def __post_init__(self) -> None:
         for name in ("points", "directions", "force_constants"):
-            array, shape = np.array(numbers(name, getattr(self, name))), (6,) if name == "force_constants" else (6, 3)
-            if array.shape != shape:
-                raise ModelError(
-                    f"six coils are needed for six axes: {name} must have shape {shape} (got {array.shape})"
-                )
-            store(self, **{name: array})
+            shape = "(6,)" if name == "force_constants" else "(6, 3)"
+            store(self, **{name: np.array(numbers(name, getattr(self, name), shape=shape))})
         forces = self.directions * self.force_constants[:, None]
         upright = np.concatenate([forces.T, np.cross(self.points, forces).T])
         if np.linalg.matrix_rank(upright) < len(upright):
@@ -76,8 +73,6 @@ class CoilMap:
 
     def inverse_at(self, rotation: Array) -> Array:
         """Return the inverse coil map [A/N, A/(N m)], (6, 6) or (N, 6, 6), at rotation matrices (9,) or (N, 9)."""
-        if rotation.shape[-1:] != (9,) or rotation.ndim > 2:
-            raise ParameterError(f"rotation must have shape (9,) or (N, 9) (got {rotation.shape})")
         if rotation.ndim > 1:
             maps = np.repeat(self.wrench_per_current[None], len(rotation), axis=0)
             maps[:, 3:] = (rotation @ self._turning.T).reshape(-1, 3, 6)
@@ -105,11 +100,11 @@ class CoilMap:
 
     def currents(self, wrench: Array) -> Array:
         """Return the currents [A] for a wrench [N, N m], (..., 6) each."""
-        return last_six("wrench", wrench) @ self.current_per_wrench.T
+        return numbers("wrench", wrench, shape="(..., 6)") @ self.current_per_wrench.T
 
     def wrench(self, currents: Array) -> Array:
         """Return the wrench [N, N m] of currents [A], (..., 6) each."""
-        return last_six("currents", currents) @ self.wrench_per_current.T
+        return numbers("currents", currents, shape="(..., 6)") @ self.wrench_per_current.T
 
     def largest_wrench(self, current: float) -> Array:
         """Return the largest force or torque on each axis, with zero on all others [N, N m], (6,).

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, Six, components, join
-from maglev_mj.parameters import DRIVER_LAG, flag, number, numbers, six
+from maglev_mj.parameters import LAG, flag, number, numbers, six
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.hand import Hand, motion, transition
-from maglev_mj.plants.model import Model, acceleration, load_model, moments_of_inertia
+from maglev_mj.plants.model import Model, acceleration, load_model
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 
 Drive: TypeAlias = tuple[Six, Six]
@@ -92,7 +92,7 @@ class ExactPlant(SampledPlant):
             moving, moments, lag = device.mass, device.inertia, device.driver_time_constant
             fall = device.gravity
         if driver_time_constant is not None:
-            lag = number("driver_time_constant", driver_time_constant, above=0.0, **DRIVER_LAG)
+            lag = number("driver_time_constant", driver_time_constant, above=0.0, **LAG)
         start, motion, body = _start(
             timing, pose, twist, moving if mass is None else mass, moments if inertia is None else inertia
         )
@@ -217,18 +217,15 @@ def _start(
     timing: Timing, pose: ArrayLike, twist: ArrayLike, mass: ArrayLike, inertia: ArrayLike
 ) -> tuple[Array, Array, list[Any]]:
     """Return checked pose and twist of one shape, and mass and moments of inertia of the six axes."""
-    start, motion = numbers("pose", pose), numbers("twist", twist)
+    start, motion = numbers("pose", pose, shape="(..., 6)"), numbers("twist", twist, shape="(..., 6)")
     shapes = (start.shape, motion.shape, (*np.shape(timing.phase), 6))
-    if any(shape[-1:] != (6,) for shape in shapes):
-        raise ParameterError(f"pose and twist must be (..., 6) (got {start.shape} and {motion.shape})")
     try:
         shape = np.broadcast_shapes(*shapes)
     except ValueError:
         raise ParameterError(f"pose, twist and phase must have one batch shape (got {shapes})") from None
-    masses = numbers("mass", mass) if np.ndim(mass) else number("mass", mass, above=0.0)
-    if np.shape(masses) not in ((), shape[:-1]) or not np.all(masses > 0.0):
-        raise ParameterError(f"mass must be above 0, a number or of batch shape {shape[:-1]} (got {mass!r})")
-    body = [masses] * 3 + moments_of_inertia(inertia).tolist()
+    masses = numbers("mass", mass, shape=f"() or {shape[:-1]}", above=0.0)
+    moments = numbers("inertia", inertia, shape="(3,)", above=0.0)
+    body = [masses if masses.ndim else float(masses)] * 3 + moments.tolist()
     return np.broadcast_to(start, shape), np.broadcast_to(motion, shape), body
 
 

@@ -265,14 +265,11 @@ class Trajectory:
     _slopes: list[list[float]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        times, poses = numbers("path times", self.times), numbers("path poses", self.poses)
-        if times.ndim != 1 or not times.size or poses.shape != (times.size, len(AXES)):
-            raise ParameterError(f"path must have times (N,) and poses (N, 6) (got {times.shape} and {poses.shape})")
+        times = numbers("path times", self.times, shape="(N,)")
+        poses = numbers("path poses", self.poses, shape=str((max(times.size, 1), len(AXES))))
         if (wrong := np.flatnonzero(np.diff(times) <= 0.0)).size:
-            index = int(wrong[0]) + 1
-            raise ParameterError(
-                f"path times must increase (got {times[index - 1]} then {times[index]} at index {index})"
-            )
+            index = wrong[0]
+            raise ParameterError(f"path times must increase (got {times[index]}, {times[index + 1]} at index {index})")
         check_one_of("interpolation", INTERPOLATIONS, self.interpolation)
         slopes = np.zeros_like(poses)
         if self.interpolation == "cubic" and times.size > 1:
@@ -380,8 +377,8 @@ class SpringHand:
             setattr(self, name, number(f"hand {name}", getattr(self, name), at_least=0.0))
         for name in ("target", "device_target"):
             goal = getattr(self, name)
-            if not isinstance(goal, Trajectory | None) and numbers(f"hand {name}", goal).shape != (len(AXES),):
-                raise ParameterError(f"hand {name} must be a pose (6,), a Trajectory or None (got {goal!r})")
+            if not isinstance(goal, Trajectory | None):
+                numbers(f"hand {name}", goal, shape="(6,)")
 
     @classmethod
     def of_mouse(cls, stiffness: float = stiffness) -> SpringHand:
@@ -447,9 +444,7 @@ class RecordedHand:
     _rows: list[list[float]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        rows = numbers("hand wrenches", self.wrenches)
-        if rows.ndim != 2 or rows.shape[1] != len(AXES):
-            raise ParameterError(f"hand wrenches must be (N, 6) (got {rows.shape})")
+        rows = numbers("hand wrenches", self.wrenches, shape="(N, 6)")
         store(self, _rows=rows.tolist())
 
     def __call__(self, tick: int, time: Component, state: State) -> Six:

@@ -18,7 +18,7 @@ from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
 from maglev_mj.lazy import mujoco
-from maglev_mj.parameters import DRIVER_LAG, flag, number, numbers
+from maglev_mj.parameters import LAG, flag, number, numbers
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import GRAVITY, INERTIA, RANGE, Spec
@@ -204,10 +204,10 @@ def load_model(
         flexible=flag("flexible", flexible),
         lag=None
         if driver_time_constant is None
-        else number("driver_time_constant", driver_time_constant, above=0.0, **DRIVER_LAG),
+        else number("driver_time_constant", driver_time_constant, above=0.0, **LAG),
         mass=None if mass is None else number("mass", mass, above=0.0),
         hand=hand,
-        inertia=None if inertia is None else tuple(moments_of_inertia(inertia).tolist()),
+        inertia=None if inertia is None else tuple(numbers("inertia", inertia, shape="(3,)", above=0.0).tolist()),
     )
     if isinstance(model, mujoco.MjSpec):
         device = _compile(model.modelname, model.copy(), options)
@@ -259,19 +259,9 @@ def body_of(keywords: Mapping[str, Any]) -> Body:
     return body if gravity is None else body._replace(gravity=acceleration(gravity))
 
 
-def moments_of_inertia(inertia: ArrayLike) -> Array:
-    """Return checked moments of inertia [kg m²], (3,)."""
-    moments = numbers("inertia", inertia)
-    if moments.shape != (3,) or not (moments > 0.0).all():
-        raise ParameterError(f"inertia must be three numbers above 0 (got {moments.tolist()})")
-    return moments
-
-
 def acceleration(gravity: ArrayLike) -> Array:
     """Return gravity, along -z or in stator axes (3,), as an acceleration in stator axes [m/s²], (3,)."""
-    vector = numbers("gravity", gravity)
-    if vector.shape not in ((), (3,)):
-        raise ParameterError(f"gravity must be a number or (3,) (got {vector.shape})")
+    vector = numbers("gravity", gravity, shape="() or (3,)")
     return vector if vector.ndim else np.array([0.0, 0.0, -float(vector)])
 
 

@@ -129,12 +129,8 @@ class MuJoCoPlant(SampledPlant):
         **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
-        start, motion = numbers("pose", pose), numbers("twist", twist)
-        if start.shape != (6,) or motion.shape != (6,) or np.ndim(timing.phase):
-            raise ParameterError(
-                f"MuJoCoPlant is one device: pose and twist must be (6,) and phase a number, "
-                f"not {start.shape}, {motion.shape} and {np.shape(timing.phase)}"
-            )
+        start, motion = numbers("pose", pose, shape="(6,)"), numbers("twist", twist, shape="(6,)")
+        numbers("phase of one device", timing.phase, shape="()")
         self.hand, self.start = hand, (start, motion)
         self.device = engine.prepared(
             model,
@@ -486,13 +482,9 @@ class MuJoCoBatchPlant(SampledPlant):
         **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
-        start, motion = numbers("pose", pose), numbers("twist", twist)
-        if start.ndim != 2 or start.shape[1] != 6 or np.shape(timing.phase) not in ((), start.shape[:1]):
-            raise ParameterError(
-                f"pose must be (N, 6) and phase a number or (N,) (got {start.shape} and {np.shape(timing.phase)})"
-            )
-        if motion.shape not in ((6,), start.shape):
-            raise ParameterError(f"twist must be (6,) or {start.shape} (got {motion.shape})")
+        start = numbers("pose", pose, shape="(N, 6)")
+        motion = numbers("twist", twist, shape=f"(6,) or {start.shape}")
+        numbers("phase", timing.phase, shape=f"() or {start.shape[:1]}")
         count = int(number("threads", threads, at_least=0))
         if driver_lag and not coils:
             raise ParameterError("driver_lag needs coils=True")

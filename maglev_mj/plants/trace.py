@@ -108,9 +108,7 @@ class Trace(Result):
         Raises:
             ParameterError: If a time is outside the trace.
         """
-        times = np.atleast_1d(numbers("time", time))
-        if times.ndim > 1:
-            raise ParameterError(f"time must be a number or (M,) (got {times.shape})")
+        times = np.atleast_1d(numbers("time", time, shape="() or (M,)"))
         first, last = float(self.time[0].max()), float(self.time[-1].min())
         if times.size and not (first - 1e-12 <= times.min() and times.max() <= last + 1e-12):
             extremes = f"{times.min():g} to {times.max():g} s"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,24 +15,13 @@ from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Array, Component
-from maglev_mj.parameters import (
-    MAX_DELAY_PERIODS,
-    MAX_PERIOD,
-    MIN_PERIOD,
-    Parameters,
-    Turn,
-    axis_indices,
-    param,
-    shaped,
-    transport_delay,
-)
+from maglev_mj.parameters import Parameters, Turn, axis_indices, numbers, param, transport_delay
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
-from maglev_mj.plants.base import PlantKeywords
 from maglev_mj.plants.hand import HandForce
 from maglev_mj.plants.model import Body, body_of
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.scenes.results import RunResult
-from maglev_mj.spec import ESCAPE, Spec
+from maglev_mj.spec import ESCAPE, MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD, Spec
 
 RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
 """Key steps of the sample rate."""
@@ -78,7 +66,7 @@ class Start:
 
     def __post_init__(self) -> None:
         for name in ("pose", "twist", "wrench"):
-            shaped(f"start {name}", getattr(self, name), (len(AXES),))
+            numbers(f"start {name}", getattr(self, name), shape="(6,)")
 
 
 class Scene(Parameters):
@@ -275,7 +263,7 @@ class Scene(Parameters):
             keywords: Keywords of the plant; they override the scene's.
 
         Raises:
-            ParameterError: If a plant from PLANTS does not accept a keyword of the scene.
+            KeywordError: If the plant does not accept a keyword.
         """
         scripted = self._hands(phase)
         timing = timing or self.timing(phase)
@@ -284,8 +272,6 @@ class Scene(Parameters):
             options["pose"] = [options["pose"]] * np.size(phase)
         options |= keywords
         if isinstance(plant, str):
-            if unknown := sorted(options.keys() - _keywords(plant)):
-                raise ParameterError(f"plant {plant} does not accept {', '.join(unknown)} of plant_options")
             plant = PLANTS[plant]
         return plant(timing, hand_force=hand or scripted, **options)
 
@@ -315,11 +301,6 @@ class Scene(Parameters):
             return self.scripted_hand(float(phase))
         hands = [hand for x in np.asarray(phase) if (hand := self.scripted_hand(float(x))) is not None]
         return SideBySide(hands) if hands else None
-
-
-@cache
-def _keywords(plant: str) -> frozenset[str]:
-    return frozenset(inspect.signature(PLANTS[plant]).parameters) | frozenset(PlantKeywords.__annotations__)
 
 
 class SideBySide:

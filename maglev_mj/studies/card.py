@@ -14,7 +14,6 @@ from maglev_mj.control import Hold, LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array
-from maglev_mj.parameters import MAX_DELAY_PERIODS
 from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.hand import HANDS, get_hand
@@ -22,9 +21,9 @@ from maglev_mj.result import Result, Table, with_unit
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.spec import Spec
+from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
 from maglev_mj.theory import StiffestWall, largest_stable_stiffness, least_passive_damping
-from maglev_mj.theory.closed_loop import MAX_DELAY_PERIODS, Design, SampledLoop, bisect, is_stable
+from maglev_mj.theory.closed_loop import Design, SampledLoop, bisect, is_stable
 
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
 _WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10

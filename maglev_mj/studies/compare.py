@@ -132,7 +132,7 @@ class Comparison(Variants):
 
 def compare(
     scene: SceneLike,
-    laws: str | LawMaker | Collection[str | LawMaker] | Mapping[str, str | LawMaker],
+    laws: Collection[str | LawMaker] | Mapping[str, str | LawMaker],
     *,
     phases: int | ArrayLike = 100,
     phase: float = 0.5,
@@ -168,7 +168,7 @@ def compare(
     if not isinstance(chosen, WallScene) or not isinstance(chosen.laws()[0], Wall):
         raise ParameterError(f"scene must have a wall as its first law, such as drop or press (got {chosen.name})")
     number("stiffness", chosen.stiffness, above=0.0)
-    laws = [laws] if isinstance(laws, str | type) else laws
+    laws = [laws] if isinstance(laws, str) else laws
     named = [(label, _named(law)[1]) for label, law in laws.items()] if isinstance(laws, Mapping) else map(_named, laws)
     variants = {label: _with_law(chosen, label, law, plant) for label, law in named}
     if len(variants) < max(len(laws), 1):

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import maglev_mj
-from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, check_instance, check_one_of
+from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, check_instance, check_one_of, file_path
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.keywords import with_period
 from maglev_mj.parameters import parsed_number
@@ -234,7 +234,7 @@ def sweep(
         raise ParameterError("vary must give a list of values for at least one parameter, not {}; see run()")
     cells = Grid(chosen, vary, plant=plant, phase=phase)
     executor, function = chosen_workers(workers), partial(run_scene_cells, text=_text(type(chosen)))
-    study = Study(function, cells, Record(None if record is None else Path(record)), executor, progress)
+    study = Study(function, cells, Record(None if record is None else file_path(record)), executor, progress)
     resumed, file = study.done, None if record is None else str(record)
     # by the total number of cells, so that a resumed sweep has the same batches
     results = study.run(_cells_a_job(len(cells), executor.window, {*cells.axes["plant"]} == {"exact"}))

@@ -27,7 +27,7 @@ from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import with_hints
-from maglev_mj.parameters import common_shape, number, numbers, sample_period
+from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers
 from maglev_mj.theory.closed_loop import ROUNDING, Design, LoopKeywords, SampledLoop, is_stable, pd, rendered_stiffness
 
 _HIGHEST = 8.0
@@ -421,5 +421,5 @@ def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_dam
     the tests.
     """
     b, virtual = numbers("physical_damping", physical_damping, at_least=0.0), numbers("damping", damping)
-    half = 0.5 * sample_period(period)
+    half = 0.5 * numbers("period", period, **SAMPLE_PERIOD)
     return (b + virtual) / (half + numbers("delay", delay, at_least=0.0))

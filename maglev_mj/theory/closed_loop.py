@@ -19,18 +19,9 @@ from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import with_hints
-from maglev_mj.parameters import (
-    DRIVER_LAG,
-    MAX_DELAY_PERIODS,
-    common_shape,
-    number,
-    numbers,
-    sample_period,
-    store,
-    transport_delay,
-)
+from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, number, numbers, store, transport_delay
 from maglev_mj.plants.hand import Hand, get_hand, motion, transition
-from maglev_mj.spec import Spec
+from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
 
 _CHUNK = 1 << 16
 
@@ -117,11 +108,11 @@ class SampledLoop:
     """Broadcast shape of period, delay, mass, prediction, hand."""
 
     def __post_init__(self) -> None:
-        period = sample_period(self.period)
+        period = numbers("period", self.period, **SAMPLE_PERIOD)
         store(self, period=period, delay=transport_delay(self.delay, period), hand=get_hand(self.hand))
         for name, above in (("mass", 0.0), ("prediction", None)):
             store(self, **{name: numbers(name, getattr(self, name), at_least=0.0, above=above)})
-        number("driver_lag", self.driver_lag, at_least=0.0, **DRIVER_LAG)
+        number("driver_lag", self.driver_lag, at_least=0.0, **LAG)
         shapes = [np.shape(part) for part in (self.period, self.delay, self.mass, self.prediction)]
         shapes += [] if self.hand is None else [self.hand.shape]
         store(self, shape=common_shape("period, delay, mass, prediction, hand", *shapes))

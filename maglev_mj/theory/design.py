@@ -16,9 +16,9 @@ import numpy as np
 from maglev_mj.control import Law, ObserverWall
 from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array
-from maglev_mj.parameters import MAX_PERIOD, MIN_PERIOD, Parameters, param, param_range, transport_delay
+from maglev_mj.parameters import Parameters, param, param_range, transport_delay
 from maglev_mj.plants.hand import get_hand
-from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, MAX_PERIOD, MIN_PERIOD, Spec
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
 from maglev_mj.theory.closed_loop import (
     Design,

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
+from maglev_mj.errors import MaglevError, check_instance, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.pictures import save
@@ -109,10 +109,7 @@ class Linearised(Result):
             ParameterError: If a value is outside its bounds.
         """
         chosen = list(range(6)) if axes is None else list(axis_indices(axes))
-        body = numbers("inertia", inertia, at_least=0.0)
-        if body.shape != (6,):
-            raise ParameterError(f"inertia must have shape (6,) (got {body.shape})")
-        body = body[chosen]
+        body = numbers("inertia", inertia, shape="(6,)", at_least=0.0)[chosen]
         response = self.response[:, chosen][:, :, chosen]
         matrix = StateSpace.of(response).closed_loop(period=self.period, delay=delay, inertia=body)
         n, size = len(chosen), len(matrix)
@@ -266,9 +263,7 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
         (6000, 80)
     """
     check_instance("controller", controller, Controller, "a Controller")
-    rest = np.atleast_2d(numbers("poses", poses))
-    if rest.ndim != 2 or rest.shape[1] != 6:
-        raise ParameterError(f"poses must have shape (6,) or (P, 6) (got {np.shape(poses)})")
+    rest = np.atleast_2d(numbers("poses", poses, shape="(6,) or (P, 6)"))
     size = np.minimum(_LARGEST, _SPEED * controller.period)
     shift = np.zeros((13, 6))
     shift[1:7], shift[7:] = np.diag(size), np.diag(-0.5 * size)

@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array
-from maglev_mj.parameters import MAX_DELAY_PERIODS, number, numbers, transport_delay
+from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.pictures import save
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import Body
 from maglev_mj.result import Result, Table, plain
-from maglev_mj.spec import INERTIA, RANGE
+from maglev_mj.spec import INERTIA, MAX_DELAY_PERIODS, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
 
@@ -233,9 +233,7 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
         True
     """
     check_instance("controller", controller, Controller, "a Controller")
-    start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
-    if start.shape != (6,) or body.shape != (6,):
-        raise ParameterError(f"pose and inertia must have shape (6,) (got {start.shape} and {body.shape})")
+    start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
     transport_delay(number("delay", delay), controller.period)
     gains = stated_gains(controller)
     if gains is None:

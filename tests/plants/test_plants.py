@@ -160,7 +160,9 @@ def test_the_diverged_device_of_a_batch_is_named() -> None:
 def test_angular_velocity_is_in_stator_axes_in_and_out() -> None:
     # A small turn about stator axes adds to the pose as the twist says, at any tilt.
     tilt, spin = np.array([0.1, -0.08, 0.05]), np.array([1.0, 2.0, -1.5])
-    plant = MuJoCoPlant(Timing(period=1e-6, delay=0.0), pose=[0, 0, 0, *tilt], twist=[0, 0, 0, *spin], gravity=0.0, record=True)
+    plant = MuJoCoPlant(
+        Timing(period=1e-6, delay=0.0), pose=[0, 0, 0, *tilt], twist=[0, 0, 0, *spin], gravity=0.0, record=True
+    )
     plant.read()
     plant.read()
     before, after = (_matrix(pose[3:]) for pose in plant.trace().pose[[0, -1]])
@@ -210,7 +212,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
     refused: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
         (Timing, {"period": 0.0}, r"period must be between 1e-6 and 0.1 s \(got 0.0"),
         (Timing, {"delay": -0.001}, r"delay must be at least 0.* \(got -0.001"),
-        (Timing, {"delay": 1e12}, r"delay must be at most 10 periods of 0.005 s, 0.05 s [(]got 1e.12 s"),
+        (Timing, {"delay": 1e12}, r"delay must be at most 0.05 s, 10 periods [(]got 1"),
         (Timing, {"delay": [0.001, 0.006]}, "delay must have the same number of whole periods"),
         (Timing, {"phase": 1.0}, "phase must be at least 0 and below 1 [(]got 1"),
         (ExactPlant, {"mass": 0.0}, "mass must be above 0"),

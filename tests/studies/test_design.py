@@ -207,7 +207,7 @@ def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:
     ("options", "words"),
     [
         ({"mass": (0.8, 0.6)}, r"mass must be in ascending order, low to high \(got 0.8 to 0.6"),
-        ({"delay": (0.0, 0.06)}, r"delay must be at most 10 periods of 0.005 s, 0.05 s \(got 0.06 s, 12 periods"),
+        ({"delay": (0.0, 0.06)}, r"delay must be at most 0.05 s, 10 periods \(got 0.06"),
         ({"hands": ()}, "hands must be at least one, without duplicates .got none"),
         ({"hands": ("arm", "arm")}, "hands must be at least one, without duplicates .got arm, arm"),
         ({"hands": ("fist",)}, "hand must be one of none, arm, stylus, fingertip, or"),

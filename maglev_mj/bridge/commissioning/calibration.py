@@ -171,9 +171,7 @@ class Calibration:
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     """Return a finite, read-only array of a shape; check directions for unit length."""
-    array = np.array(numbers(name, value))
-    if array.shape != shape:
-        raise ParameterError(f"{name} must have shape {shape} (got {array.shape})")
+    array = np.array(numbers(name, value, shape=str(shape)))
     if name.endswith(("directions", "across")):
         lengths = np.linalg.norm(array, axis=-1)
         worst = float(lengths.flat[np.abs(lengths - 1.0).argmax()])

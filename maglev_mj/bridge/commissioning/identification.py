@@ -35,7 +35,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Answers, ControlLoop, Plant
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import AXES, Array, Command, Component, Sample
+from maglev_mj.frames import Array, Command, Component, Sample
 from maglev_mj.parameters import SAMPLE_PERIOD, number, numbers, transport_delay
 from maglev_mj.plants.coils import CoilMap
 
@@ -95,9 +95,8 @@ class Shaker:
 
     def __init__(self, controller: Answers, *, frequencies: ArrayLike, amplitudes: ArrayLike) -> None:
         self._controller, self.period = controller, controller.period
-        lines, sizes = numbers("frequencies", frequencies, at_least=0.0), numbers("amplitudes", amplitudes)
-        if lines.ndim != 2 or len(lines) != len(AXES) or sizes.shape != lines.shape:
-            raise ParameterError(f"frequencies and amplitudes must be (6, L) (got {lines.shape}, {sizes.shape})")
+        lines = numbers("frequencies", frequencies, shape="(6, L)", at_least=0.0)
+        sizes = numbers("amplitudes", amplitudes, shape=str(lines.shape))
         number("the highest frequency", float(lines.max(initial=0.0)), below=0.5 / self.period)
         self._sines = [(at[0], float(lines[at]), float(sizes[at])) for at in np.ndindex(lines.shape)]
 
@@ -161,9 +160,7 @@ def excitation(
     stiffness = np.asarray(hold.stiffness)
     rate = np.sqrt(stiffness / body)
     sizes = np.repeat([number("translation", translation, at_least=0.0), number("rotation", rotation, at_least=0.0)], 3)
-    omega = 2.0 * math.pi * numbers("lines", lines)
-    if omega.ndim != 2 or len(omega) != len(AXES):
-        raise ParameterError(f"lines must have shape (6, L) (got {omega.shape})")
+    omega = 2.0 * math.pi * numbers("lines", lines, shape="(6, L)")
     # compliance of a critically damped hold: 1 / (body (rate² + omega²))
     forces = (body * sizes)[:, None] * (np.square(rate)[:, None] + np.square(omega))
     weight = np.concatenate([-known.mass * known.gravity, np.zeros(3)])

@@ -15,21 +15,11 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, datacla
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import MaglevError, ParameterError, named
 from maglev_mj.frames import AXES, Array, Component, Six
 from maglev_mj.keywords import with_hints
-from maglev_mj.parameters import (
-    SAMPLE_PERIOD,
-    axis_indices,
-    batch_shape,
-    flag,
-    last_six,
-    number,
-    numbers,
-    per_axis,
-    store,
-    transport_delay,
-)
+from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis, store
 from maglev_mj.spec import INERTIA
 
 
@@ -456,8 +446,8 @@ class Hold(AxisLaw):
             inertia: Mass or moment of inertia m on these axes [kg, kg m²]; the published device's by default.
             target: Target pose [m, rad].
         """
-        lag = number("period", period, **SAMPLE_PERIOD) + float(transport_delay(number("delay", delay), period))
-        frequency = min(50.0, 0.25 / lag)
+        timing = Timing(period=period, delay=number("delay", delay))
+        frequency = min(50.0, 0.25 / (timing.period + float(timing.delay)))
         body = (
             np.array(INERTIA)[list(axis_indices(axes))]
             if inertia is None
@@ -504,7 +494,7 @@ class Bias(Law):
     _parts: tuple[Component, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        wrench = last_six("bias wrench", self.wrench)
+        wrench = numbers("bias wrench", self.wrench, shape="(..., 6)")
         store(self, batch=wrench.shape[:-1], _parts=per_axis("bias wrench", wrench, len(AXES)))
 
     def __call__(self, position: Six, velocity: Six, state: None, wrench: list[Component]) -> tuple[None, None]:

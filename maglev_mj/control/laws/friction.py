@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.laws.base import Answer, AxisLaw, Gains, apply, choose, gain, setting
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component, Six, clipped
-from maglev_mj.parameters import MAX_PERIOD, MIN_PERIOD, flag
+from maglev_mj.parameters import flag
+from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 
 SLIDING_SHARE = 0.95
 """Fraction of the limit force above which an axis counts as sliding.

@@ -14,7 +14,8 @@ from maglev_mj.control.laws.base import Answer, AxisLaw, Face, Gains, LinearCont
 from maglev_mj.control.timeline import check_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Component, Six, clipped
-from maglev_mj.parameters import MAX_PERIOD, MIN_PERIOD, flag, number, store
+from maglev_mj.parameters import flag, number, store
+from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 
 
 class _Braking(NamedTuple):
