@@ -110,8 +110,8 @@ class SampledLoop:
     def __post_init__(self) -> None:
         period = numbers("period", self.period, **SAMPLE_PERIOD)
         store(self, period=period, delay=transport_delay(self.delay, period), hand=get_hand(self.hand))
-        for name, above in (("mass", 0.0), ("prediction", None)):
-            store(self, **{name: numbers(name, getattr(self, name), at_least=0.0, above=above)})
+        store(self, mass=numbers("mass", self.mass, above=0.0))
+        store(self, prediction=numbers("prediction", self.prediction, at_least=0.0))
         number("driver_lag", self.driver_lag, at_least=0.0, **LAG)
         shapes = [np.shape(part) for part in (self.period, self.delay, self.mass, self.prediction)]
         shapes += [] if self.hand is None else [self.hand.shape]

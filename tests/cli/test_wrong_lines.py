@@ -102,8 +102,8 @@ stability --damping -5:3 | damping must be between 0 and 1e6 (got -5
 stability --stiffness 9 3                           | stiffness must be in ascending order, low to high (got 9 to 3)
 stability --delay 1 | delay must be at most 0.05 s, 10 periods (got 1.0); did you mean 0.001 s?
 stability --workers -1 --plant exact                | workers must be at least 0 (got -1
-stability --hand 1e-300,0,0,0,1e10                  | hand grip_stiffness must be at most 1e+07
-stability --hand 0,0,1e300                          | hand stiffness must be at most 1e+07
+stability --hand 1e-300,0,0,0,1e10                  | hand grip_stiffness must be between 0 and 1e7
+stability --hand 0,0,1e300                          | hand stiffness must be between 0 and 1e7
 stability --hand 0.2,0,0,1,0                        | grip_stiffness above 0 in a soft grip
 # sweeps
 sweep drop                                          | a sweep needs --vary NAME=VALUES; for one run: maglev-mj run drop

@@ -165,8 +165,6 @@ def test_coils_that_cannot_give_every_wrench_are_refused(device: Device) -> None
     coils = coil_map(device)
     with pytest.raises(ModelError, match="singular"):
         CoilMap(coils.points, np.tile([0.0, 0.0, 1.0], (6, 1)), coils.force_constants)
-    with pytest.raises(ModelError, match=r"six coils are needed for six axes: points .*got [(]5, 3"):
-        CoilMap(coils.points[:5], coils.directions[:5], coils.force_constants[:5])
     with pytest.raises(ParameterError, match="current must be at least 0"):
         coils.largest_wrench(-1.0)
 

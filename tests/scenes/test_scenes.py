@@ -176,7 +176,7 @@ def test_a_run_is_on_the_scene_s_usual_plant_unless_it_is_told() -> None:
 def test_phases_outside_their_bounds_are_refused() -> None:
     for phases, words in (
         ([0.5, 1.0], "phases must all be below 1 .got 1"),
-        ([-0.5, 0.0], r"phases must be finite and at least 0 \(got -0.5"),
+        ([-0.5, 0.0], r"phases must be at least 0 \(got -0.5"),
         ([], "phases must be an integer or a list of phases"),
         ([[0.5]], "phases must be an integer or a list of phases"),
     ):
@@ -376,5 +376,5 @@ def test_an_option_that_a_plant_lacks_is_named() -> None:
             return {"stops": True}
 
     Stopped().plant("mujoco", model="maglev").close()
-    with pytest.raises(ParameterError, match="plant exact does not accept stops"):
+    with pytest.raises(ParameterError, match=r"argument of ExactPlant must be one of .*got 'stops'"):
         run(Stopped(), plant="exact")

@@ -221,8 +221,6 @@ def test_a_scene_that_may_be_unstable_warns_in_one_line(monkeypatch: pytest.Monk
     assert unknown is not None and "\n" not in unknown
     refused = "echoing may be unstable: stability not computed; 133 poses skipped: "
     assert unknown.startswith(refused)  # with the words of `unstable_loop`, which refuses it
-    late = stability_warning(Detents(period=0.001, delay=0.05))
-    assert late is not None and late.startswith("detents may be unstable: delay must be at most 10 periods")
     with pytest.raises(
         ParameterError, match="law Detent must have six wrench"
     ):  # a slip in a law is no question of gains

@@ -212,7 +212,7 @@ def test_least_dynamic_stiffness_has_its_limits() -> None:
     [
         ({"period": 0.0}, "period must be between 1e-6 and 0.1 s .got 0.0"),
         ({"delay": 0.0501}, "delay must be at most 0.05 s, 10 periods .got 0.0501"),
-        ({"mass": -0.7}, r"mass must be finite and at least 0 \(got -0.7"),
+        ({"mass": -0.7}, r"mass must be above 0 \(got -0.7"),
         ({"velocity": AdaptiveWindow()}, "velocity must be a linear estimator"),
         ({"driver_lag": -1.0}, "driver_lag must be"),
         ({"delay": [0.0, 0.001], "period": [T] * 3}, "period and delay must share a shape"),
@@ -232,7 +232,7 @@ def test_bad_loops_are_refused_with_the_value(loop: dict[str, Any], words: str) 
         ({"mass": -1.0}, "hand mass must be"),
         ({"grip_stiffness": 100.0}, "hand mass must be at least 0.001"),
         ({"mass": 0.1, "grip_stiffness": 0.0}, "grip_stiffness above 0 in a soft grip"),
-        ({"stiffness": 1e300}, "hand stiffness must be at most 1e[+]07"),
+        ({"stiffness": 1e300}, "hand stiffness must be between 0 and 1e7"),
         ({"mass": "a"}, "hand mass must be a number"),
         ({"grip_damping": 1.0}, "hand grip_damping must be 0"),
         ({"mass": [1.0, 2.0], "damping": [1.0, 2.0, 3.0]}, "must share a shape"),
