@@ -43,6 +43,16 @@ def test_every_scene_passes_the_check_and_a_batch_goes_as_one_device(scene: str)
     assert (following[:, 4:] != of_all[:, 4:]).all()
 
 
+def test_each_device_of_a_batch_has_its_own_seed() -> None:
+    batch = gym.TargetVectorEnv(3)
+    seeded = batch.reset(seed=[5, 7, 5])[0]
+    for seed, observation in zip((5, 7, 5), seeded, strict=True):
+        assert (gym.TargetEnv().reset(seed=seed)[0] == observation).all()
+    assert (batch.reset()[0][0] != seeded[0]).any() and batch.reset(seed=5)[0].shape == seeded.shape
+    with pytest.raises(ParameterError, match=r"seed must be an integer or one per device, 3 \(got 2\)"):
+        batch.reset(seed=[1, 2])
+
+
 def test_the_agents_force_is_that_of_the_plant_and_a_reward_that_of_the_distance() -> None:
     env = gym.TargetEnv(Free())
     observation, _ = env.reset(seed=1)

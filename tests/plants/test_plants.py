@@ -218,7 +218,11 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
         (ExactPlant, {"mass": 0.0}, "mass must be above 0"),
         (ExactPlant, {"pose": np.zeros((3, 6)), "twist": np.zeros((2, 6))}, "must have one batch shape"),
         (ExactPlant, {"wrench": math.inf}, r"wrench must be a finite number \(got inf"),
-        (ExactPlant, {"timing": Timing(delay=[0.001, 0.002]), "pose": np.zeros((3, 6))}, r"delay must be a number or have shape \(3,\)"),
+        (
+            ExactPlant,
+            {"timing": Timing(delay=[0.001, 0.002]), "pose": np.zeros((3, 6))},
+            r"delay must be a number or have shape \(3,\)",
+        ),
         (MuJoCoPlant, {"timing": Timing(delay=[0.001, 0.002])}, "delay must be a number .got"),
         (MuJoCoPlant, {"longest_step": 0.0}, r"longest_step must be above 0.* \(got 0"),
         (MuJoCoPlant, {"coils": False, "driver_lag": True}, "driver_lag and force_falloff need coils=True"),

@@ -32,12 +32,14 @@ from numpy.typing import ArrayLike
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.control import AxisLaw, Bias, Hold, Law, gain
 from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws.base import setting
 from maglev_mj.control.loop import Answers, ControlLoop, Plant
-from maglev_mj.control.timeline import split_delay
+from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Component, Sample
-from maglev_mj.parameters import SAMPLE_PERIOD, number, numbers, transport_delay
+from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.coils import CoilMap
+from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 
 LINES = np.array([[4.5 + axis, 10.5 + axis] for axis in range(6)])
 """Excitation frequencies, two per axis [Hz], (6, 2).
@@ -121,11 +123,7 @@ class Trim(AxisLaw):
     """
 
     gain: ArrayLike = gain(unit="N/(m s), N m/(rad s)")
-    period: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        number("period", self.period, **SAMPLE_PERIOD)
+    period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
 
     def force(self, x: Component, v: Component, gains: Any, state: Component | None) -> tuple[Component, Component]:
         """Return force and next state of one axis, which are equal; see `AxisLaw`."""
@@ -330,10 +328,9 @@ def identify(
     if x.ndim != 2 or x.shape[1:] != (6,) or i.shape != x.shape:
         raise ParameterError(f"poses and currents must both have shape (N, 6) (got {x.shape} and {i.shape})")
     frequencies = numbers("lines", lines, at_least=0.0).ravel()
-    number(
-        "the highest line", float(frequencies.max(initial=0.0)), below=0.5 / number("period", period, **SAMPLE_PERIOD)
-    )
-    wholes, remainder = split_delay(float(transport_delay(number("delay", delay), period)), period)
+    timing = Timing(period=period, delay=number("delay", delay))
+    number("the highest line", float(frequencies.max(initial=0.0)), below=0.5 / timing.period)
+    wholes, remainder = timing.whole, float(timing.rest)
     ahead, switched = int(wholes) + 2, remainder / period
     if (count := len(x) - ahead - 1) < 1:
         raise IdentificationError(f"the motion must be longer than {len(x)} samples")
