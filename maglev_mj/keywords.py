@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from functools import wraps
 from typing import Any, TypeVar
 from weakref import WeakSet
@@ -50,11 +51,13 @@ def with_period(names: Collection[str], keywords: Mapping[str, Any]) -> dict[str
     """Return keywords with `rate` [Hz] replaced by `period` [s] if only the latter is among the accepted names."""
     changed = dict(keywords)
     if "rate" in changed and "rate" not in names and "period" in names:
-        from maglev_mj.parameters import numbers  # imported here: loads NumPy
+        import numpy as np  # slow to load
 
         if "period" in changed:
             raise KeywordError("period and rate must not both be given")
-        changed["period"] = (1.0 / numbers("rate", changed.pop("rate"), above=0.0)).tolist()
+        changed["period"] = changed.pop("rate")
+        with suppress(TypeError, ValueError), np.errstate(divide="ignore"):  # no number: the period's check says so
+            changed["period"] = (1.0 / np.asarray(changed["period"], dtype=np.float64)).tolist()
     return changed
 
 

@@ -79,17 +79,15 @@ def number(
         result = math.nan if isinstance(value, _NOT_NUMBERS) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         result = math.nan
-
-    def fits(number: float) -> bool:
-        return above < number < below and at_least <= number <= at_most and math.isfinite(number)
-
-    if not fits(result):
+    if not (above < result < below and at_least <= result <= at_most and math.isfinite(result)):
         bounds = {"above": above, "at least": at_least, "below": below, "at most": at_most}
         limits = " and ".join(f"{word} {bound:g}" for word, bound in bounds.items() if math.isfinite(bound))
         limits = re.sub(r"e\+?(-?)0?(?=\d)", r"e\1", re.sub(r"^at least (\S+ and) at most", r"between \1", limits))
         allowed = [*["a finite number"] * (not limits or not math.isfinite(result)), *[limits] * bool(limits), unit]
-        near = [f"{result * 1e-3:g} s"] * (unit[:2] in ("s", "s,") and result >= 0.01 and fits(result * 1e-3))
-        near += [f"a rate of {result:g} Hz"] * (name == "period" and result > 0.0 and fits(1.0 / result))
+        guesses = {f"{result * 1e-3:g} s": result * 1e-3} if unit[:2] in ("s", "s,") and result >= 0.01 else {}
+        if name == "period" and result > 0.0:
+            guesses[f"a rate of {result:g} Hz"] = 1.0 / result
+        near = [text for text, guess in guesses.items() if at_least <= guess <= at_most]
         hint = f"; did you mean {' or '.join(near)}?" if near else ""
         raise ParameterError(f"{name} must be {' '.join(filter(None, allowed))} (got {one_line(value)}){hint}")
     return result
@@ -192,10 +190,9 @@ def transport_delay(value: ArrayLike, period: ArrayLike) -> Array:
     """
     delays, periods = numbers("delay", value, at_least=0.0), np.asarray(period)
     shape = common_shape("period and delay", periods.shape, delays.shape)
-    if (ratio := delays / periods).size:
+    if ((ratio := delays / periods) > MAX_DELAY_PERIODS * (1.0 + 1e-9)).any():
         delay, time = (float(np.broadcast_to(part, shape).flat[np.argmax(ratio)]) for part in (delays, periods))
-        most = MAX_DELAY_PERIODS * time * (1.0 + 1e-9)
-        number("delay", delay, at_most=most, unit=f"s, {MAX_DELAY_PERIODS} periods")
+        number("delay", delay, at_most=MAX_DELAY_PERIODS * time, unit=f"s, {MAX_DELAY_PERIODS} periods")
     return delays
 
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import ParameterError, check_instance, named
+from maglev_mj.errors import ParameterError, check_instance, named, one_line
 from maglev_mj.frames import AXES, ZERO, Array, Component
-from maglev_mj.parameters import Parameters, Turn, axis_indices, numbers, param, transport_delay
+from maglev_mj.parameters import Parameters, Turn, axis_indices, param, transport_delay
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.hand import HandForce
 from maglev_mj.plants.model import Body, body_of
@@ -66,7 +66,8 @@ class Start:
 
     def __post_init__(self) -> None:
         for name in ("pose", "twist", "wrench"):
-            numbers(f"start {name}", getattr(self, name), shape="(6,)")
+            if np.shape(values := getattr(self, name)) != (len(AXES),):
+                raise ParameterError(f"start {name} must have shape (6,) (got {one_line(values)})")
 
 
 class Scene(Parameters):

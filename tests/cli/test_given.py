@@ -92,7 +92,7 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "scene, misspelt": (lambda: m.run("drp"), "scene must be one of .*'drp'.; did you mean drop"),
     "scene, a number": (lambda: m.run(3), "scene must be a Scene, .*(not|got) 3"),
     "values first": (lambda: m.sweep({"height": [0.001]}, "drop"), "scene must be a Scene, .*height"),
-    "values, a name": (lambda: m.sweep(DROP, "height"), "vary must be lists of values .*(not|got) 'height'"),
+    "values, a name": (lambda: m.sweep(DROP, "height"), "vary must be a mapping of .*(not|got) 'height'"),
     "no values": (lambda: m.sweep(DROP, {"height": []}), r"vary must give a list of values for height.*(not|got) \[\]"),
     "range of a fidelity": (lambda: m.measure_fidelity(DROP, over=4), "over must be a Range, .*(not|got) 4"),
     "cells": (lambda: m.run_cells(list, 3), "cells must be a list of cells.*(not|got) 3"),
@@ -121,10 +121,10 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "address of a device": (lambda: m.RemotePlant("upd://127.0.0.1:5"), "address must be udp://.*'upd://127.0.0.1:5'"),
     "link to be stopped": (lambda: m.estop(None), "link must be an address .*(not|got) None"),
     "twin": (lambda: m.Twin(3), r"parameters must be TwinParameters.*(not|got) 3"),
-    "target, three numbers": (lambda: m.SpringHand(target=[0, 0, 0]), r"target must be a pose .*(not|got) \[0, 0, 0\]"),
+    "target, three numbers": (lambda: m.SpringHand(target=[0, 0, 0]), r"target must have shape \(6,\) \(got \(3,\)"),
     "target of a device": (
         lambda: m.SpringHand(device_target=[0.0, 1.0]),
-        r"device_target must be a pose .*(not|got) \[0.0",
+        r"device_target must have shape \(6,\) \(got \(2,\)",
     ),
 }
 

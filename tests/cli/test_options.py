@@ -139,7 +139,7 @@ NEEDED = {
     "analyse": "a.maglev",
     "export": "a.maglev --to csv",
 }
-TIMED = set("view render drop press stick-slip run stability design card compare fidelity twin".split())
+TIMED = set("sweep view render drop press stick-slip run stability design card compare fidelity twin".split())
 
 
 def test_a_rate_is_understood_where_a_period_is() -> None:
@@ -150,8 +150,8 @@ def test_a_rate_is_understood_where_a_period_is() -> None:
             with suppress(SystemExit):
                 options = vars(program.parse([*words, more]))
                 found.append({name: value for name, value in options.items() if name == "rate" or "period" in name})
-        known = {"rate": 500.0} if command == "twin" else {"parameter period": 0.002}
-        assert found == 2 * [known] * (command in TIMED), command
+        known = {"rate": 500.0} if command in ("twin", "sweep") else {"parameter period": 0.002}
+        assert found == (1 if command == "sweep" else 2) * [known] * (command in TIMED), command
 
 
 def test_a_scene_may_have_a_rate_of_its_own(tmp_path: Path) -> None:

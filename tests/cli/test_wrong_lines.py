@@ -106,6 +106,7 @@ stability --hand 1e-300,0,0,0,1e10                  | hand grip_stiffness must b
 stability --hand 0,0,1e300                          | hand stiffness must be between 0 and 1e7
 stability --hand 0.2,0,0,1,0                        | grip_stiffness above 0 in a soft grip
 # sweeps
+drop --out out.png | out must be a folder; try --out . --format png (got 'out.png')
 sweep drop                                          | a sweep needs --vary NAME=VALUES; for one run: maglev-mj run drop
 sweep joystick --vary stiffness=1000,2000 --out .   | out is not supported: joystick has no figures to draw
 card nothing.json | calibration 'nothing.json' cannot be read: No such file or directory
