@@ -139,7 +139,7 @@ def sweep(
         ),
     ],
     set: Annotated[list[str], option("fixed parameter value; repeatable", "grid", "NAME=VALUE")],
-    rate: Annotated[float | None, option("sample rate [Hz], as --set rate=RATE", "grid")] = None,
+    rate: Annotated[float | None, option("sample rate [Hz], as --set rate=RATE", "grid", above=0.0)] = None,
     json: Annotated[str | None, json_of("cells and figures")] = None,
     record: Annotated[
         Path | None,

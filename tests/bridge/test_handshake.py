@@ -62,7 +62,7 @@ def with_(**values: Any) -> Callable[[Any], Any]:
 
 
 ABSURD: list[tuple[str, Any, str]] = [
-    *(("period", value, "period must be between 1e-05 and 0.1") for value in (0, 9_999, 100_000_001, 2**64 - 1)),
+    *(("period", value, "period must be between 1e-5 and 0.1") for value in (0, 9_999, 100_000_001, 2**64 - 1)),
     *(("delay", value, "delay must be between 0 and 0.1") for value in (100_000_001, 2**64 - 1)),
     *(("watchdog", value, "watchdog must be") for value in (0, 999_999, 1_000_000_001, 2**64 - 1)),
     *(("enable", value, "enable must be") for value in (0, 9_999, 1_000_000_001)),

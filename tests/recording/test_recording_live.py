@@ -254,7 +254,7 @@ def test_what_was_there_stays_without_a_sample_and_is_replaced_by_samples(tmp_pa
 
 def test_many_samples_take_little_memory_to_read(tmp_path: Path) -> None:
     path = tmp_path / "run.maglev"
-    write_run(path, Drop(period=0.0001, duration=0.5), plant="exact")
+    write_run(path, Drop(period=0.0001, delay=0.001, duration=0.5), plant="exact")
     tracemalloc.start()
     ticks = Recording.load(path).ticks
     _, peak = tracemalloc.get_traced_memory()

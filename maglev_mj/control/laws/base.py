@@ -15,11 +15,10 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, datacla
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import MaglevError, ParameterError, named
 from maglev_mj.frames import AXES, Array, Component, Six
 from maglev_mj.keywords import with_hints
-from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis, store
+from maglev_mj.parameters import SAMPLE_PERIOD, axis_indices, batch_shape, flag, number, numbers, per_axis, store
 from maglev_mj.spec import INERTIA
 
 
@@ -442,12 +441,12 @@ class Hold(AxisLaw):
         Args:
             axes: Names from AXES.
             period: Sample period [s].
-            delay: Transport delay [s].
+            delay: Transport delay [s], up to 1 s: also for a device that answers late.
             inertia: Mass or moment of inertia m on these axes [kg, kg m²]; the published device's by default.
             target: Target pose [m, rad].
         """
-        timing = Timing(period=period, delay=number("delay", delay))
-        frequency = min(50.0, 0.25 / (timing.period + float(timing.delay)))
+        lag = number("period", period, **SAMPLE_PERIOD) + number("delay", delay, at_least=0.0, at_most=1.0, unit="s")
+        frequency = min(50.0, 0.25 / lag)
         body = (
             np.array(INERTIA)[list(axis_indices(axes))]
             if inertia is None
