@@ -27,7 +27,9 @@ together = pytest.mark.xdist_group("imports")  # so that each file is parsed onc
 
 # floor of each room and loose module; a module imports only from floors below its own, and from its own room
 FLOORS = {
-    **dict.fromkeys("errors files frames keywords spec versions lazy process colours pictures result terminal".split(), 0),
+    **dict.fromkeys(
+        "errors files frames keywords spec versions lazy process colours pictures result terminal".split(), 0
+    ),
     "parameters": 1,
     "control": 2,
     "plants": 3,
