@@ -65,6 +65,10 @@ class KeywordError(ParameterError, TypeError):
     """Unknown or contradictory arguments of a public function or class."""
 
 
+class TooManyCallsError(ParameterError):
+    """A law without declared gains is too slow to linearise numerically."""
+
+
 class MissingPackageError(MaglevError):
     """An optional dependency is not installed."""
 

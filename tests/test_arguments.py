@@ -24,7 +24,7 @@ from maglev_mj.errors import KeywordError, MaglevError, ParameterError
 from maglev_mj.interop import gym
 from maglev_mj.parameters import Parameters
 from maglev_mj.plants.hand import RecordedHand, SpringHand, Trajectory
-from maglev_mj.theory.boundary import colgate
+from maglev_mj.theory.boundary import gil
 from maglev_mj.theory.closed_loop import SampledLoop
 from tests.all_of import LAWS, SCENES
 from tests.test_all_of import below
@@ -130,7 +130,7 @@ def test_a_rate_is_taken_for_a_period() -> None:
         assert scene(**rate) == scene().replace(**rate) == scene(period=0.002)
     assert theory.critical_delay(6e3, 80.0, **rate) == theory.critical_delay(6e3, 80.0, period=0.002)
     with pytest.raises(KeywordError, match="period and rate must not both be given"):
-        colgate(5.0, **rate, period=0.005)
+        gil(5.0, **rate, period=0.005, delay=0.0)
     assert maglev_mj.sweep("twist", {"rate": [200.0, 500.0]}, plant="exact").varied == {"period": [0.005, 0.002]}
 
 

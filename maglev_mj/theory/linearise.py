@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import perf_counter as _clock
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import MaglevError, check_instance, require
+from maglev_mj.errors import MaglevError, TooManyCallsError, check_instance, named, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.pictures import save
@@ -28,7 +29,10 @@ _LARGEST = np.array([1e-7] * 3 + [1e-6] * 3)
 """Largest test displacement [m, rad]."""
 _REST, _MEMORY, _LONGEST, _QUIET = 40, 64, 512, 8
 """Samples at rest before the displacement, recorded after it (initially and at most), and zero at the end."""
-_CUT, _BENT = 1e-9, 1e-3
+_BUDGET, _WINDOW = 2.0, 8
+"""Largest time of the calls of one linearisation [s], and calls of which the fastest counts: a busy machine delays
+others."""
+_CUT, _BENT = 1e-9, 1e-2
 """Thresholds of zero and of nonlinearity, relative to the largest response."""
 _RANK, _FIT, _MOST, _INTEGRATES = 1e-7, 1e-6, 24, 1e-7
 """Realisation: least singular value, largest error, most states, and distance of an integrator's pole from 1.
@@ -238,7 +242,7 @@ class StateSpace(LinearController):
         return loop_matrix(body, before, after, whole, waiting, *self)
 
 
-def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
+def linearise(controller: Controller, poses: ArrayLike, *, axes: str | Sequence[str] = AXES) -> list[Linearised]:
     """Return a controller's linearisation at each pose.
 
     Thirteen copies per pose, one undisturbed and two for each axis, rest there for 40 samples, so that friction sticks
@@ -249,9 +253,11 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     Args:
         controller: The controller, with laws for one device; it is not changed.
         poses: Poses [m, rad], (P, 6) or (6,).
+        axes: Names of the displaced axes; the response to the others is zero.
 
     Raises:
         ParameterError: If `controller` is not a Controller, or the poses have another shape.
+        TooManyCallsError: If the laws would take more than 2 s.
         MaglevError: If a law fails at a pose.
 
     Example:
@@ -264,20 +270,19 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     """
     check_instance("controller", controller, Controller, "a Controller")
     rest = np.atleast_2d(numbers("poses", poses, shape="(6,) or (P, 6)"))
-    size = np.minimum(_LARGEST, _SPEED * controller.period)
-    shift = np.zeros((13, 6))
-    shift[1:7], shift[7:] = np.diag(size), np.diag(-0.5 * size)
-    still = np.repeat(rest, 13, axis=0)
-    moved = still + np.tile(shift, (len(rest), 1))
-    rows = _responses(controller, still, moved)
-    # the actual change of a coordinate, rounding included
-    change, axes, linearised = (moved - still).reshape(len(rest), 13, 6), np.arange(6), []
+    chosen = list(axis_indices(axes))
+    size, n = np.minimum(_LARGEST, _SPEED * controller.period), len(chosen)
+    shift = np.concatenate([np.zeros((1, 6)), np.diag(size)[chosen], np.diag(-0.5 * size)[chosen]])
+    still = np.repeat(rest[:, None], len(shift), axis=1)
+    moved = still + shift
+    rows = _Responses(controller, still, moved).rows()
+    change, linearised = moved - still, []  # the actual change of a coordinate, rounding included
     for index, pose in enumerate(rest):
-        forces = rows[:, index]
-        difference = forces[:, 1:] - forces[:, :1]
-        up, down = difference[:, :6].swapaxes(1, 2), difference[:, 6:].swapaxes(1, 2)  # [j, to, from]
-        step, back = change[index, 1 + axes, axes], change[index, 7 + axes, axes]
-        linearised.append(_near(pose, controller.period, up / step, down / back))
+        difference = np.moveaxis(rows[:, index, 1:] - rows[:, index, :1], 1, 2)  # [j, to, from]
+        up, down = np.zeros((2, len(rows), 6, 6))
+        steps = change[index, 1 + np.arange(2 * n), chosen * 2]
+        up[:, :, chosen], down[:, :, chosen] = np.split(difference / steps, 2, axis=2)
+        linearised.append(_near(pose, controller.period, up, down))
     length = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
     return [replace(near, response=near.response[:length]) for near in linearised]
 
@@ -300,17 +305,90 @@ def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
     return Linearised(pose=pose, period=period, response=response, jumps=jumps, settled=np.asarray(finite & quiet))
 
 
-def _responses(controller: Controller, still: Array, moved: Array) -> Array:
-    """Return the wrenches of each pose's thirteen devices from the displaced sample on, (M, P, 13, 6)."""
-    # a law may respond with a delay: the first pose gives the number of samples
-    rows = _steps(controller, still[:13], moved[:13], _LONGEST)
-    if len(still) == 13:
-        return rows
-    memory = min(max(_MEMORY, np.flatnonzero(_alive(rows)).max(initial=0) + 1 + _QUIET), _LONGEST)
-    rows = _steps(controller, still, moved, memory)
-    if memory < _LONGEST and _alive(rows)[-_QUIET:].any():
-        rows = _steps(controller, still, moved, _LONGEST)
-    return rows
+class _Responses:
+    """Wrenches of D devices, the first one undisturbed, at each of P poses, (P, D, 6): at rest, and displaced."""
+
+    def __init__(self, controller: Controller, still: Array, moved: Array) -> None:
+        self._controller, self._still, self._moved = controller, still, moved
+        self._calls, self._needed, self._spent, self._fastest = 0, 0, 0.0, np.inf
+
+    def rows(self) -> Array:
+        """Return the wrenches from the displaced sample on, (M, P, D, 6)."""
+        # a law may respond with a delay: the first pose gives the number of samples
+        rows = self._batch(slice(1), _LONGEST)
+        if rows is None or len(self._still) == 1:
+            return self._one_by_one() if rows is None else rows
+        memory = min(max(_MEMORY, _support(rows) + _QUIET), _LONGEST)
+        rows = self._batch(slice(None), memory)
+        if rows is not None and memory < _LONGEST and _alive(rows)[-_QUIET:].any():
+            rows = self._batch(slice(None), _LONGEST)
+        return self._one_by_one() if rows is None else rows
+
+    def _batch(self, poses: slice, memory: int) -> Array | None:
+        """Return the wrenches computed as one batch; None if a law does not accept arrays."""
+        ends = [part[poses].reshape(-1, 6) for part in (self._still, self._moved)]
+        self._calls, self._needed = 0, 2 * (_REST + memory)
+        try:
+            (still, moved), (one, last) = map(components, ends), (end[-1].tolist() for end in ends)
+            rows = self._after(self._rest(still), still, moved, memory)
+            single = self._after(self._rest(one), one, last, memory)
+        except TooManyCallsError:
+            raise
+        except (MaglevError, TypeError, ValueError):  # a law that accepts floats only, as with math.sin or `if`
+            return None
+        with np.errstate(invalid="ignore"):
+            differs = np.abs(rows[:, -1:] - single) > _CUT * np.abs(single).max(initial=1e-300)
+        return None if differs.any() else rows.reshape(memory, -1, *self._still.shape[1:])
+
+    def _one_by_one(self) -> Array:
+        poses, devices = self._still.shape[:2]
+        rows, memory, longest = np.zeros((_LONGEST, poses, devices, 6)), min(_MEMORY, _LONGEST), 0
+        self._calls, self._needed = 0, poses * (_REST + 2 * _QUIET * devices)
+        for index, (still, moved) in enumerate(zip(self._still.tolist(), self._moved.tolist(), strict=True)):
+            rested, part = self._rest(still[0]), rows[:, index : index + 1]
+            for length in dict.fromkeys((memory, _LONGEST)):
+                for device, pose in enumerate(moved):
+                    part[:length, 0, device] = self._after(rested, still[0], pose, length)[:, 0]
+                if not _alive(part[:length])[-_QUIET:].any():
+                    break
+            longest = max(longest, length)
+            memory = min(max(memory if index else 2 * _QUIET, _support(part[:length]) + _QUIET), _LONGEST)
+        return rows[:longest]
+
+    def _rest(self, still: Sequence[Any]) -> Controller:
+        rested = copy.copy(self._controller)
+        rested.reset()
+        for tick in range(-_REST, 0):
+            self._step(rested, tick, still)
+        return rested
+
+    def _after(self, rested: Controller, still: Sequence[Any], moved: Sequence[Any], memory: int) -> Array:
+        """Return the wrenches of a rested controller at each sample, (M, N, 6)."""
+        moving = copy.copy(rested)
+        moving._states, moving._velocity_state = copy.deepcopy((rested._states, rested._velocity_state))
+        forces = [self._step(moving, tick, still if tick else moved) for tick in range(memory)]
+        count = np.size(still[0])
+        if count == 1:
+            return np.array(forces).reshape(memory, 1, 6)
+        return np.array([[np.broadcast_to(part, count) for part in force] for force in forces]).swapaxes(1, 2)
+
+    def _step(self, controller: Controller, tick: int, position: Sequence[Any]) -> Sequence[Any]:
+        begin = _clock()
+        force = controller.step(Sample(tick, 0.0, position)).force
+        self._calls, self._fastest = self._calls + 1, min(self._fastest, _clock() - begin)
+        if self._calls % _WINDOW == 0:
+            self._spent += _WINDOW * self._fastest
+            if self._spent + max(self._needed - self._calls, 0) * self._fastest > _BUDGET:
+                laws = [law for law in self._controller.laws if law.gains() is None] or self._controller.laws
+                names = " and ".join(dict.fromkeys(getattr(law, "name", named(type(law))) for law in laws))
+                calls = f"{self._needed} calls, over {_BUDGET:g} s"
+                raise TooManyCallsError(f"stability not computed: law {names} needs {calls}; declare gains()")
+            self._fastest = np.inf
+        return force
+
+
+def _support(rows: Array) -> int:
+    return 1 + int(np.flatnonzero(_alive(rows)).max(initial=0))
 
 
 def _alive(rows: Array) -> Mask:
@@ -318,34 +396,6 @@ def _alive(rows: Array) -> Mask:
     with np.errstate(invalid="ignore"):
         gap = np.abs(rows - rows[:, :, :1])
         return np.asarray((~(gap <= _CUT * gap.max(axis=0))).any(axis=(1, 2, 3)))
-
-
-def _steps(controller: Controller, still: Array, moved: Array, memory: int) -> Array:
-    """Return the wrenches of N devices, as one batch, or one by one if a law does not accept arrays."""
-    try:
-        rows = _batch(controller, components(still), components(moved), memory, len(still))
-        single = _batch(controller, still[-1].tolist(), moved[-1].tolist(), memory, 1)
-        with np.errstate(invalid="ignore"):
-            differs = np.abs(rows[:, -1:] - single) > _CUT * np.abs(single).max(initial=1e-300)
-        batched = not differs.any()
-    except (MaglevError, TypeError, ValueError):  # a law that accepts floats only, as with math.sin or `if`
-        batched = False
-    if not batched:
-        each = (_batch(controller, *ends, memory, 1) for ends in zip(still.tolist(), moved.tolist(), strict=True))
-        rows = np.concatenate(list(each), axis=1)
-    return rows.reshape(memory, -1, 13, 6)
-
-
-def _batch(controller: Controller, still: Sequence[Any], moved: Sequence[Any], memory: int, count: int) -> Array:
-    """Return the wrench at each sample, (M, N, 6)."""
-    copied, rows = copy.copy(controller), np.empty((memory, count, 6))
-    copied.reset()
-    for tick in range(-_REST, memory):
-        force = copied.step(Sample(tick, 0.0, moved if tick == 0 else still)).force
-        if tick >= 0:
-            for axis, part in enumerate(force):
-                rows[tick, :, axis] = part
-    return rows
 
 
 def realise(response: Array) -> StateSpace | None:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import compress, product
+from itertools import compress, pairwise, product
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
@@ -17,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import ParameterError, check_instance
-from maglev_mj.frames import AXES, ZERO, Array
+from maglev_mj.errors import ParameterError, TooManyCallsError, check_instance
+from maglev_mj.frames import AXES, ZERO, Array, Sample
 from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.pictures import save
 from maglev_mj.plants.hand import Hand, get_hand
@@ -39,11 +40,13 @@ The range is a fraction of the range of motion, chosen so that few poses fall on
 """
 _LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 12
 """Longest delay and finest step of a margin [s], delays per period, and bisections."""
-_OFF, _DEPTHS = 1e-5, (1e-6, 1e-4)
+_OFF, _DEPTHS = 1e-5, (1e-6, 1e-5, 1e-4)
 """Distances from an edge [m]; ten times as many [rad].
 
-The first moves a start off an edge, the others are depths of poses inside a face.
+The first moves a start off an edge, the others are depths of poses inside a face or another edge.
 """
+_PROBE, _EDGE, _LOCATED = 1e-7, 1e-4, 10
+"""Displacement that probes for an edge [m, 0.1 rad], relative change that marks one, and bisections of its interval."""
 _SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
@@ -214,7 +217,8 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
     """Return the stability verdict on the closed loop of a free flotor.
 
     If all laws declare their gains, the loop is exact in every combination of their states. Otherwise the controller
-    is linearised at the start, at the centre, along each axis, and inside each face; coupled axes form one loop.
+    is linearised at the start, at the centre, along each axis, and 1 µm to 0.1 mm inside each face and each edge of a
+    region of constant gains; coupled axes form one loop.
 
     Args:
         controller: The controller, with laws for one device; it is not changed.
@@ -403,7 +407,9 @@ def _linearised(controller: Controller, pose: Array, body: Array) -> _Loops:
     away: list[_Loop] = []
     previous: list[_Loop] = []
     jumps, unknown, judged = [], [], set()
-    for near in linearise(controller, _poses(controller, pose)):
+    grid = linearise(controller, _poses(controller, pose))
+    edges = [*_edges(controller, grid[2 : 2 + len(AXES) * _POINTS])]
+    for near in [*grid, *(linearise(controller, edges) if edges else ())]:
         scaled = near.scaled(body)
         for axes in _coupled(scaled):
             chosen = list(axes)
@@ -516,7 +522,10 @@ def axis_loop(
         around: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
         spectral_radius = SampledLoop(mass=inertia[axis], hand=held, **around).spectral_radius(stiffness, damping)
         return stiffness, float(spectral_radius)
-    (near,) = linearise(controller, pose)
+    try:
+        (near,) = linearise(controller, pose, axes=AXES[axis])
+    except TooManyCallsError:
+        return math.nan, math.nan
     loop = _loop(near, (axis,), near.scaled(inertia)[:, axis : axis + 1, axis : axis + 1], [])
     if near.jumps[axis] or (loop.system is None and not loop.settles):
         return math.nan, math.nan
@@ -555,7 +564,10 @@ def delay_margins(
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
     gains, period = stated_gains(controller), controller.period
     if gains is None:
-        linear = _linearised(controller, start, body)
+        try:
+            linear = _linearised(controller, start, body)
+        except TooManyCallsError:
+            return dict.fromkeys(hands, math.nan)
         if not linear.complete:
             return dict.fromkeys(hands, math.nan)
         loops = [*_grouped(linear.loops)]
@@ -620,6 +632,41 @@ def _poses(controller: Controller, start: Array) -> Array:
     for axis, normal, edge in controller.faces:
         rows += [_with(start, axis, float(edge) - normal * depth * _SCALE[axis]) for depth in _DEPTHS]
     return np.array(rows)
+
+
+def _edges(controller: Controller, grid: Sequence[Linearised]) -> Iterator[Array]:
+    """Yield poses just beyond the edges of regions of constant gains, such as free motion, along each axis."""
+    for axis in range(len(AXES)):
+        line = grid[axis * _POINTS : (axis + 1) * _POINTS]
+        same = [_same(*(near.response for near in pair)) for pair in pairwise(line)]
+        for index in (index for index, equal in enumerate(same) if not equal):
+            ends = line[index].pose, line[index + 1].pose
+            for (outside, inside), constant in ((ends, same[:index][-1:]), (ends[::-1], same[index + 1 :][:1])):
+                if constant != [True]:
+                    continue
+                slope = _slope(controller, outside, axis)
+                for _ in range(_LOCATED):
+                    middle = 0.5 * (outside + inside)
+                    unchanged = _same(_slope(controller, middle, axis), slope)
+                    outside, inside = (middle, inside) if unchanged else (outside, middle)
+                sign = np.sign(inside[axis] - outside[axis]) * _SCALE[axis]
+                yield from (_with(inside, axis, inside[axis] + sign * depth) for depth in _DEPTHS)
+
+
+def _slope(controller: Controller, pose: Array, axis: int) -> Array:
+    """Return the change of the wrench by a small displacement along one axis, (1, 6)."""
+    forces = []
+    for step in (0.0, _PROBE * _SCALE[axis]):
+        probe = copy(controller)
+        probe.reset()
+        for tick, shift in enumerate((0.0, 0.0, step)):
+            command = probe.step(Sample(tick, 0.0, _with(pose, axis, pose[axis] + shift).tolist()))
+        forces.append(command.force)
+    return np.diff(forces, axis=0)
+
+
+def _same(first: Array, second: Array) -> bool:
+    return bool(np.abs(first - second).max() <= _EDGE * max(np.abs(first).max(), np.abs(second).max()))
 
 
 def _with(pose: Array, axis: int, value: float) -> Array:

@@ -27,12 +27,13 @@ from maglev_mj.control import (
     Window,
     gain,
 )
-from maglev_mj.errors import MissingPackageError, ParameterError
+from maglev_mj.errors import MissingPackageError, ParameterError, TooManyCallsError
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, spectral_radius, stability, stated_gains
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import ClosedLoop, Linearised, linearise
+from maglev_mj.theory.verdict import axis_loop, delay_margins
 from tests.sweeps import further, sweep
 
 T, DELAY = 0.005, 0.0015
@@ -481,3 +482,47 @@ def test_a_hold_on_an_axis_without_a_wall_is_judged_too() -> None:
     # of two that are unstable the worse is named
     worse = [*laws, Hold(axes="z", stiffness=1e9, damping=1.0)]
     assert judge(Controller(worse, period=0.005), delay=DELAY).axes == ("z",)
+
+
+class Growing(AxisLaw):
+    """Wall without declared faces; its damping grows with depth."""
+
+    edge: float = gain(at_least=-np.inf)
+    side: float = gain(at_least=-1.0)
+    growth: float = gain(above=0.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        depth = (gains.edge - x) * gains.side
+        damping = 80.0 * np.minimum(depth / gains.growth, 1.0)
+        return np.where(depth > 0.0, gains.side * 6000.0 * depth - damping * v, 0.0)
+
+
+@pytest.mark.parametrize("edge", [0.0, 1.3e-4, -2.2e-3, 3.9e-3])
+@pytest.mark.parametrize("growth", [1e-4, 1e-3, 4e-3])
+def test_a_law_unstable_near_an_edge_alone_is_unstable(edge: float, growth: float) -> None:
+    axis = AXES[int(1e4 * abs(edge)) % 3]
+    law = Growing(axes=axis, edge=edge, side=-1.0 if edge < 0.0 else 1.0, growth=growth)
+    found = judge(Controller([law, Hold(axes="ry", stiffness=1.0, damping=0.01)], period=T), delay=DELAY)
+    assert found.stable is False and found.axes == (axis,)
+    assert found.spectral_radius == pytest.approx(spectral_radius(6000.0, 0.0, period=T, delay=DELAY), abs=0.005)
+
+
+@pytest.mark.parametrize("cost", [0.0, 20e-6, 1e-3, 0.1])
+def test_the_calls_of_a_slow_law_are_limited(cost: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = 0
+
+    def slow(position: Sequence[Any], velocity: Sequence[Any]) -> list[float]:
+        nonlocal calls
+        calls += 1
+        return [-300.0 * float(position[0]) - 3.0 * float(velocity[0]), 0.0, 0.0, 0.0, 0.0, 0.0]
+
+    monkeypatch.setattr("maglev_mj.theory.linearise._clock", lambda: calls * cost)
+    controller = Controller([slow], period=T)
+    if cost < 1e-4:
+        assert judge(controller, delay=DELAY).stable and calls < 40_000
+        return
+    with pytest.raises(TooManyCallsError, match=r"not computed: law slow needs \d+ calls, over 2 s; declare gains\(\)"):
+        judge(controller, delay=DELAY)
+    assert (calls - 8) * cost < 2.0
+    assert all(map(math.isnan, delay_margins(controller, ["none"]).values()))
+    assert cost < 0.1 or math.isnan(axis_loop(controller, 0, pose=[0.0] * 6, delay=DELAY, inertia=np.array(INERTIA))[1])
