@@ -19,9 +19,6 @@ from maglev_mj.errors import MaglevError
 NICE = 5
 """Niceness of processes without deadlines."""
 
-LONGEST_ANSWER = 10.0
-"""Timeout for an answer from a side process [s]."""
-
 _TIMEOUT = 10.0
 
 
@@ -133,40 +130,42 @@ class SideAnswers(SideProcess):
     Args:
         function: Picklable function of a question's parts; parts and answers must be picklable.
         unknown: Beginning of the error message if there is no answer.
+        timeout: Timeout for an answer [s].
     """
 
     _question: tuple[Any, ...] | None = None
-    _until, _busy = math.inf, True  # busy until the first message: imports done
+    _until: float | None = None  # None without a question in progress
+    _busy = True  # until the first message: imports done
 
-    def __init__(self, function: Callable[..., Any], unknown: str) -> None:
+    def __init__(self, function: Callable[..., Any], unknown: str, timeout: float = math.inf) -> None:
         super().__init__(_answer, function)
-        self._unknown = unknown
+        self._unknown, self._timeout = unknown, timeout
 
     def ask(self, *question: Any) -> None:
         """Set the question that the next `answer` sends; earlier ones are dropped."""
-        self._question, self._until = question, time.monotonic() + LONGEST_ANSWER
+        self._question, self._until = question, time.monotonic() + self._timeout
 
     def answer(self) -> Any:
         """Return the answer to the newest question, once; None if there is none yet.
 
         Raises:
-            MaglevError: If the function fails or takes over 10 s, or the process has ended.
+            MaglevError: If the function fails or exceeds the timeout, or the process has ended.
         """
         answer: Any = None
         for message in self.received():
             self._busy = False
-            if self._question is None and self._until < math.inf:  # else it answers an older question
+            if self._question is None and self._until is not None:  # else it answers an older question
                 answer = message
         if self._question is not None and not self._busy:
             self.send(self._question)
             self._question, self._busy = None, True
-        if self._until < math.inf and answer is None:
+        if self._until is not None and answer is None:
             if self.ended:
                 answer = MaglevError(f"{self._unknown}: its process has ended")
             elif time.monotonic() > self._until:
-                answer = MaglevError(f"{self._unknown}: timeout after {LONGEST_ANSWER:g} s")
+                answer = MaglevError(f"{self._unknown}: timeout after {self._timeout:g} s")
         if answer is not None:
-            self._question, self._until = None, math.inf
+            self._question = self._until = None
         if isinstance(answer, MaglevError):
             raise answer
         return answer

@@ -50,6 +50,7 @@ class Table(NamedTuple):
         rows: Texts and numbers.
         note: Notes below the rows, one per line; empty for none.
         below: Tables to append.
+        warnings: Warnings, printed first.
     """
 
     title: str
@@ -57,6 +58,7 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[Any]]
     note: str = ""
     below: Sequence[Table] = ()
+    warnings: Sequence[str] = ()
 
     def __str__(self) -> str:
         """Return the table for a terminal, at most 80 characters wide.
@@ -64,6 +66,7 @@ class Table(NamedTuple):
         Texts are left-aligned, numbers right-aligned. Columns that do not fit continue below; the last text column is
         wrapped.
         """
+        warnings = [line for text in self._warning_lines() for line in wrapped(printable(text), further=2 * _INDENT)]
         title = wrapped(printable(self.title), "", _INDENT) if self.title else []
         columns = [list(map(_text, column)) for column in zip(self.head, *self.rows)] if self.rows else []
         left = [any(map(_has_words, column[1:])) for column in columns]
@@ -80,7 +83,7 @@ class Table(NamedTuple):
             shown = [*around[: max(first, 1)], *group, *around[max(first, 1) :]]
             block += _block([columns[index] for index in shown], [left[index] for index in shown], gap)
         notes = [line for remark in self.note.splitlines() for line in wrapped(printable(remark), further=2 * _INDENT)]
-        parts = ["\n".join(lines) for lines in (title, block, notes) if lines]
+        parts = ["\n".join(lines) for lines in (warnings, title, block, notes) if lines]
         return "\n\n".join([*parts, *map(str, self.below)])
 
     def _repr_html_(self) -> str:
@@ -88,9 +91,12 @@ class Table(NamedTuple):
         return (
             f"<table><caption>{escape(self.title)}</caption><thead><tr>{_cells('th', self.head)}</tr></thead>"
             f"<tbody>{rows}</tbody></table>"
-            + "".join(f"<p>{escape(remark)}</p>" for remark in self.note.splitlines())
+            + "".join(f"<p>{escape(remark)}</p>" for remark in [*self._warning_lines(), *self.note.splitlines()])
             + "".join(table._repr_html_() for table in self.below)
         )
+
+    def _warning_lines(self) -> list[str]:
+        return [f"Warning: {text}" for text in self.warnings]
 
 
 class Result:
@@ -112,6 +118,11 @@ class Result:
     def units(self) -> Mapping[str, str]:
         """Unit of each column; empty or missing for none."""
         raise NotImplementedError
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Verdicts printed above the table: an unstable wall, and force or motion beyond the device's."""
+        return ()
 
     def table(self) -> Table:
         """Return the table displayed in a terminal and a notebook."""

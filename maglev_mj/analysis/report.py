@@ -163,6 +163,11 @@ class SegmentReport(Result):
         run = self.metadata
         return f"{run.name}, {1.0 / run.period:g} Hz, delay {run.delay * 1e3:g} ms"
 
+    @property
+    def warnings(self) -> list[str]:
+        """See `Result`."""
+        return [f"wall: {self.wall}"] if self.wall is not None and self.wall.spectral_radius >= 1.0 else []
+
     def table(self) -> Table:
         """Return the tables of figures, comparison and identified quantities.
 
@@ -174,7 +179,9 @@ class SegmentReport(Result):
         if comparison is not None:
             below.append(comparison.table())
         span = f"{figures.samples} samples, {figures.start:.4g} to {figures.end:.4g} s, {figures.missed} lost"
-        return Table(f"{self.run_title}: {span}", [], [], below=[*below, self.identified.table()])
+        return Table(
+            f"{self.run_title}: {span}", [], [], below=[*below, self.identified.table()], warnings=self.warnings
+        )
 
     def plot(self, path: Path | str | None = None, axis: str | None = None) -> Any:
         """Draw recording and simulation of the run on an axis; see `Result.plot`.

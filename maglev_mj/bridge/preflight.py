@@ -313,7 +313,8 @@ def _problem(scene: Scene, report: LinkReport, critical_delay: float) -> str:
             f"{100.0 * _ANSWERED:.0f} % required: keep a processor free or use a faster link"
         )
     if math.isnan(critical_delay):
-        return f"critical delay of {scene.name} not computed: its laws have too long a memory, or a discontinuous force"
+        causes = "have too long a memory or a discontinuous force, or are too slow to linearise (declare gains())"
+        return f"critical delay of {scene.name} not computed: its laws {causes}"
     if critical_delay == 0.0:
         return f"{scene.name} is unstable even without delay: reduce its stiffness or increase its damping"
     if critical_delay < report.delay_95:

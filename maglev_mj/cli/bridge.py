@@ -50,7 +50,7 @@ from maglev_mj.session import DEVICE_PARAMETERS, UNKNOWN, Snapshot, device_actio
 from maglev_mj.terminal import say, wrapped
 from maglev_mj.views.viewer_process import RemoteViewer, ViewerFunction
 
-_IDENTIFYING = 10.0
+_IDENTIFYING, _ANSWER = 10.0, 10.0
 _IDENTIFICATION = "identification (instead of a scene)"
 _MEASURED = 10.0
 _LIMITS = "limits of the host (the device's own limits apply too)"
@@ -246,7 +246,7 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
             last.push(partial(_keep, file))
         judge = None
         if viewer is not None:  # before real-time scheduling, which a child process would inherit
-            judge = SideAnswers(partial(judge_change, report=result.report, anyway=flown.anyway), UNKNOWN)
+            judge = SideAnswers(partial(judge_change, report=result.report, anyway=flown.anyway), UNKNOWN, _ANSWER)
             last.callback(judge.close, 0.0)
         flight = Flight(
             plant,

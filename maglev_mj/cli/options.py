@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 from maglev_mj.cli.declare import KINDS, Container, Option, Parser, Shared, beside_inverse, number_option, option
 from maglev_mj.cli.output import add_pictures, chosen_pictures
 from maglev_mj.errors import ParameterError
-from maglev_mj.terminal import say
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.commissioning.calibration import Calibration
@@ -308,20 +306,6 @@ def add_phase(parser: Parser, group: str, default: float | None) -> None:
 def scene_class(options: argparse.Namespace) -> Any:
     """Return the scene or class that `add_scene` stored; None without one."""
     return options.scene_class
-
-
-def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None, delay: float | None = None) -> None:
-    """Warn on standard error if a scene may be unstable.
-
-    Args:
-        scene: See `stability_warning`.
-        inertia: See `stability_warning`.
-        delay: See `stability_warning`.
-    """
-    from maglev_mj.scenes.stability_check import stability_warning
-
-    if (warning := stability_warning(scene, inertia=inertia, delay=delay)) is not None:
-        say(f"  warning: {warning}", sys.stderr)
 
 
 def _scene_word(parser: Parser, option: str | None, names: Sequence[str]) -> str | None:

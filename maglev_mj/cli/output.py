@@ -246,7 +246,9 @@ def write_result(
         calls = {picture: {}} if picture else {name: {"picture": name} for name in getattr(result, "pictures", ())}
         return [] if pictures is None else [result.plot(pictures.path(name), **kw) for name, kw in calls.items()]
 
-    write_results(json, result.as_json, lambda: str(result.table()), draw, written)
+    with Progress("stability"):  # of a law without declared gains
+        warnings = {"warnings": list(result.warnings)} if result.warnings else {}
+    write_results(json, lambda: {**result.as_json(), **warnings}, lambda: str(result.table()), draw, written)
 
 
 FORMATS = "png", "pdf", "svg"

@@ -18,7 +18,7 @@ from typing import NamedTuple, TextIO
 import maglev_mj
 from maglev_mj.cli.declare import Parser, joined
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.terminal import say
+from maglev_mj.terminal import printable, say, wrapped
 
 
 class Command(NamedTuple):
@@ -159,7 +159,9 @@ def _run(options: argparse.Namespace) -> int:
     except (MaglevError, OSError) as error:
         if isinstance(error, BrokenPipeError) and _is_unread(sys.stdout):
             raise
-        say(f"maglev-mj {options.command}: {error}", sys.stderr)
+        print(
+            *wrapped(printable(f"maglev-mj {options.command}: {error}"), "", ""), sep="\n", file=sys.stderr, flush=True
+        )
         _drop_unwritten()
         return 1
     except Exception as error:

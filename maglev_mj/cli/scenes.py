@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import partial
@@ -20,7 +21,6 @@ from maglev_mj.cli.options import (
     add_scene,
     chosen_scene,
     json_of,
-    warn_of_instability,
 )
 from maglev_mj.cli.output import Progress, keep_partial, print_written, write_result
 from maglev_mj.cli.peripherals import HandOptions, PageOptions, show_session
@@ -85,7 +85,6 @@ def run(
     """Run a scene, built-in or from your own file."""
     from maglev_mj.scenes.run import run_variants
 
-    warn_of_instability(scene)
     alone = json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
     banded = pictures is not None and scene.band_phases and "exact" in scene.plants
@@ -143,10 +142,15 @@ def view(
 ) -> int:
     """Show a scene in a window or browser and drag its handle with the mouse."""
     from maglev_mj.plants.hand import SpringHand
+    from maglev_mj.result import Table
+    from maglev_mj.scenes.stability_check import stability_warning, started
     from maglev_mj.session import Session
+    from maglev_mj.theory import stated_gains
 
     hand = SpringHand.of_mouse(hand_stiffness)
-    warn_of_instability(scene)  # also raises errors of a user's scene before a page opens
+    controller = started(scene)  # raises errors of a user's scene before a page opens
+    if stated_gains(controller) is not None and (warning := stability_warning(scene)):  # else the viewer computes it
+        print(Table("", (), (), warnings=[warning]), file=sys.stderr)
     front = page.open()
     if front is None:
         # imported here: loads the window library

@@ -267,7 +267,10 @@ def stability_map(
     record: Annotated[Path | None, cells_in("none")] = None,
     workers: WorkerOptions,
 ) -> int:
-    """Map the stability of a wall by theory and simulation (figure 2), or judge a scene."""
+    """Map the stability of a wall by theory and simulation (figure 2), or judge a scene.
+
+    The exit status is 0 for an unstable wall too; `stable` in the JSON of one wall or scene is the verdict.
+    """
     if pictures is not None:
         for name in ("damping", "stiffness"):
             if (limits := getattr(region, name)) is not None and limits[0] == limits[1]:
@@ -294,8 +297,12 @@ _JudgedScene: TypeAlias = Annotated[Scene, Shared(_add_stability_scene, chosen_s
 
 
 def stability(*, scene: _JudgedScene, json: Json = None, pictures: Picture) -> int:
-    """Map the stability of a wall by theory and simulation (figure 2), or judge a scene."""
-    verdict = judge(scene)
+    """Map the stability of a wall by theory and simulation (figure 2), or judge a scene.
+
+    The exit status is 0 for an unstable wall too; `stable` in the JSON of one wall or scene is the verdict.
+    """
+    with Progress("stability"):
+        verdict = judge(scene)
     data = {"scene": scene.name, "parameters": scene.as_json(), **verdict.as_json()}
     heading = "\n".join(wrapped(f"{scene.name}: {scene.describe()}", "", "  "))
     draw = partial(lambda folder: [verdict.plot(folder.path("stability"))] if folder else [], pictures)

@@ -210,8 +210,12 @@ def _figures_of(members: Sequence[tuple[int, _Member]]) -> list[tuple[int, Mappi
         good = np.flatnonzero(observer.always)
         rows: list[Mapping[str, Any]] = []
         for start in range(0, good.size, _AT_ONCE):
-            figures = figures_of_each(result[good[start : start + _AT_ONCE]])
-            rows += [dict(zip(figures, row, strict=True)) for row in zip(*figures.values(), strict=True)]
+            some = result[good[start : start + _AT_ONCE]]
+            figures, marks = figures_of_each(some), some.marks()
+            rows += [
+                {**dict(zip(figures, row, strict=True)), **({"warnings": mark} if mark else {})}
+                for mark, row in zip(marks, zip(*figures.values(), strict=True), strict=True)
+            ]
         return [(members[device][0], row) for device, row in zip(good.tolist(), rows, strict=True)]
     except Exception:  # reported by the single run
         half = len(members) // 2

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -221,8 +222,25 @@ class RunResult(Result):
         return Variants({self.scene.name: self}).plot(path, picture)
 
     def table(self) -> Table:
-        """Return the figures with warnings; for a batch, the table of its `Phases`."""
-        return self.over_phases().table() if np.ndim(self.phase) else Variants({self.scene.name: self}).table()
+        """Return the figures; for a batch, the table of its `Phases`."""
+        return self._shown.table()
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """See `Result`."""
+        return self._shown.warnings
+
+    @cached_property
+    def _shown(self) -> Phases | Variants:
+        return self.over_phases() if np.ndim(self.phase) else Variants({self.scene.name: self})
+
+    def marks(self) -> list[str]:
+        """Return what each device exceeds, such as "force limit, range"; empty for nothing."""
+        body = self.scene.body
+        force = np.ravel(np.abs(self.trace.wrench[:-1, ..., 2]).max(axis=0)) / body.force_limit
+        reach = (self.trace.furthest().reshape(-1, len(body.range)) / body.range).max(axis=1)
+        exceeded = np.array([force, reach]).T > _ROUNDING
+        return [", ".join(compress(("force limit", "range"), row)) for row in exceeded.tolist()]
 
     def over_phases(self) -> Phases:
         """Return the figures at each phase; a single run has one phase."""
@@ -305,6 +323,11 @@ class Phases(Result):
     def table(self) -> Table:
         """Return median, 5th and 95th percentile of each figure."""
         return Variants({}, {self.scene.name: self}).table()
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """See `Result`."""
+        return Variants({}, {self.scene.name: self}).warnings
 
     def percentile(self, share: float) -> dict[str, Array]:
         """Return a percentile of each figure over the sampling phases.
@@ -396,7 +419,7 @@ class Variants(Result):
         return save(loaded(names[chosen])(self), path)
 
     def table(self) -> Table:
-        """Return the figures of each run and their spread over the phases, below any warnings."""
+        """Return the figures of each run and their spread over the phases."""
         scene = self.first.scene
         runs: dict[str, Mapping[str, Any]] = {label: result.figures for label, result in self.runs.items()}
         runs |= scene.compared(self.first) if runs else {}
@@ -405,15 +428,14 @@ class Variants(Result):
         at = f"phase {self.first.phase:g}" if runs and scene.takes_phase else ""
         plant = ", ".join(filter(None, [f"plant {self.first.plant}", at if runs else over]))
         title = f"{scene.title or scene.name}, {plant}: {', '.join(parameter_texts(scene))}"
-        warnings, note = "\n".join(self._warnings()), "\n".join(self._remarks())
-        both = "\n".join(filter(None, [warnings, note]))
+        note, warnings = "\n".join(self._remarks()), self.warnings
         if not runs:
-            return _figures_table(title, scene, spreads, Figure.spread)._replace(note=both)
-        table = _figures_table(title, scene, runs, Figure.text)
+            return _figures_table(title, scene, spreads, Figure.spread)._replace(note=note, warnings=warnings)
+        table = _figures_table(title, scene, runs, Figure.text)._replace(warnings=warnings)
         if not spreads:
-            return table._replace(note=both)
+            return table._replace(note=note)
         spread = _figures_table(over, scene, spreads, Figure.spread, brief=True)
-        return table._replace(note=warnings, below=[spread._replace(note=note)])
+        return table._replace(below=[spread._replace(note=note)])
 
     def _remarks(self) -> Iterator[str]:
         yield from self._rank()
@@ -435,6 +457,17 @@ class Variants(Result):
                 count = int(np.isfinite(values).reshape(len(values), -1).all(axis=1).sum())
                 if count < len(values):
                     yield f"{label}: {figure_head(name)} defined at {count} of {len(values)} phases"
+
+    @cached_property
+    def warnings(self) -> Sequence[str]:
+        """See `Result`."""
+        check, labels = loaded("maglev_mj.scenes.stability_check:stability_warning"), dict[str | None, list[str]]()
+        for label in dict.fromkeys([*self.runs, *self.phases]):
+            scene = (self.runs[label] if label in self.runs else self.phases[label]).scene
+            labels.setdefault(check(scene), []).append(label)
+        several = len(labels) > 1
+        unstable = [f"{', '.join(names)}: " * several + text for text, names in labels.items() if text]
+        return [*unstable, *(text.removeprefix("Warning: ") for text in self._warnings())]
 
     def _warnings(self) -> Iterator[str]:
         """Yield a line for a force and for a motion that the device cannot produce."""
@@ -467,19 +500,6 @@ def chaos_note(subject: str, moved: float, unit: str) -> str:
     return f"{subject}: chaotic, single figures are not reproducible ({change}); use many phases for the spread"
 
 
-class _RunTable(Table):
-    """Table that prints the warnings of its note first."""
-
-    __slots__ = ()
-
-    def __str__(self) -> str:
-        lines = self.note.splitlines()
-        warnings = [line for line in lines if line.startswith("Warning: ")]
-        head = str(Table("", (), (), "\n".join(warnings)))
-        table = Table(self.title, self.head, self.rows, "\n".join(lines[len(warnings) :]), self.below)
-        return "\n\n".join(filter(None, [head, str(table)]))
-
-
 def _figures_table(
     title: str,
     scene: Any,
@@ -500,7 +520,7 @@ def _figures_table(
         )
         for name, figure in named.items()
     ]
-    return _RunTable(title, ("figure", *figures, "unit", *(["meaning"] if meaning else [])), rows)
+    return Table(title, ("figure", *figures, "unit", *(["meaning"] if meaning else [])), rows)
 
 
 def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:

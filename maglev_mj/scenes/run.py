@@ -84,9 +84,10 @@ def run(
 
 
 def figures_of(scene: Scene, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
-    """Return the figures of one run by name, from the scene's `run_figures` if defined."""
+    """Return the figures of one run by name, from the scene's `run_figures` if defined; and any `warnings`."""
     if scene.run_figures is None:
-        return run(scene, plant=plant, phase=phase).figures
+        result = run(scene, plant=plant, phase=phase)
+        return {**result.figures, **({"warnings": mark} if (mark := result.marks()[0]) else {})}
     figures: Mapping[str, Any] = scene.run_figures(plant, phase)
     return figures
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from time import thread_time as _clock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj import theory
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
+from maglev_mj.errors import MaglevError, ParameterError, TooManyCallsError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, components, unit_of
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes.find import line_of
@@ -20,7 +22,7 @@ from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.closed_loop import bisect
-from maglev_mj.theory.verdict import axis_loop, stability
+from maglev_mj.theory.verdict import axis_loop, stability, stated_gains, stated_spectral_radii
 
 STEP_FORCE = 2.0
 """Default limit of force steps caused by other programs [N].
@@ -34,8 +36,8 @@ UNKNOWN = "stability not computed"
 _ARM = 0.05
 """Lever arm that converts a torque to a force [m], about the radius of the flotor."""
 
-_FACTOR, _MOST, _HALVINGS = 1.2, 14, 13
-"""Factor of a gain per step, most steps, and bisections of the last one."""
+_FACTOR, _MOST, _HALVINGS, _SEARCH = 1.2, 14, 13, 2.0
+"""Factor of a gain per step, most steps, bisections of the last one, and processor time for all [s]."""
 
 _ACTING = {"contact": "walls", "stuck": "friction"}
 
@@ -138,7 +140,7 @@ class WallMargin(NamedTuple):
     Attributes:
         stiffness: Static stiffness [N/m, N m/rad].
         spectral_radius: Spectral radius of the wall's loop, below 1 for a stable wall; NaN if not computed.
-        margin: Critical over present stiffness, other gains unchanged; NaN above tenfold.
+        margin: Critical over present stiffness, other gains unchanged; NaN above tenfold, or if laws are slow.
     """
 
     stiffness: float
@@ -191,12 +193,16 @@ def wall_margin(
     if math.isnan(spectral_radius):  # also with any other stiffness
         return WallMargin(stiffness, spectral_radius, margin)
 
+    begin = _clock()
+
     def changed(factor: Any) -> Any:
+        if _clock() - begin > _SEARCH:
+            raise TooManyCallsError("margin not computed")
         other = loop(float(factor), *worst)[1]
         return other >= 1.0 if spectral_radius < 1.0 else other < 1.0  # NaN (not computed) is no change
 
     factors = (_FACTOR if spectral_radius < 1.0 else 1.0 / _FACTOR) ** np.arange(_MOST)
-    with suppress(StopIteration, ParameterError):  # no change up to tenfold, or outside the scene's bounds
+    with suppress(StopIteration, ParameterError):  # no change up to tenfold, outside the scene's bounds, or too slow
         last = next(index for index, factor in enumerate(factors[1:]) if changed(factor))
         margin = float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
     return WallMargin(stiffness, spectral_radius, margin)
@@ -225,26 +231,45 @@ def check_step(present: Controller, new: Controller, pose: Sequence[float], step
                 raise ParameterError(f"force step on {axis} at the present pose must be {bound}")
 
 
-def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> str | None:
-    """Return a stability warning of one line, or None.
-
-    Args:
-        scene: See `unstable_loop`.
-        inertia: See `unstable_loop`.
-        delay: See `stability`.
+def started(scene: Scene) -> Controller:
+    """Return a scene's controller after its first sample.
 
     Raises:
-        ParameterError: If the timing or a law's output at the first sample is invalid, as in a run.
+        ParameterError: If the timing, the start or a law's output is invalid, as in a run.
     """
     scene.timing()
-    controller = scene.controller()
-    start = scene.start()
+    controller, start = scene.controller(), scene.start()
     check_instance(f"start() of {named(type(scene))}", start, Start, "a Start")
     controller.step(Sample(0, 0.0, components(numbers("pose", start.pose))))
-    if not hasattr(controller.velocity, "linear"):  # numerical linearisation would delay the start by seconds
+    return controller
+
+
+def stability_warning(scene: Scene) -> str | None:
+    """Return a stability warning of one line, or None.
+
+    It is also None for a velocity estimator that is not linear.
+    """
+    if not hasattr(scene.controller().velocity, "linear"):
         return None
     try:
-        loop = unstable_loop(scene, inertia=inertia, delay=delay)
+        loop = unstable_loop(scene)
     except MaglevError as error:
         return f"{scene.name} may be unstable: {error}"
     return None if loop is None else f"{scene.name} is unstable: {loop}"
+
+
+def unstable(scenes: Sequence[Scene]) -> list[bool]:
+    """Return True for each scene with an unstable loop, by declared gains alone."""
+    loops, result = defaultdict[Any, list[Any]](list), [False] * len(scenes)
+    for index, scene in enumerate(scenes):
+        with suppress(Exception):  # the run reports errors of a user's scene
+            controller = scene.controller()
+            kind = scene.period, scene.delay, *scene.body.inertia.tolist(), repr(controller.velocity)
+            for pair in (stated_gains(controller) or {}).values():
+                loops[kind].append((index, controller, pair))
+    for (_, delay, *body, _), group in loops.items():
+        indices, (controller, *_), pairs = zip(*group)
+        radii = stated_spectral_radii(pairs, controller, delay, np.array(body))
+        for index, spectral_radius in zip(indices, radii.tolist(), strict=True):
+            result[index] |= spectral_radius >= 1.0
+    return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -77,6 +78,11 @@ class DeviceCard(Result):
 
         return save(device_card(self), path)
 
+    @property
+    def warnings(self) -> Sequence[str]:
+        """See `Result`."""
+        return ["target wall is unstable: no simulated impedance"] * bool(np.isnan(self.impedance[3]).all())
+
     def table(self) -> Table:
         """Return figures, walls and masses of each hand, and impedances."""
         figures = [("transparency bandwidth (impedance within 3 dB of target)", self.transparent, "Hz")]
@@ -98,7 +104,7 @@ class DeviceCard(Result):
             Table(title, heads, hands, note),
             Table("Impedance", [with_unit(*unit) for unit in self.units.items()], some),
         )
-        return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables)
+        return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables, warnings=self.warnings)
 
 
 def device_card(scene: SceneLike) -> DeviceCard:

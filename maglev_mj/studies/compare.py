@@ -108,17 +108,20 @@ class Comparison(Variants):
     def table(self) -> Table:
         """Return a row for each law: its contact, and below its rest in the wall."""
         figures: Mapping[str, Figure] = self.first.scene.figures
+        unstable = [label for label, one in self.margins.items() if one["spectral_radius"] >= 1.0]
+        mark = {label: f"{label}{' (unstable)' * (label in unstable)}" for label in self.margins}
         rows = [
-            [label, *(one.spread(phases.figures[name], _SHARES.values()) for name, one in figures.items())]
+            [mark[label], *(one.spread(phases.figures[name], _SHARES.values()) for name, one in figures.items())]
             for label, phases in self.phases.items()
         ]
         head = [with_unit(name.replace("_", " "), one.unit) for name, one in figures.items()]
         named = {name: _MARGIN_HEADS.get(name, name.replace("_", " ")) for name in _MARGINS}
         still = ["law", *(with_unit(named[name], unit) for name, unit in _MARGINS.items())]
-        below = Table(_AT_REST, still, [[label, *one.values()] for label, one in self.margins.items()], _MARGIN_NOTE)
+        rest = [[mark[label], *one.values()] for label, one in self.margins.items()]
+        below = Table(_AT_REST, still, rest, _MARGIN_NOTE)
         count = len(next(iter(self.phases.values())).phases)
         over = f"plant {self.first.plant}: median (10th to 90th percentile) over {count} sampling phases"
-        return Table(f"{self._describe()}, {over}", ["law", *head], rows, below=[below])
+        return Table(f"{self._describe()}, {over}", ["law", *head], rows, below=[below], warnings=self.warnings)
 
     def _describe(self) -> str:
         """Return the scene's description, with its pulse only for the laws that have one."""

@@ -112,6 +112,17 @@ class DesignResult(Result):
 
         return save(design_map(self), path)
 
+    @property
+    def warnings(self) -> Sequence[str]:
+        """See `Result`."""
+        limit, grows = Spec.largest_vertical_force.value, int(self.grows.sum())
+        texts = {
+            f"unstable in simulation: {grows} of {len(self.cases)} cases do not settle": grows > 0,
+            f"peak force {self.peak:.3g} N exceeds the device's {limit:g} N limit": self.peak > limit,
+            f"motion exceeds the range of {RANGE[2] * 1e3:g} mm: {self.depth * 1e3:.4g} mm": self.depth > RANGE[2],
+        }
+        return [text for text, holds in texts.items() if holds]
+
     def table(self) -> Table:
         """Return gains, margins, contact and simulated check of the wall."""
         wall, contact, needs = self.wall, self.contact, self.wall.requirements
@@ -145,6 +156,7 @@ class DesignResult(Result):
             ("", "value", "unit", ""),
             rows,
             "\n".join([note, *growing[:_MOST_LISTED], *more]),
+            warnings=self.warnings,
         )
 
     @property

@@ -27,6 +27,7 @@ from maglev_mj.scenes.find import get_scene
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import checked_phase
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.spec import Spec
 from maglev_mj.studies.levels import (
     LEVELS,
@@ -283,7 +284,12 @@ class FidelityResult(Result):
         )
         head = "level", "change [µm]", "worst [µm]", "within [%]", "force [N]", "cost [µs]", ""
         note = "\n".join([*self._range_lines(), legend, *notes])
-        return Table(f"{title}displacement{own}", head, rows, note, below)
+        return Table(f"{title}displacement{own}", head, rows, note, below, self.warnings)
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """See `Result`."""
+        return [*filter(None, [stability_warning(self.preset.scene)])]
 
     def _range_lines(self) -> list[str]:
         """Return remarks about the cases: kinds, numbers, contact with stops."""

@@ -8,11 +8,11 @@ from __future__ import annotations
 import inspect
 import itertools
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, SupportsIndex, TypeAlias
@@ -33,6 +33,7 @@ from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.results import Figure, chaos_note, figure_head, parameter_texts, parameters_json
 from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of, run, sensitivity
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stability_check import unstable
 from maglev_mj.studies.cells import Study, Workers, chosen_workers
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.versions import hash_of
@@ -44,6 +45,11 @@ _SHARES = 0.0, 50.0, 100.0
 _JOBS, _MOST_TOGETHER = 8, 50
 _LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
 _CHAOS = 8
+_WARNINGS = {
+    "unstable": "unstable loop",
+    "force limit": "peak force exceeds the device's limit",
+    "range": "motion exceeds the range",
+}
 _CHECKED = 1000  # cells computed to check a grid
 
 _Run: TypeAlias = tuple[Scene, str, float]
@@ -77,11 +83,14 @@ class Sweep(Result):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return varied values and figures, a row for each cell.
 
-        Figures are in SI units, NaN if missing; those of several hits are left out. `error` is there if a cell failed.
+        Figures are in SI units, NaN if missing; those of several hits are left out. `error` is there if a cell failed,
+        `warnings` if one is unstable or exceeds the device's force or range.
         """
         axes = np.meshgrid(*map(np.array, self.varied.values()), indexing="ij")
         columns: dict[str, NDArray[Any]] = {name: axis.ravel() for name, axis in zip(self.varied, axes, strict=True)}
         columns |= {name: self.figure(name).ravel() for name in self.names if self.is_number(name)}
+        if any(self._marks):
+            columns["warnings"] = np.array(self._marks, dtype=object)
         if self.results.failed:
             columns["error"] = np.array([result.get("error", "") for result in self.results], dtype=object)
         return columns
@@ -163,12 +172,22 @@ class Sweep(Result):
         notes += [self.chaos] if self.chaos else []
         head = "", *([", ".join(choices)] if choices else []), "min", "median", "max", "unit", "cells"
         title = f"Sweep of {self.scene.name} over {over}: {_count(len(self.results))}"
-        return Table(title, head, rows, "\n".join(notes))
+        return Table(title, head, rows, "\n".join(notes), warnings=self.warnings)
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """See `Result`."""
+        counts = Counter(mark for text in self._marks for mark in text.split(", ") if mark)
+        return [f"{count} of {_count(len(self._marks))}: {_WARNINGS.get(mark, mark)}" for mark, count in counts.items()]
+
+    @cached_property
+    def _marks(self) -> list[str]:
+        return [result.get("warnings", "") for result in self.results] if "warnings" in self.results.columns else []
 
     @property
     def names(self) -> list[str]:
         """Names of the figures of the cells."""
-        return [name for name in self.results.columns if name != "error"] or list(self.scene.figures)
+        return [name for name in self.results.columns if name not in ("error", "warnings")] or list(self.scene.figures)
 
     def shown(self, name: str) -> Figure:
         """Return a figure with its unit, without one for an undeclared name."""
@@ -356,10 +375,14 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
         batch = _run_batch(cls, plant, [runs[index] for index in indices])
         for index, figures in zip(indices, batch, strict=True):
             results[index] = figures
-    return [
+    done = [
         _run_single(run, text is not None) if figures is None else plain(figures)
         for run, figures in zip(runs, results, strict=True)
     ]
+    for result, grows in zip(done, unstable([scene for scene, _, _ in runs]), strict=True):
+        if grows:
+            result["warnings"] = ", ".join(filter(None, ["unstable", result.get("warnings")]))
+    return done
 
 
 def _run_of(cell: Cell, text: str | None) -> _Run:
@@ -389,7 +412,8 @@ def _same(figures: Mapping[str, Any] | None, single: Mapping[str, Any]) -> bool:
     """Return True if figures equal those of a single run, except for rounding."""
     if figures is None or figures.keys() != single.keys():
         return False
-    pairs = [(np.array(value, float), np.array(single[name], float)) for name, value in plain(figures).items()]
+    numbers = {name: value for name, value in plain(figures).items() if name != "warnings"}
+    pairs = [(np.array(value, float), np.array(single[name], float)) for name, value in numbers.items()]
     return all(a.shape == b.shape and np.allclose(a, b, 1e-6, 1e-12, equal_nan=True) for a, b in pairs)
 
 

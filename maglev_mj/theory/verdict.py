@@ -574,26 +574,26 @@ def delay_margins(
 
     def spectral_radius(delay: float, hand: Hand | None) -> float:
         if gains is not None:
-            return _stated_spectral_radius(gains, controller, delay, body, hand)
+            return float(stated_spectral_radii([*gains.values()], controller, delay, body, hand).max())
         roots = (_own_spectral_radius(own, loop.still) for loop, own in _roots(loops, delay, body, hand))
         return max(roots, default=0.0)
 
     return {name: _margin(partial(spectral_radius, hand=get_hand(name)), period) for name in hands}
 
 
-def _stated_spectral_radius(
-    gains: _Gains, controller: Controller, delay: float, body: Array, hand: Hand | None
-) -> float:
-    """Return the spectral radius over all axes and law states, without the poles of free motion."""
-    worst = 0.0
+def stated_spectral_radii(
+    gains: Sequence[tuple[Array, Array]], controller: Controller, delay: float, body: Array, hand: Hand | None = None
+) -> Array:
+    """Return the largest spectral radius over the axes for each of N pairs of gains (6,), without free motion, (N,)."""
+    radii = []
     for part, held in ((slice(3), hand), (slice(3, 6), None)):
-        stiffness, damping = (np.array([both[kind][part] for both in gains.values()]).ravel() for kind in (0, 1))
+        stiffness, damping = (np.array([both[kind][part] for both in gains]).ravel() for kind in (0, 1))
         mass = np.tile(body[part], len(gains))
         loop = SampledLoop(period=controller.period, delay=delay, mass=mass, hand=held, velocity=controller.velocity)
         roots = np.linalg.eigvals(loop.matrix(stiffness, damping))
         free = np.where(stiffness > 0.0, 0, np.where(damping > 0.0, 1, 2)) * (held is None)
-        worst = max(worst, *map(_spectral_radius, roots, free))
-    return worst
+        radii.append(np.array([*map(_spectral_radius, roots, free)]).reshape(-1, 3))
+    return np.asarray(np.hstack(radii).max(axis=1))
 
 
 def _margin(spectral_radius: Callable[[float], float], period: float) -> float:

@@ -20,11 +20,12 @@ from maglev_mj.parameters import Parameter
 from maglev_mj.plants.shapes import MIN_ARROW_FORCE
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.stability_check import WallMargin, wall_margin
+from maglev_mj.scenes.stability_check import UNKNOWN, WallMargin, wall_margin
 from maglev_mj.session import DEVICE_PARAMETERS, SHOWN, Snapshot
 from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
 
-_DAMPINGS = 32
+_DAMPINGS, _PROCESSES = 32, 3
+"""Points of a stability boundary, and processes that may be killed before there is no answer."""
 _EMPTY = np.zeros(0)
 
 
@@ -68,7 +69,11 @@ def margin(scene: Scene, delay: float | None = None, inertia: Sequence[float] | 
             return Margin(str(verdict), verdict.stable, wall=wall)
         return _smallest(scene, verdict, list(gains.values()), body, lag)._replace(wall=wall)
     except MaglevError as error:
-        return Margin(f"stability not computed: {error}")
+        return _not_computed(error)
+
+
+def _not_computed(error: Exception) -> Margin:
+    return Margin(f"{UNKNOWN}: {str(error).removeprefix(f'{UNKNOWN}: ')}")
 
 
 def _smallest(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]], body: Array, delay: float) -> Margin:
@@ -108,28 +113,34 @@ class StabilityMap:
         self.scene: Scene | None = None
         self._answers: SideAnswers | None = None
         self._arguments: Any = None
-        self._margin, self._pending = Margin(""), False
+        self._margin, self._left = Margin("computing stability"), 0
 
     def of(self, snapshot: Snapshot) -> Margin:
-        """Return the margin of a snapshot's scene, or the previous one until it is computed."""
-        if not self._pending and (arguments := _arguments(snapshot)) != self._arguments:
-            if self._answers is None or self._answers.ended:
-                self._answers = SideAnswers(margin, "")
-            self._answers.ask(*arguments)
-            self._arguments, self._pending = arguments, True
-        if self._pending and self._answers is not None:
+        """Return the margin of a snapshot's scene, or the previous one for as long as it takes to compute."""
+        if not self._left and (arguments := _arguments(snapshot)) != self._arguments:
+            self._arguments, self._left = arguments, _PROCESSES
+            self._ask()
+        if self._left and self._answers is not None:
             try:
                 computed = self._answers.answer()
-            except Exception:  # no answer, or a scene that cannot be pickled
-                computed = Margin("stability not computed")
+            except Exception as error:  # no answer, or a scene that cannot be pickled
+                self._left = self._left - 1 if self._answers.ended else 0
+                computed = None if self._left else _not_computed(error)
+                if self._left:
+                    self._ask()
             if computed is not None:
-                self.scene, self._margin, self._pending = self._arguments[0], computed, False
+                self.scene, self._margin, self._left = self._arguments[0], computed, 0
         return self._margin
+
+    def _ask(self) -> None:
+        if self._answers is None or self._answers.ended:
+            self._answers = SideAnswers(margin, UNKNOWN)
+        self._answers.ask(*self._arguments)
 
     def wait(self, snapshot: Snapshot) -> None:
         """Compute a missing margin in this process."""
         if self.scene != snapshot.scene:
-            self.scene, self._arguments, self._pending = snapshot.scene, _arguments(snapshot), False
+            self.scene, self._arguments, self._left = snapshot.scene, _arguments(snapshot), 0
             self._margin = margin(*self._arguments)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import time
@@ -28,12 +29,6 @@ from maglev_mj.session import REPLACED, UNKNOWN, ChangeRequest, Snapshot
 from tests.bridge.impaired import ImpairedLine, Impairment
 
 GOOD, STIFF, SLOW = Joystick(stiffness=4000.0), Joystick(stiffness=60_000.0), Joystick(stiffness=10_000.0)
-
-
-@pytest.fixture(autouse=True)
-def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Slow start of the process on a busy machine."""
-    monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
 
 
 # the process
@@ -91,11 +86,11 @@ def test_only_the_newest_request_is_answered(tmp_path: Path) -> None:
 
 
 @pytest.mark.machine
-def test_a_late_answer_is_not_taken_for_the_next_request(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_late_answer_is_not_taken_for_the_next_request() -> None:
     with closing(SideAnswers(_deed, "no")) as answers:
         answers.ask("first")
         assert answered(answers)
-        monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 0.0)
+        answers._timeout = 0.0
         answers.ask("a")
         with pytest.raises(MaglevError, match="no: timeout after 0 s"):
             answered(answers)
@@ -103,7 +98,7 @@ def test_a_late_answer_is_not_taken_for_the_next_request(monkeypatch: pytest.Mon
         answers.ask("a")
         with pytest.raises(MaglevError, match="no: timeout after 0 s"):
             answered(answers)
-        monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
+        answers._timeout = 600.0
         answers.ask("b")
         assert answered(answers) == "B"
 
@@ -248,7 +243,7 @@ class Here:
 
     ended = False
 
-    def __init__(self, deed: Callable[..., Any], unknown: str) -> None:
+    def __init__(self, deed: Callable[..., Any], unknown: str, timeout: float = math.inf) -> None:
         self._deed, self._found = deed, list[Any]()
 
     def ask(self, *question: Any) -> None:
@@ -270,6 +265,7 @@ def test_bridge_checks_settings_in_flight(
     answers: Any, anyway: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bridge, "SideAnswers", answers)
+    monkeypatch.setattr(bridge, "_ANSWER", 600.0)  # slow start of the process on a busy machine
     asks = Ends(SLOW if anyway else STIFF, GOOD)
 
     # instead of a window

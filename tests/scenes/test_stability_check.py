@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES
+from maglev_mj.bridge.preflight import judge_change
 from maglev_mj.control import Hold, Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Sample
@@ -17,10 +18,13 @@ from maglev_mj.plants.model import model_path
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import INERTIA, MASS, Box, Corner, InteractiveScene, Joystick, Table
-from maglev_mj.scenes.stability_check import stability_warning
+from maglev_mj.scenes.run import run
+from maglev_mj.scenes.stability_check import stability_warning, started, unstable, wall_margin
 from maglev_mj.session import STEP_FORCE, check_step, unstable_loop
 from maglev_mj.spec import RANGE
 from maglev_mj.theory import largest_stable_stiffness, stability
+from maglev_mj.views.readings import margin
+from tests.bridge.test_preflight import GOOD
 from tests.sweeps import sweep
 from tests.theory.test_linearise import WEIGHTS, Detent, Echo
 
@@ -203,6 +207,51 @@ def test_a_law_that_states_no_gains_is_judged_too() -> None:
     assert "(must be below 1)" in str(refused)
 
 
+class Slow(Drop):
+    """Drop on a wall of floats that states no gains."""
+
+    calls = 0
+
+    def laws(self) -> list[Any]:
+        def slow(position: Any, velocity: Any) -> list[float]:
+            Slow.calls += 1
+            depth = min(float(position[2]), 0.0)
+            return [
+                0.0,
+                0.0,
+                -self.stiffness * depth - self.damping * float(velocity[2]) * (depth < 0.0),
+                0.0,
+                0.0,
+                0.0,
+            ]
+
+        return [slow]
+
+
+@pytest.mark.parametrize("cost", [0.0, 20e-6, 1e-3])
+@pytest.mark.parametrize(
+    ("asked", "most", "says"),
+    [
+        (lambda scene: run(scene, plant="exact").warnings, 40_000, "not computed"),
+        (stability_warning, 40_000, "not computed"),
+        (lambda scene: wall_margin(scene, held=True), 7_000, "spectral radius 0.877"),
+        (lambda scene: margin(scene).words, 47_000, "not computed"),
+        (lambda scene: judge_change(scene, [*INERTIA], [], report=GOOD, anyway=False)[1], 40_000, "not computed"),
+        (lambda scene: unstable([scene]), 0, "False"),
+    ],
+    ids=["run", "warning", "wall", "viewer", "flight", "sweep"],
+)
+def test_a_slow_law_is_never_called_without_a_limit(
+    asked: Any, most: int, says: str, cost: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Slow, "calls", 0)
+    for clock in ("maglev_mj.theory.linearise._clock", "maglev_mj.scenes.stability_check._clock"):
+        monkeypatch.setattr(clock, lambda: Slow.calls * cost)
+    answer = str(asked(Slow(duration=0.02)))
+    assert Slow.calls <= (most if cost < 1e-3 else 2500)
+    assert says in answer if cost == 1e-3 else "not computed" not in answer
+
+
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_no_scene_warns_as_it_is(name: str) -> None:
     scene = find_scene(name)()
@@ -224,7 +273,7 @@ def test_a_scene_that_may_be_unstable_warns_in_one_line(monkeypatch: pytest.Monk
     with pytest.raises(
         ParameterError, match="law Detent must have six wrench"
     ):  # a slip in a law is no question of gains
-        stability_warning(Slipped())
+        started(Slipped())
 
 
 class Slipped(Detents):
@@ -265,5 +314,5 @@ def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia:
     np.testing.assert_allclose(body, inertia, rtol=2e-3)
     np.testing.assert_array_equal(scene.plant("exact").inertia, body)  # type: ignore[attr-defined]
     assert stability(scene).spectral_radius == stability(scene, inertia=body).spectral_radius
-    warned = stability_warning(scene, inertia=[10.0] * 3 + [1.0] * 3)
-    assert warned is None and (stability_warning(scene) is None) == (body[0] > 1.0)
+    assert unstable_loop(scene, inertia=[10.0] * 3 + [1.0] * 3) is None
+    assert (stability_warning(scene) is None) == (body[0] > 1.0) == (not unstable([scene])[0])

@@ -13,6 +13,7 @@ from maglev_mj import analyse, rebuild, record_run, run
 from maglev_mj.analysis.pictures import _describe
 from maglev_mj.colours import BAD
 from maglev_mj.control import Law, Wall
+from maglev_mj.errors import MaglevError
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.drop import Drop
@@ -23,7 +24,7 @@ from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.session import Snapshot
 from maglev_mj.theory import stability
-from maglev_mj.views.readings import Reading, StabilityMap, readings
+from maglev_mj.views.readings import Reading, StabilityMap, margin, readings
 from tests.bridge.test_flight_changes import Here
 from tests.sweeps import sweep
 from tests.theory.test_linearise import WEIGHTS, Echo
@@ -95,7 +96,6 @@ def test_it_is_that_of_the_hand_delay_and_flotor_in_question() -> None:
 def beside(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[StabilityMap]:
     """Give viewers answers of their own: of this process, or of one beside it, with time for it on a busy machine."""
     monkeypatch.setattr("maglev_mj.views.readings.SideAnswers", request.param)
-    monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
     own = StabilityMap()
     monkeypatch.setattr("maglev_mj.views.readings.STABILITY", own)
     yield own
@@ -134,7 +134,7 @@ def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(beside: Stab
     shots = [shown(Joystick(), delay=delay, **flying) for delay in (0.0021, 0.00212, 0.0031)]
     found = [settled(shots[0], lambda: beside.scene is not None), wall_of(shots[1])]
     assert beside._arguments[1] == 0.0021 and wall_of(shots[2]) != Reading("wall", "...")  # of the same scene
-    found.append(settled(shots[2], lambda: not beside._pending))
+    found.append(settled(shots[2], lambda: not beside._left))
     want = [str(wall_margin(Joystick(), delay=delay, inertia=flying["inertia"])) for delay in (0.0021, 0.0031)]
     assert [one.value for one in found if one] == [want[0], *want]
 
@@ -145,9 +145,42 @@ def test_a_viewer_outlives_the_process(beside: StabilityMap) -> None:
     assert beside._answers is not None
     beside._answers._process.kill()
     beside._answers._process.join()
-    gone, again = Drop(stiffness=3000.0), Drop(stiffness=2000.0)
-    assert settled(shown(gone), lambda: beside.scene == gone) is None
+    again = Drop(stiffness=2000.0)
     assert settled(shown(again), lambda: beside.scene == again) == Reading("wall", str(wall_margin(again)))
+
+
+@pytest.mark.parametrize(
+    ("answers", "words"),
+    [
+        ([None] * 500, "stable: 59 % of critical stiffness"),
+        (["killed", None, "killed"], "stable: 59 % of critical stiffness"),
+        (["killed"] * 3, "stability not computed: its process has ended"),
+        ([TypeError("no pickle")], "stability not computed: no pickle"),
+    ],
+    ids=["slow", "killed twice", "always killed", "raises"],
+)
+def test_each_question_of_a_viewer_is_answered_in_the_end(
+    answers: list[Any], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Faulty(Here):
+        """Process with the next of the answers at each poll, then the right one."""
+
+        def answer(self) -> Any:
+            fault = answers.pop() if answers else margin(*self.question)
+            if fault == "killed":
+                self.ended = True
+                fault = MaglevError("stability not computed: its process has ended")
+            if isinstance(fault, Exception):
+                raise fault
+            return fault
+
+        def ask(self, *question: Any) -> None:
+            self.question = question
+
+    monkeypatch.setattr("maglev_mj.views.readings.SideAnswers", Faulty)
+    stability_map, polls = StabilityMap(), len(answers)
+    texts = [stability_map.of(shown(Drop())).words for _ in range(polls + 1)]
+    assert set(texts[:-1]) <= {"computing stability"} | {words} and texts[-1] == words
 
 
 def test_charts_of_runs_and_recordings_say_it() -> None:
