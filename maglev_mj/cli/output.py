@@ -177,9 +177,15 @@ def _is_writable(folder: Path) -> bool:
 
 
 def keep_partial(error: DivergenceError, json: str | None) -> None:
-    """Write the results of a diverged run, up to the divergence."""
-    if error.partial is not None and json is not None:
-        write_json(json, {**error.partial.as_json(), "diverged": str(error)})
+    """Print the warnings of a diverged run, and write its results up to the divergence."""
+    if error.partial is None:
+        return
+    from maglev_mj.result import Table
+
+    if warnings := list(error.partial.warnings):
+        print(Table("", (), (), warnings=warnings), file=sys.stderr)
+    if json is not None:
+        write_json(json, {**error.partial.as_json(), "warnings": warnings, "diverged": str(error)})
 
 
 def write_json(target: str, data: Mapping[str, Any]) -> None:

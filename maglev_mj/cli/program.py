@@ -17,7 +17,7 @@ from typing import NamedTuple, TextIO
 
 import maglev_mj
 from maglev_mj.cli.declare import Parser, joined
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.terminal import printable, say, wrapped
 
 
@@ -159,8 +159,9 @@ def _run(options: argparse.Namespace) -> int:
     except (MaglevError, OSError) as error:
         if isinstance(error, BrokenPipeError) and _is_unread(sys.stdout):
             raise
+        text = printable(f"maglev-mj {options.command}: {error}")  # commands to copy stay on one line
         print(
-            *wrapped(printable(f"maglev-mj {options.command}: {error}"), "", ""), sep="\n", file=sys.stderr, flush=True
+            *(wrapped(text, "", "") if isinstance(error, PlantError) else [text]), sep="\n", file=sys.stderr, flush=True
         )
         _drop_unwritten()
         return 1

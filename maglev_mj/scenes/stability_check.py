@@ -36,7 +36,7 @@ UNKNOWN = "stability not computed"
 _ARM = 0.05
 """Lever arm that converts a torque to a force [m], about the radius of the flotor."""
 
-_FACTOR, _MOST, _HALVINGS, _SEARCH = 1.2, 14, 13, 2.0
+_FACTOR, _MOST, _HALVINGS, _SEARCH = 1.2, 14, 13, 10.0
 """Factor of a gain per step, most steps, bisections of the last one, and processor time for all [s]."""
 
 _ACTING = {"contact": "walls", "stuck": "friction"}

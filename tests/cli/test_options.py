@@ -95,7 +95,7 @@ def test_a_range_has_two_ends_within_its_bounds() -> None:
             interval("ends", value, at_least=0.0, at_most=5.0)
 
 
-MOST_CALLS, MOST_MODULES = 250, 25
+MOST_CALLS, MOST_MODULES = 380, 30
 
 
 def test_a_command_line_is_a_short_way_to_the_first_law(capsys: pytest.CaptureFixture[str]) -> None:
