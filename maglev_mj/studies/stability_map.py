@@ -354,10 +354,11 @@ def single_wall(p: StabilityParameters, stiffness: float, damping: float) -> Sin
         loop: Any = {**p.loop, "period": 1.0 / rate, "delay": delay}
         return np.asarray(theory.is_stable(theory.spectral_radius(k, b, **loop)))
 
+    scales = {"stiffness": p.mass / p.period**2, "damping": p.mass / p.period, "delay": p.period}
     most = {"delay": MAX_DELAY_PERIODS * p.period, "rate": MAX_DELAY_PERIODS / p.delay if p.delay else math.inf}
 
     def stable_range(name: str) -> tuple[float, float] | None:
-        values = (present[name] or 1e-4) * _FACTORS
+        values = present[name] * _FACTORS if present[name] else scales[name] * _FACTORS**2
         values = values[values <= most.get(name, math.inf)]
         good = stable(name, values)
         if not good.any():
