@@ -26,6 +26,7 @@ _PREFIXES = {1e-3: "k", 1.0: "", 1e3: "m", 1e6: "µ"}
 _STEP = 1e-3
 _ROUNDING = 1.0 + 1e-9
 _UNITS = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "z": "m", "target": "m", "stick_position": "m"}
+_MARKS = "peak force above limit", "motion out of range"
 _HEADS = {"final_z": "final height"}
 
 
@@ -235,12 +236,12 @@ class RunResult(Result):
         return self.over_phases() if np.ndim(self.phase) else Variants({self.scene.name: self})
 
     def marks(self) -> list[str]:
-        """Return what each device exceeds, such as "force limit, range"; empty for nothing."""
+        """Return what each device exceeds, such as "peak force above limit, motion out of range"; empty for nothing."""
         body = self.scene.body
         force = np.ravel(np.abs(self.trace.wrench[:-1, ..., 2]).max(axis=0)) / body.force_limit
         reach = (self.trace.furthest().reshape(-1, len(body.range)) / body.range).max(axis=1)
         exceeded = np.array([force, reach]).T > _ROUNDING
-        return [", ".join(compress(("force limit", "range"), row)) for row in exceeded.tolist()]
+        return [", ".join(compress(_MARKS, row)) for row in exceeded.tolist()]
 
     def over_phases(self) -> Phases:
         """Return the figures at each phase; a single run has one phase."""

@@ -45,11 +45,6 @@ _SHARES = 0.0, 50.0, 100.0
 _JOBS, _MOST_TOGETHER = 8, 50
 _LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
 _CHAOS = 8
-_WARNINGS = {
-    "unstable": "unstable loop",
-    "force limit": "peak force exceeds the device's limit",
-    "range": "motion exceeds the range",
-}
 _CHECKED = 1000  # cells computed to check a grid
 
 _Run: TypeAlias = tuple[Scene, str, float]
@@ -178,7 +173,7 @@ class Sweep(Result):
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
         counts = Counter(mark for text in self._marks for mark in text.split(", ") if mark)
-        return [f"{count} of {_count(len(self._marks))}: {_WARNINGS.get(mark, mark)}" for mark, count in counts.items()]
+        return [f"{count} of {_count(len(self._marks))}: {mark}" for mark, count in counts.items()]
 
     @cached_property
     def _marks(self) -> list[str]:
