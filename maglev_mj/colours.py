@@ -19,6 +19,9 @@ DEVICE: Colour = _VERMILLION
 STOP: Colour = _INK
 """Metal stops and their force."""
 
+PULL: Colour = (0.5, 0.52, 0.55)
+"""Line from the knob to the pointer that pulls it."""
+
 WALL: Colour = _SKY
 """Wall without contact."""
 
@@ -51,6 +54,11 @@ GRID: Colour = (0.89, 0.90, 0.91)
 
 SERIES: tuple[Colour, ...] = (_BLUE, _VERMILLION, _GREEN, _PURPLE, _ORANGE, _SKY, _INK)
 """Colour cycle of charts."""
+
+
+def linear(colour: Colour) -> Colour:
+    """Return linear RGB of an sRGB colour (IEC 61966-2-1)."""
+    return tuple(part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in colour)  # type: ignore[return-value]
 
 
 def hex_of(colour: Colour) -> str:

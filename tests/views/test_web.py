@@ -38,7 +38,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP, KNOB, Shape
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.interactive import Joystick
-from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
+from maglev_mj.session import EMERGENCY_STOP, REWIND_ACTIONS, Session, Snapshot
 from maglev_mj.session.access import ListenError, check_origin, listen
 from maglev_mj.session.pacing import FrameClock
 from maglev_mj.session.replay import ACTIONS
@@ -316,6 +316,25 @@ def test_magnified_motion_of_handle_walls_and_drag() -> None:
         assert page._grab is not None and page._grab._pose(np.array([0.01, 0.0, 0.0]))[0] == pytest.approx(2e-3)
 
 
+def test_only_a_received_snapshot_is_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
+    with page_of(pose=np.zeros(6)) as (page, source):
+        monkeypatch.setattr(page._server, "get_clients", lambda: [1])
+        for received, beats in ((False, 0), (True, 1), (False, 1), (True, 2)):
+            if received:  # equal, as of a paused scene
+                source.shown = replace(source.shown, pose=np.zeros(6))
+            monkeypatch.setattr(page, "_due", lambda: True)
+            page._show()
+            assert page._beats == beats
+
+
+def test_rewound_alone_offers_to_resume() -> None:
+    with page_of(rewound=0.0, actions=(*REWIND_ACTIONS, "pause")) as (page, source):
+        for rewound, offered in ((0.0, set()), (2.0, set(REWIND_ACTIONS[1:])), (0.0, set())):
+            page._panel.show(replace(source.shown, rewound=rewound))
+            groups = [each for each in page._panel._buttons._children.values() if hasattr(each, "options")]
+            assert {name for each in groups for name in each.options} == offered | {"pause"}
+
+
 def test_coils_are_coloured_by_their_currents() -> None:
     currents = np.array([0.0, 5.0, -5.0, 10.0, -40.0, np.nan])
     with page_of(currents=currents) as (page, _):
@@ -337,9 +356,9 @@ def test_each_live_parameter_of_a_scene_has_a_control() -> None:
                 value = getattr(scene, one.name)
                 made.show(value)
                 assert made.value(made.handle.value) == pytest.approx(value)  # what is shown is what is in force
-                if isinstance(made, Slider):  # what can be chosen is allowed
-                    for end in (made.handle.min, made.handle.max):
-                        one.checked(made.value(end))
+                if isinstance(made, Slider):  # what is asked for is what is typed, for the scene to refuse
+                    for typed in (made.handle.min, made.handle.max, 1e9, -1.0, 0.5):
+                        assert made.to_input(made.value(typed)) == pytest.approx(typed)
     assert asked == []  # nothing is changed by showing it
 
 
@@ -363,7 +382,7 @@ def test_controls_match_the_parameters_declarations() -> None:
     with served() as server:
         made = {one.name: control(server.gui, one, scene, lambda kind, given: None) for one in scene.parameters()}
         assert isinstance(made["mode"], Choice) and made["mode"].handle.options == ("soft", "hard")
-        for name in ("count", "share", "low"):
+        for name in ("count", "low"):
             slider = made[name]
             assert isinstance(slider, Slider)
             for end in (slider.handle.min, slider.handle.max):

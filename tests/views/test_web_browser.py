@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -43,7 +45,7 @@ class Run:
     Args:
         source: The source.
         token: That of its address; None for none.
-        options: Of the page.
+        options: Of the page, and its port.
 
     Attributes:
         url: Address of the page.
@@ -52,7 +54,7 @@ class Run:
     """
 
     def __init__(self, source: Any, token: str | None = None, **options: Any) -> None:
-        listener = listen(0)
+        listener = listen(options.pop("port", 0))
         door = Endpoint("127.0.0.1", listener.getsockname()[1], token)
         self.url, self._over = door.url, threading.Event()
         self._session = source
@@ -263,6 +265,98 @@ def test_a_rejected_value_is_reported_and_the_slider_returns(run: Run, tab: Any)
     tab.wait_for_function("document.querySelectorAll('[role=slider]')[1].getAttribute('aria-valuenow') != '0'")
     choose(tab, "joystick")
     run.until(lambda shown: shown.scene.name == "joystick")
+
+
+class Asked(Session):
+    """Session that keeps the requested changes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked: list[Any] = []
+
+    def change(self, parameters: Any) -> None:
+        """See `Session`."""
+        self.asked.append(dict(parameters))
+        super().change(parameters)
+
+
+def test_a_number_typed_key_by_key_takes_effect_as_typed_or_is_refused(browser: Any) -> None:
+    source = Asked()
+    run, asked = Run(source), source.asked
+    try:
+        tab = opened(browser, run)
+        tab.wait_for_selector("[aria-label='rewind [s]']")
+        boxes = tab.locator(".mantine-NumberInput-input")
+        assert boxes.count() == 6
+        for box in boxes.all():
+            scale, last = 1e-3 if "[ms]" in str(box.get_attribute("aria-label")) else 1.0, box.input_value()
+            for text, key in (("12,5", "Enter"), ("", "Tab"), ("abc", "Tab")):
+                sent = len(asked)
+                type_into(box, text, key)
+                tab.wait_for_selector(f"#typed:has-text('(got \"{text}\")')")
+                assert box.input_value() == last and len(asked) == sent
+            for text, key in (("1e9", "Enter"), ("-1", "Tab"), ("1.25", "Tab")):
+                sent = len(asked)
+                type_into(box, text, key)
+                run.until(lambda _, sent=sent: len(asked) > sent)  # type: ignore[misc]
+                ((name, value),) = asked[-1].items()
+                assert len(asked) == sent + 1 and value == pytest.approx(scale * float(text))
+                if text != "1.25" and name in run.shown.scene.as_json():
+                    tab.wait_for_selector(f"i:has-text('{name} must be between')")
+            if name in run.shown.scene.as_json():
+                run.until(lambda shown, name=name, value=value: getattr(shown.scene, name) == value)  # type: ignore[misc]
+                assert box.input_value() == "1.25"
+    finally:
+        run.close()
+
+
+def type_into(box: Any, text: str, key: str) -> None:
+    """Replace the text of a box, key by key."""
+    box.press("Control+a")
+    box.press("Delete")
+    box.type(text)
+    box.press(key)
+
+
+def test_a_page_without_its_program_says_so_and_reconnects(browser: Any) -> None:
+    run = Run(Session())
+    tab, port = opened(browser, run), int(run.url.rsplit(":", 1)[1].strip("/"))
+
+    def lost(is_lost: bool) -> None:
+        tab.wait_for_selector("#gone:has-text('cut the power')", state="visible" if is_lost else "hidden")
+        assert tab.evaluate("document.getElementById('root').inert") == is_lost
+
+    def suspended(is_suspended: bool) -> None:  # the program, not its page
+        run._viewer.serve = (lambda source: None) if is_suspended else serve  # type: ignore[method-assign]
+
+    serve, child = run._viewer.serve, run._viewer._front._process.pid or 0
+    try:
+        for suspend in (suspended, lambda on: os.kill(child, signal.SIGSTOP if on else signal.SIGCONT)):
+            for on in (True, False):
+                suspend(on)
+                lost(on)
+    finally:
+        run.close()
+    lost(True)
+    run = Run(Session(), port=port)
+    try:
+        lost(False)
+        nameless = "inputs => inputs.filter(input => !input.ariaLabel && !input.labels?.length).length"
+        tab.wait_for_selector("[aria-label='rewind [s]']")
+        assert tab.locator("[role=slider]:visible, input[type=text]:visible").evaluate_all(nameless) == 0
+        assert tab.locator("[tabindex='1']").all_text_contents() == ["emergency stop"]
+        tab.keyboard.press("Escape")
+        run.until(lambda shown: shown.state == "stopped")
+        tab.evaluate("""() => {
+            const context = [...document.querySelectorAll("canvas")].pop().getContext("webgl2");
+            window.loss = context.getExtension("WEBGL_lose_context");
+            loss.loseContext();
+        }""")
+        tab.wait_for_selector("#flat:has-text('no WebGL')")
+        tab.evaluate("loss.restoreContext()")
+        tab.wait_for_selector("#flat", state="hidden")
+    finally:
+        run.close()
 
 
 def choose(tab: Any, scene: str) -> None:

@@ -24,6 +24,7 @@ from viser._messages import ShareUrlRequest
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from maglev_mj.colours import BAD, PULL, hex_of, linear
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
 from maglev_mj.session import FrameClock, SnapshotSource, real_time
@@ -36,8 +37,11 @@ from maglev_mj.views.viewer_process import Inbox, ViewerFunction
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
 """Origins that may embed the page: notebooks on this machine. Others could be used for clickjacking."""
 
-_TITLE, _HEAD = b"<title>Viser</title>", Path(__file__).with_name("head.html").read_bytes()
-"""Title of viser's page and its replacement: title, icon, styles, scripts."""
+_TITLE, _COLOURS = b"<title>Viser</title>", {"STOP_COLOUR": hex_of(BAD), "PULL_COLOUR": str(linear(PULL))[1:-1]}
+_HEAD = re.sub(
+    r"[A-Z]+_COLOUR", lambda name: _COLOURS[name[0]], Path(__file__).with_name("head.html").read_text("utf-8")
+)
+"""Replacement of the title of viser's page: title, icon, styles, scripts."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,7 @@ def guarded(endpoint: Endpoint, listener: socket.socket) -> Iterator[None]:
             # without headers the response is uncompressed, so that its head can be replaced
             answer: Response | None = process_request(connection, Request(request.path, Headers()) if page else request)
             if answer is not None:
-                answer.body = answer.body.replace(_TITLE, _HEAD, 1)
+                answer.body = answer.body.replace(_TITLE, _HEAD.encode(), 1)
                 del answer.headers["Content-Length"]
                 answer.headers["Content-Length"] = str(len(answer.body))
                 answer.headers["Content-Security-Policy"] = _FRAMES
@@ -139,7 +143,7 @@ def guarded(endpoint: Endpoint, listener: socket.socket) -> Iterator[None]:
         raise MaglevError("the page's server did not start through websockets.serve, access control would be missing")
 
 
-_FRAME, _PLOT = 1.0 / 30.0, 1.0 / 8.0
+_FRAME, _PLOT, _BEAT = 1.0 / 30.0, 1.0 / 8.0, 0.5
 _NAP = 0.005
 
 
@@ -188,7 +192,8 @@ class Page:
         with panel.add_tab("plots"):
             self._plots = Plots(gui, snapshot.scene)
         panel.dock_left()
-        self._frame, self._plot = FrameClock(_FRAME), FrameClock(_PLOT)
+        self._frame, self._plot, self._due = FrameClock(_FRAME), FrameClock(_PLOT), FrameClock(_BEAT)
+        self._beat, self._beats, self._pose = gui.add_html("", visible=False), 0, snapshot.pose
         server.on_client_connect(_greet)
 
     def run(self) -> None:
@@ -219,6 +224,9 @@ class Page:
         with self._server.atomic():
             self._stage.show(snapshot)
             self._panel.show(snapshot)
+            if snapshot.pose is not self._pose and self._due():  # every snapshot received has its own arrays
+                self._pose, self._beats = snapshot.pose, self._beats + 1
+                self._beat.content = str(self._beats)
             if self._plot():
                 self._plots.show(snapshot)
 

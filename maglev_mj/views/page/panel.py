@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from html import escape
 from typing import Any
@@ -26,9 +26,7 @@ Ask = Callable[[str, Any], object]
 SETTLED = 1.0
 """Time after a user's last change before a control shows the current value again [s], longer than its round trip."""
 
-_STEPS, _HEADROOM = 200.0, 2.5
-_INSIDE = 1e-3
-"""Distance from an excluded bound, as a fraction of the default."""
+_STEPS, _HEADROOM, _DECIMALS = 200.0, 2.5, 9
 
 
 class Control:
@@ -95,7 +93,7 @@ class Choice(Control):
 
 
 class Slider(Control):
-    """Slider whose range extends up to the parameter's bounds.
+    """Slider whose track extends to any value that its box or a program sets.
 
     Args:
         gui: viser's GUI.
@@ -103,7 +101,7 @@ class Slider(Control):
         label: Label.
         hint: Tooltip.
         value: Initial value.
-        bounds: Smallest and largest value.
+        bounds: Initial limits of the track.
         ask: See `Control`.
         scale: Displayed number per unit of the value.
         reference: Value that the initial range includes.
@@ -121,22 +119,24 @@ class Slider(Control):
         scale: float = 1.0,
         reference: float = 0.0,
     ) -> None:
-        self._scale, (self._lower, self._upper) = scale, bounds
+        self._scale, (lower, self._upper) = scale, bounds
         high = self._top(max(abs(value), reference)) * scale
         step = round_up(high / _STEPS)
-        low = max(self._lower * scale, -high)
+        low = max(lower * scale, -high)
         low = 0.0 if 0.0 <= low < step else low  # else every value is offset by it
         initial = min(max(value * scale, low), high)
-        super().__init__(name, gui.add_slider(label, low, high, step, initial, hint=hint), ask)
+        handle = gui.add_slider(label, low, high, step, initial, hint=hint)
+        handle.precision = _DECIMALS
+        super().__init__(name, handle, ask)
 
     def value(self, displayed: float) -> float:
         """See `Control`."""
-        return min(max(displayed / self._scale, self._lower), self._upper)
+        return displayed / self._scale
 
     def to_input(self, value: float) -> float:
         """See `Control`."""
         displayed = float(f"{value * self._scale:.12g}")
-        if displayed >= self.handle.max and value < self._upper:
+        if displayed >= self.handle.max:
             update(self.handle, max=self._top(value) * self._scale)
         if displayed < self.handle.min:
             update(self.handle, min=displayed)
@@ -144,7 +144,7 @@ class Slider(Control):
 
     def _top(self, value: float) -> float:
         """Return the upper limit of a range with headroom above a value."""
-        return min(round_up(_HEADROOM * value) if value else 1.0, self._upper)
+        return min(round_up(_HEADROOM * value) if value else 1.0, max(self._upper, value))
 
 
 def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None:
@@ -182,12 +182,11 @@ def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None
 
 
 def _limits(item: Parameter) -> tuple[float, float]:
-    """Return the smallest and largest value of a slider: the parameter's bounds, or the limits of its keys."""
+    """Return the initial limits of a slider's track: the parameter's bounds, or the limits of its keys."""
     assert item.live
-    bounds, keys, inside = item.bounds, item.live, _INSIDE * abs(item.default or 1.0)
-    lower = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf) + inside, keys.least)
-    upper = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf) - inside, keys.most)
-    return lower, upper
+    bounds, keys = item.bounds, item.live
+    lower = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf), keys.least)
+    return lower, min(bounds.get("at_most", math.inf), bounds.get("below", math.inf), keys.most)
 
 
 def _hint(item: Parameter, axis: str) -> str:
@@ -245,9 +244,10 @@ class Panel:
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot."""
-        if tuple(snapshot.actions) != self._actions:
-            self._actions = tuple(snapshot.actions)
-            self._make_buttons(snapshot)
+        available = tuple(name for name in snapshot.actions if snapshot.rewound or name not in REWIND_ACTIONS[1:])
+        if available != self._actions:
+            self._actions = available
+            self._make_buttons(snapshot, available)
         if type(snapshot.scene) is not self._scene:
             self._scene = type(snapshot.scene)
             self._make_controls(snapshot)
@@ -258,10 +258,10 @@ class Panel:
         if self._time is not None:
             self._time.show(round(snapshot.time if snapshot.rewound is None else snapshot.rewound, 2))
 
-    def _make_buttons(self, snapshot: Snapshot) -> None:
+    def _make_buttons(self, snapshot: Snapshot, available: Sequence[str]) -> None:
         """Add a button for each action without another control."""
         self._buttons.remove()
-        self._buttons, available = self._gui.add_folder(None, order=1.0), snapshot.actions
+        self._buttons = self._gui.add_folder(None, order=1.0)
         placed = {name for row in _ROWS.values() for name in row} | {
             EMERGENCY_STOP,
             "next scene",
