@@ -7,11 +7,11 @@ from typing import TypeAlias
 Colour: TypeAlias = tuple[float, float, float]
 """Red, green and blue, each from 0 to 1."""
 
-_BLUE, _VERMILLION, _GREEN = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451)
+_VERMILLION, _GREEN = (0.835, 0.369, 0.0), (0.0, 0.62, 0.451)
 _SKY, _ORANGE, _PURPLE, _INK = (0.337, 0.706, 0.914), (0.902, 0.624, 0.0), (0.8, 0.475, 0.655), (0.12, 0.13, 0.15)
 
-HAND: Colour = _BLUE
-"""Hand force."""
+HAND: Colour = (0.0, 0.46, 0.72)
+"""Hand force; the palette's blue, lightened for the window."""
 
 DEVICE: Colour = _VERMILLION
 """Device force."""
@@ -52,13 +52,25 @@ REFERENCE: Colour = (0.35, 0.37, 0.40)
 GRID: Colour = (0.89, 0.90, 0.91)
 """Grid of a chart."""
 
-SERIES: tuple[Colour, ...] = (_BLUE, _VERMILLION, _GREEN, _PURPLE, _ORANGE, _SKY, _INK)
-"""Colour cycle of charts."""
+
+_DARK = (0.0, 0.285, 0.456), (0.584, 0.249, 0.0), (0.0, 0.453, 0.326), (0.66, 0.388, 0.538)
+SERIES: tuple[Colour, ...] = (*_DARK, (0.776, 0.535, 0.0), (0.267, 0.57, 0.741), _INK)
+"""Colour cycle of charts: the palette darkened to a contrast of 3 on white, still distinguishable."""
 
 
 def linear(colour: Colour) -> Colour:
     """Return linear RGB of an sRGB colour (IEC 61966-2-1)."""
-    return tuple(part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in colour)  # type: ignore[return-value]
+    red, green, blue = (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in colour)
+    return red, green, blue
+
+
+def on_white(colour: Colour, contrast: float = 4.5) -> Colour:
+    """Return a colour, darkened if its WCAG 2 contrast ratio to white is too low: 4.5 for text, 3 for lines."""
+    parts = linear(colour)
+    luminance = sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), parts))
+    share = min((1.05 / contrast - 0.05) / luminance, 1.0) * 0.99
+    red, green, blue = (max(1.055 * (share * part) ** (1.0 / 2.4) - 0.055, 0.0) for part in parts)
+    return (red, green, blue) if share < 0.99 else colour
 
 
 def hex_of(colour: Colour) -> str:

@@ -479,12 +479,15 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
 
 def _force(name: str, wrench: Array, colour: Colour, note: str = "") -> Reading:
     available = np.isfinite(wrench).all()
-    return Reading(name, f"{np.linalg.norm(wrench[:3]):.1f} N{note}" if available else "", colour)
+    return Reading(name, f"|F| {np.linalg.norm(wrench[:3]):.1f} N{note}" if available else "", colour)
 
 
 def _wall(snapshot: Snapshot) -> Reading:
     """Return the stability margin of the wall alone; empty without a wall."""
-    wall = STABILITY.of(snapshot).wall
+    margin = STABILITY.of(snapshot)
+    wall = margin.wall
+    if wall and margin.axis:  # the stability map states the fraction, of all laws
+        wall = wall._replace(margin=math.nan)
     if STABILITY.scene != snapshot.scene:
         return Reading("wall", "..." if snapshot.faces else "")
     return Reading("wall", str(wall or ""), BAD if wall and wall.spectral_radius >= 1.0 else None)
@@ -497,6 +500,7 @@ def _is_active(snapshot: Snapshot) -> bool:
 def _energy(snapshot: Snapshot) -> str:
     active = _is_active(snapshot)
     parts = {"from the hand": snapshot.work, "generated" if active else "absorbed": abs(snapshot.taken)}
+    parts["in motion, height and stops"] = snapshot.work - snapshot.taken
     words = ", ".join(f"{value * 1e3:.1f} mJ {name}" for name, value in parts.items() if not math.isnan(value))
     return f"{words} (delayed forces)" if active else words
 

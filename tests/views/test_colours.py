@@ -9,6 +9,7 @@ import pytest
 
 from maglev_mj import colours
 from maglev_mj.frames import Array
+from maglev_mj.views.window.screen import light
 
 # what dichromats see of linear RGB: Machado, Oliveira and Fernandes (2009), severity 1.0
 VISIONS = {
@@ -67,11 +68,22 @@ def test_roles_and_series_are_distinguishable(vision: str) -> None:
         assert np.linalg.norm(np.subtract(*(lab(colour, vision) for colour in pair))) > LEAST, pair
 
 
-def test_curves_and_texts_are_visible_on_paper() -> None:
-    # WCAG 2 asks for 4.5 of words; the two palest series are the last before black, for want of dark hues.
-    assert contrast(colours.REFERENCE, PAPER) > 4.5 and contrast(colours.STOP, PAPER) > 4.5
-    assert min(contrast(colour, PAPER) for colour in colours.SERIES[:4]) > 3.0
-    assert min(contrast(colour, PAPER) for colour in colours.SERIES) > 2.2
+ROLES = {name: getattr(colours, name) for name in {*SHOWN, *itertools.chain(*PAIRS), "FIRST", "PULL", "REFERENCE"}}
+DARK = (0.13, 0.15, 0.18)
+"""Background of the window's plots."""
+
+
+def test_texts_and_lines_are_visible_on_page_window_and_paper() -> None:
+    # WCAG 2 asks for 4.5 of text, 3 of graphics
+    for name, colour in ROLES.items():
+        assert contrast(colours.on_white(colour), PAPER) > 4.5, name
+        assert contrast(colours.on_white(colour, 3.0), PAPER) > 3.0, name
+        if name not in ("STOP", "REFERENCE"):  # not in the window's plots
+            assert contrast(colour, DARK) > 3.0, name
+    assert min(contrast(colour, PAPER) for colour in (*colours.SERIES, colours.STUCK)) > 3.0
+    assert min(contrast(colour, PAPER) for colour in (colours.REFERENCE, colours.STOP)) > 4.5
+    for colour in (colours.GOOD, colours.BAD):
+        assert contrast(light(colour), DARK) > 4.5
 
 
 def test_a_colour_as_hexadecimal_digits() -> None:

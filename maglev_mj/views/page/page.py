@@ -24,7 +24,7 @@ from viser._messages import ShareUrlRequest
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from maglev_mj.colours import BAD, PULL, hex_of, linear
+from maglev_mj.colours import BAD, PULL, hex_of, linear, on_white
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
 from maglev_mj.session import FrameClock, SnapshotSource, real_time
@@ -37,7 +37,10 @@ from maglev_mj.views.viewer_process import Inbox, ViewerFunction
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
 """Origins that may embed the page: notebooks on this machine. Others could be used for clickjacking."""
 
-_TITLE, _COLOURS = b"<title>Viser</title>", {"STOP_COLOUR": hex_of(BAD), "PULL_COLOUR": str(linear(PULL))[1:-1]}
+_TITLE, _COLOURS = (
+    b"<title>Viser</title>",
+    {"STOP_COLOUR": hex_of(on_white(BAD)), "PULL_COLOUR": str(linear(PULL))[1:-1]},
+)
 _HEAD = re.sub(
     r"[A-Z]+_COLOUR", lambda name: _COLOURS[name[0]], Path(__file__).with_name("head.html").read_text("utf-8")
 )

@@ -9,7 +9,7 @@ from functools import partial
 from html import escape
 from typing import Any
 
-from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of
+from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of, on_white
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
@@ -274,7 +274,7 @@ class Panel:
                 if names := tuple(name for name in row if name in available):
                     self._add_row(label, names)
             if EMERGENCY_STOP in available:
-                stop = self._gui.add_button(EMERGENCY_STOP, color=tuple(round(255 * part) for part in BAD))
+                stop = self._gui.add_button(EMERGENCY_STOP, color=tuple(round(255 * part) for part in on_white(BAD)))
                 stop.on_click(partial(self._act, lambda: EMERGENCY_STOP))
 
     def _add_row(self, label: str, names: tuple[str, ...]) -> None:
@@ -334,7 +334,9 @@ def _banner(content: Banner | None, snapshot: Snapshot) -> str:
         return ""
     action = content.resume_action
     advice = f"press {action} {RESUME[action]}" if action in snapshot.actions else snapshot.remedy
-    style = f"background:{hex_of(BAD if content.bad else _PAUSED)};color:#fff;font-weight:600;padding:.5em .7em"
+    style = (
+        f"background:{hex_of(on_white(BAD) if content.bad else _PAUSED)};color:#fff;font-weight:600;padding:.5em .7em"
+    )
     texts = f"{escape(content.text)}<br><small>{escape(advice)}</small>"
     return f'<div role="alert" style="{style};border-radius:4px">{texts}</div>'
 
@@ -344,7 +346,7 @@ def _tour(step: TourLine | None) -> str:
     if step is None:
         return ""
     text, task = (escape(part) for part in step.words(_input_name))
-    done = f' <b style="color:{hex_of(GOOD)}">done</b>' if step.done else ""
+    done = f' <b style="color:{hex_of(on_white(GOOD))}">done</b>' if step.done else ""
     style = f"border-left:4px solid {hex_of(GOOD if step.done else HAND)};margin:.3em .5em;padding:.2em .6em"
     head = f"<small>step {step.number} of {step.total}</small>{done}"
     return f'<div style="{style}">{head}<br>{text}<br><b>{task}</b></div>'
@@ -372,7 +374,7 @@ def _line(row: Reading) -> str:
     if not row.name:
         return f"<i>{value}</i>"
     if row.colour is not None:
-        value = f'<b style="color:{hex_of(row.colour)}">{value}</b>'
+        value = f'<b style="color:{hex_of(on_white(row.colour))}">{value}</b>'
     return f'<span style="opacity:.65">{row.name}</span> {value}'
 
 
