@@ -501,7 +501,9 @@ def _energy(snapshot: Snapshot) -> str:
     active = _is_active(snapshot)
     parts = {"from the hand": snapshot.work, "generated" if active else "absorbed": abs(snapshot.taken)}
     parts["in motion, height and stops"] = snapshot.work - snapshot.taken
-    words = ", ".join(f"{value * 1e3:.1f} mJ {name}" for name, value in parts.items() if not math.isnan(value))
+    words = ", ".join(
+        f"{1e3 * round(value, 4) + 0.0:.1f} mJ {name}" for name, value in parts.items() if not math.isnan(value)
+    )
     return f"{words} (delayed forces)" if active else words
 
 
