@@ -57,7 +57,7 @@ class ParameterError(MaglevError, ValueError):
         >>> Timing(period=-0.005)
         Traceback (most recent call last):
             ...
-        maglev_mj.errors.ParameterError: period must be above 0 (got -0.005)
+        maglev_mj.errors.ParameterError: period must be between 1e-6 and 0.1 s (got -0.005)
     """
 
 

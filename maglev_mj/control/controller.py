@@ -161,7 +161,10 @@ class Controller:
         return static.step(Sample(0, 0.0, position))
 
     def _check(self, position: Six) -> None:
-        count = len(position) if np.iterable(position) else 1
+        try:
+            count = len(position)
+        except TypeError:  # a number, also as an array
+            count = 1
         if count != len(AXES):
             raise ParameterError(f"a sample must have {len(AXES)} position components (got {count})")
         batch = shape_of(position)

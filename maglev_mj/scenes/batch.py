@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from maglev_mj.frames import AXES, Array, Command, Mask, Sample, components
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import HandForce
+from maglev_mj.plants.model import Body
 from maglev_mj.scenes.results import figures_of_each
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene, SideBySide
@@ -67,6 +68,12 @@ class SceneStack:
         if any(value is None for value in values):  # an array would make it NaN
             raise TypeError(f"{name} must be a number in every scene of a batch")
         return np.array(values, dtype=np.float64)
+
+    @cached_property
+    def body(self) -> Body:
+        """Flotors and limits of the scenes; arrays that differ have the devices last, (6, N)."""
+        columns: list[Any] = [np.array(values) for values in zip(*(scene.body for scene in self.scenes))]
+        return Body(*(values[0] if (values == values[0]).all() else values.T for values in columns))
 
     def __getitem__(self, device: Any) -> Any:
         """Return one device's scene, or a stack for an array of indices."""

@@ -30,7 +30,7 @@ from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_controller
-from maglev_mj.spec import MAX_DELAY_PERIODS
+from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory import boundary as bounds
@@ -355,11 +355,13 @@ def single_wall(p: StabilityParameters, stiffness: float, damping: float) -> Sin
         return np.asarray(theory.is_stable(theory.spectral_radius(k, b, **loop)))
 
     scales = {"stiffness": p.mass / p.period**2, "damping": p.mass / p.period, "delay": p.period}
-    most = {"delay": MAX_DELAY_PERIODS * p.period, "rate": MAX_DELAY_PERIODS / p.delay if p.delay else math.inf}
+    fastest = min(MAX_DELAY_PERIODS / p.delay, 1.0 / MIN_PERIOD) if p.delay else 1.0 / MIN_PERIOD
+    limits = {"delay": (0.0, MAX_DELAY_PERIODS * p.period), "rate": (1.0 / MAX_PERIOD, fastest)}
 
     def stable_range(name: str) -> tuple[float, float] | None:
         values = present[name] * _FACTORS if present[name] else scales[name] * _FACTORS**2
-        values = values[values <= most.get(name, math.inf)]
+        least, most = limits.get(name, (0.0, math.inf))
+        values = values[(values >= least) & (values <= most)]
         good = stable(name, values)
         if not good.any():
             return None

@@ -35,7 +35,7 @@ LINES = {
     "view": ["view", "drop", *LOOP],
 }
 OTHERS = "tour render stick-slip design twin bridge info estop commission conform lessons fault replay analyse export"
-SLOW = {"fidelity": pytest.mark.study}
+SLOW = {name: pytest.mark.study for name in ("card", "fidelity")}
 
 
 def test_every_command_that_shows_a_wall_is_here() -> None:

@@ -306,7 +306,7 @@ def test_inertia_of_ones_own_turns_the_flotor_as_it_says() -> None:
         plant.write(Command([0.0, 0.0, 0.0, 0.0, 1e-3, 0.0]))
         plant.read()
         assert np.ravel(plant.state()[1])[4] == pytest.approx(1e-3 * PERIOD / moments[1], rel=1e-6)
-        with pytest.raises(ParameterError, match=r"inertia must be three numbers above 0 .got"):
+        with pytest.raises(ParameterError, match=r"inertia must have shape .3,. .got .2,"):
             kind(inertia=[1e-3, 1e-3])
     with pytest.raises(ParameterError, match="flotor without its handle would not be a rigid body"):
         load_model("maglev", inertia=[2e-4, 1e-3, 1e-3])

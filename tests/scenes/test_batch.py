@@ -83,6 +83,14 @@ def test_a_batch_says_what_its_runs_say_one_by_one(case: str, batches: list[int]
     assert len({str(one) for one in alone}) > len(alone) // 2  # the runs do differ
 
 
+@pytest.mark.parametrize("case", sorted(CASES.keys() - {"resting"}))
+def test_no_run_of_a_batch_is_repeated_alone(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.studies.sweep._run_single", None)
+    name, fixed, vary = CASES[case]
+    cells = Grid(find_scene(name)(**fixed), vary, plant="exact")
+    assert len(run_scene_cells(cells)) == len(cells)
+
+
 def test_few_runs_other_plants_and_other_periods_are_made_alone(
     batches: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

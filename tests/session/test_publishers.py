@@ -1,5 +1,6 @@
 """Publishers: snapshots and settings of other programs, in a session and in a flight."""
 
+import inspect
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -101,7 +102,7 @@ def test_a_flight_is_recorded_through_changes_as_one_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # Settings from outside: what is missed and when counts on from change to change, for a device does.
-    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    monkeypatch.setattr(inspect.unwrap(Publishers.__init__), "__defaults__", ((), slow()))
     wishes = [Joystick(friction=True), Joystick(stiffness=4000.0)]
     asks, file = Asks(*wishes), open_recording(tmp_path / "run.maglev")
     flown, plant = flight(publishers=[asks], file=file)
@@ -125,7 +126,7 @@ def test_a_flight_is_recorded_through_changes_as_one_run(
 
 def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
     # A wall 2 mm deep, the flotor's weight, laws that fail: each is refused with why, and the flight goes on.
-    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    monkeypatch.setattr(inspect.unwrap(Publishers.__init__), "__defaults__", ((), slow()))
     around, good = [("z", -1, -0.002)], Joystick(stiffness=3000.0)
     asks = Asks(Joystick(walls=around), good, Unmade(), Failing(period=0.005, delay=0.0015))
     flown, plant = flight(publishers=[asks])
@@ -164,7 +165,7 @@ class Failing(Joystick):
 
 
 def test_mass_period_and_delay_of_settings_are_the_devices(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    monkeypatch.setattr(inspect.unwrap(Publishers.__init__), "__defaults__", ((), slow()))
     asks = Asks(Joystick(stiffness=3000.0, period=0.001, delay=0.01))
     flown, plant = flight(publishers=[asks])
     with plant:
@@ -175,7 +176,7 @@ def test_mass_period_and_delay_of_settings_are_the_devices(monkeypatch: pytest.M
 
 
 def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    monkeypatch.setattr(inspect.unwrap(Publishers.__init__), "__defaults__", ((), slow()))
     asks = Asks()
     flown, plant = flight(publishers=[asks])
     measured: list[tuple[int, float]] = []

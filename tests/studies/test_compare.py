@@ -217,7 +217,7 @@ def no_margins(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_margins")
 def test_the_table_names_every_law_and_an_observer_knows_the_force_limit(drops: Comparison) -> None:
-    eight: dict[str, Any] = {f"a law called number {place}": "observer" for place in range(8)}
+    eight: dict[str, Any] = {f"a law called number {index}": "pd" if index else "observer" for index in range(8)}
     many = compare(Drop(duration=0.1, force_limit=60.0), eight, phases=2)
     for found in (drops, many):
         lines = str(found.table()).splitlines()

@@ -375,7 +375,7 @@ def test_a_scene_of_any_kind_is_judged() -> None:
         delay=DELAY,
         controller=lambda: controller,
         start=lambda: SimpleNamespace(pose=[0.0] * 6),
-        plant_options=dict,
+        body=SimpleNamespace(inertia=np.array(INERTIA)),
     )
     assert stability(scene).stable is False
     heavy = stability(scene, inertia=np.array(INERTIA) * 10.0)

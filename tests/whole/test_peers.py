@@ -55,7 +55,7 @@ def test_the_task_of_the_peers_is_the_drop_of_this_device() -> None:
     # Its numbers are copies on purpose: the peers run without this package.
     task, drop = Task(), Drop()
     assert (*[task.mass] * 3, *task.inertia) == INERTIA
-    assert (task.gravity, task.offset[2]) == (GRAVITY, drop.height) == (drop.start().gravity, drop.start().pose[2])
+    assert (task.gravity, task.offset[2]) == (GRAVITY, drop.height) == (-drop.body.gravity[2], drop.start().pose[2])
     assert (task.ticks, task.duration) == (drop.end / drop.period, drop.end)
     for name in ("mass", "period", "delay", "stiffness", "damping", "pulse", "pulse_width"):
         assert getattr(task, name) == getattr(drop, name) == drop.parameter(name).default
