@@ -106,7 +106,7 @@ class Layout:
         banner: Area of a banner of three lines.
         bar: Area of the time bar.
         label: Area of the emergency stop label.
-        handle: Free area for the handle.
+        handle: Free area for the handle without a table of keys, which may cover its edges.
     """
 
     text: Area
@@ -150,5 +150,7 @@ def arranged(view: Area, scale: int, *, help_width: int = 0, bar: bool = False) 
         banner=Area(left, view.top - strip, middle, strip),
         bar=Area(left, bar_bottom, middle, 2 * font.row),
         label=Area(left + (middle - label) // 2, view.bottom + pad // 2, label, label_high),
-        handle=Area(left, foot, middle, view.top - strip - foot),
+        handle=arranged(view, scale, bar=bar).handle  # a device in the hand must not move
+        if help_width
+        else Area(left, foot, middle, view.top - strip - foot),
     )
