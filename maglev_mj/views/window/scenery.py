@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -156,23 +157,33 @@ class Scenery:
         self.flotor = device.flotor
         self._address = device.position_address
         mujoco.mj_forward(self.model, self.data)
-        self._handle_shapes = np.flatnonzero(self.model.geom_bodyid == self.model.body("handle").id)
+        handle = np.flatnonzero(self.model.geom_bodyid == self.model.body("handle").id).tolist()
+        cylinder, heights = int(mujoco.mjtGeom.mjGEOM_CYLINDER), self.data.geom_xpos[:, 2]
+        halves = np.where(self.model.geom_type == cylinder, self.model.geom_size[:, 1], 0.0)
+        self._knob = [shape for shape in handle if heights[shape] > KNOB_BOTTOM]
+        self._stem = [shape for shape in handle if heights[shape] <= KNOB_BOTTOM < heights[shape] + halves[shape]]
+        self._halves = halves[self._stem]
         self._windings = self._find_windings()
         rgba: Any = self.model.vis.rgba
         # MuJoCo's decoration of a drag: spring, rotated box, grip
         rgba.constraint[:] = rgba.inertia[:] = rgba.selectpoint[:] = (*HAND, 1.0)
 
     def set_pose(self, snapshot: Snapshot, factor: float = 1.0) -> None:
-        """Set the flotor's pose, and the handle's magnified one; see `magnified`."""
+        """Set the flotor's pose, and the knob's magnified one, on a stem stretched from the flotor; see `magnified`."""
         qpos, first = self.data.qpos, self._address
         qpos[first : first + 3] = snapshot.pose[:3]
         qpos[first + 3 : first + 7] = quaternion(snapshot.pose[3:])
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
-        if factor != 1.0:
-            for shape, position, rotation in self._moved_handle(snapshot.pose, factor * snapshot.pose):
-                self.data.geom_xpos[shape], self.data.geom_xmat[shape] = position, rotation.ravel()
+        ends, turn, data = (snapshot.pose, factor * snapshot.pose), np.zeros(4), self.data
+        for half, (stem, position, rotation) in zip(self._halves, self._moved(self._stem, *ends), strict=True):
+            foot, top = data.geom_xpos[stem] - half * data.geom_xmat[stem, 2::3], position + half * rotation[:, 2]
+            mujoco.mju_quatZ2Vec(turn, top - foot)
+            mujoco.mju_quat2Mat(data.geom_xmat[stem], turn)
+            data.geom_xpos[stem], self.model.geom_size[stem, 1] = 0.5 * (foot + top), 0.5 * np.linalg.norm(top - foot)
+        for shape, position, rotation in self._moved(self._knob, *ends):
+            data.geom_xpos[shape], data.geom_xmat[shape] = position, rotation.ravel()
 
     def decorate(self, scene: Any, snapshot: Snapshot, factor: float = 1.0) -> None:
         """Add walls, stops, coils, forces, and the stick position or the first attempt, to an MjvScene.
@@ -216,10 +227,7 @@ class Scenery:
         for name, direction in zip(AXES[:3], np.eye(3), strict=True):
             _connect(scene, origin, origin + 2.0 * length * direction, 0.05 * length, STOP)
             # an invisible sphere past the tip carries the label
-            if (
-                shape := _add(scene, _SPHERE, np.zeros(3), origin + 1.25 * length * direction, _IDENTITY, _UNSEEN)
-            ) is not None:
-                shape.label = name
+            _add(scene, _SPHERE, np.zeros(3), origin + 1.25 * length * direction, _IDENTITY, _UNSEEN, label=name)
 
     def _find_windings(self) -> list[_Winding]:
         """Return the windings: turns of the scene's mesh, else the simple geoms."""
@@ -253,8 +261,7 @@ class Scenery:
             colour = _LIMIT if share > 0.999 else _COLD + share * (_WARM - _COLD)
             frame = self.data.site_xmat[site].reshape(3, 3)
             at, matrix = self.data.site_xpos[site] + frame @ offset, (frame @ rotation).ravel()
-            shape = _add(scene, kind, size, at, matrix, (*colour.tolist(), 1.0), emission=0.8 * share)
-            if shape is not None:
+            if (shape := _add(scene, kind, size, at, matrix, (*colour.tolist(), 1.0), 0.8 * share)) is not None:
                 shape.dataid = mesh
 
     def _draw_plate(self, scene: Any, face: tuple[int, float, float], colour: _Shade, wider: float) -> None:
@@ -274,17 +281,17 @@ class Scenery:
         _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
 
     def _draw_ghost(self, scene: Any, pose: Array, ghost: Array, colour: Colour) -> None:
-        """Draw the handle at another pose."""
-        for shape, position, rotation in self._moved_handle(pose, ghost):
+        """Draw the knob at another pose."""
+        for shape, position, rotation in self._moved(self._knob, pose, ghost):
             size = self.model.geom_size[shape] * _GHOST_SIZE
             _add(scene, int(self.model.geom_type[shape]), size, position, rotation.ravel(), (*colour, _GHOST))
 
-    def _moved_handle(self, start: Array, end: Array) -> list[tuple[int, Array, Array]]:
-        """Return the handle's geoms with position and rotation, moved from one pose to another."""
+    def _moved(self, shapes: Sequence[int], start: Array, end: Array) -> list[tuple[int, Array, Array]]:
+        """Return geoms with position and rotation, moved from one pose to another."""
         back, data = rotation_matrix(end[3:]) @ rotation_matrix(start[3:]).T, self.data
         return [
             (shape, end[:3] + back @ (data.geom_xpos[shape] - start[:3]), back @ data.geom_xmat[shape].reshape(3, 3))
-            for shape in self._handle_shapes.tolist()
+            for shape in shapes
         ]
 
 
@@ -297,32 +304,20 @@ def _draw_arrow(scene: Any, knob: Array, force: Array, colour: Colour) -> None:
 
 
 def _connect(scene: Any, start: Array, end: Array, width: float, colour: Colour) -> None:
-    if (shape := _next(scene)) is not None:
+    if (shape := _add(scene, _SPHERE, np.zeros(3), start, _IDENTITY, (*colour, 1.0), 0.3)) is not None:
         mujoco.mjv_connector(shape, int(mujoco.mjtGeom.mjGEOM_ARROW), width, start, end)
-        _style(shape, (*colour, 1.0), 0.3)
 
 
-def _add(scene: Any, kind: int, size: Any, position: Any, matrix: Any, colour: _Shade, emission: float = 0.1) -> Any:
+def _add(
+    scene: Any, kind: int, size: Any, at: Any, matrix: Any, colour: _Shade, emission: float = 0.1, label: str = ""
+) -> Any:
     """Add a geom to a scene; return it, or None if the scene is full."""
-    if (shape := _next(scene)) is not None:
-        parts = (np.asarray(part, dtype=np.float64) for part in (size, position, matrix))
-        mujoco.mjv_initGeom(shape, kind, *parts, np.array(colour, np.float32))
-        _style(shape, colour, emission)
-    return shape
-
-
-def _next(scene: Any) -> Any:
-    """Return the next free geom of a scene, or None if the scene is full."""
     if scene.ngeom >= scene.maxgeom:
         return None
+    shape = scene.geoms[scene.ngeom]
     scene.ngeom += 1
-    shape = scene.geoms[scene.ngeom - 1]
-    mujoco.mjv_initGeom(shape, _SPHERE, np.zeros(3), np.zeros(3), _IDENTITY, np.ones(4, np.float32))
-    shape.label = ""
-    return shape
-
-
-def _style(shape: Any, colour: _Shade, emission: float) -> None:
-    shape.rgba[:] = colour
+    parts = (np.asarray(part, dtype=np.float64) for part in (size, at, matrix))
+    mujoco.mjv_initGeom(shape, kind, *parts, np.array(colour, np.float32))
+    shape.label, shape.category = label, int(mujoco.mjtCatBit.mjCAT_DECOR)
     shape.emission, shape.specular, shape.shininess = emission, 0.2, 0.3
-    shape.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
+    return shape
