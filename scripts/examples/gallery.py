@@ -43,6 +43,6 @@ panels = [
     Panel(title="own_law: a button that clicks", labels=("depth (mm)", "force (N)"), curves=button),
     Panel(title="own_sensor: averaging adds delay", labels=("time (s)", "height (mm)"), curves=falls, level=0.0),
     Panel(title="phases: depth of 100 drops", labels=("sampling phase", "depth (mm)"), curves=depths),
-    Panel(title="gym_environment: an episode with PD", labels=("time (s)", "height (mm)"), curves=episode),
+    Panel(title="gym_environment: PD, constant disturbance", labels=("time (s)", "height (mm)"), curves=episode),
 ]
 print("wrote", small_multiples(panels, pictures.path("gallery")))
