@@ -200,7 +200,7 @@ class Chart(NamedTuple):
         lines: Lines, the last one on top; empty for a title alone.
         across: Limits of the horizontal axis.
         up: Limits of the vertical axis.
-        foot: Label of the horizontal axis; empty for none.
+        foot: Label of the horizontal axis, of both axes of the stability map; empty for a title alone.
     """
 
     title: Sequence[tuple[str, Colour | None]]
@@ -254,22 +254,25 @@ class Charts:
                 ],
                 across,
                 positions,
+                "time [s]",
             ),
             Chart(
                 [(kind, None), ("device", DEVICE), ("hand, estimated" if snapshot.hand_estimated else "hand", HAND)],
                 [Line(DEVICE, time, device, dot=True), Line(HAND, time, hand, dot=True)],
                 across,
                 self._forces(device, hand, [0.0]),
+                "time [s]",
             ),
             self._gains(snapshot),
             Chart(
-                [(f"velocity [{unit}/s] vs {name} [{unit}]", None)],
+                [(f"velocity, {name} [{unit}/s]", None)],
                 [
                     *(Line(BOUNDARY, (wall, wall), speeds, True) for wall in walls),
                     Line(MEASURED, position, speed, dot=True),
                 ],
                 positions,
                 speeds,
+                f"{name} [{unit}]",
             ),
         ]
 
@@ -277,9 +280,9 @@ class Charts:
         """Return the stability map; the verdict alone if a law states no gains."""
         margin = STABILITY.of(snapshot)
         colour = None if margin.stable is None else GOOD if margin.stable else BAD
-        if not margin.axis:
+        if not (axis := margin.axis):
             return Chart([(margin.words, colour)], [], (0.0, 1.0), (0.0, 1.0))
-        factor, unit = (1.0, "N m/rad") if margin.axis.startswith("r") else (1e-3, "kN/m")
+        factor, prefix = (1.0, "") if axis.startswith("r") else (1e-3, "k")
         boundary, stiffness = factor * margin.stiffnesses, factor * margin.stiffness
         width = max(float(margin.dampings.max(initial=0.0)), 1.1 * margin.damping, _LEAST_GAIN)
         height = max(float(boundary.max(initial=0.0)), 1.1 * stiffness, factor * _LEAST_GAIN)
@@ -287,7 +290,7 @@ class Charts:
             Line(BOUNDARY, margin.dampings, boundary),
             Line(colour or BOUNDARY, [margin.damping], [stiffness], dot=True),
         ]
-        foot = f"stiffness [{unit}] vs damping, {margin.axis}"
+        foot = f"stiffness [{prefix}{unit_of('N/m', axis)}] vs damping [{unit_of('N s/m', axis)}], {axis}"
         return Chart([(margin.words, colour)], lines, (0.0, round_up(width)), (0.0, round_up(height)), foot)
 
 

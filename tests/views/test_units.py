@@ -114,6 +114,8 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
         "spread": "\n".join(texts_of(spread(both))),
         "series": "\n".join(texts_of(series(both))),
     }
+    plots = Charts(100).of(session.snapshot(), AXES.index(axis))
+    assert all(len(re.findall(r"\[.+?\]", title[0][0] + foot)) == 2 for title, *_, foot in plots), plots
     session.close()
     assert {name: wrong(text, axis) for name, text in said.items() if wrong(text, axis)} == {}
     other = "x" if axis.startswith("r") else "rx"

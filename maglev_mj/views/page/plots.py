@@ -16,8 +16,8 @@ from maglev_mj.session import Snapshot
 from maglev_mj.views.page.stage import update
 from maglev_mj.views.readings import Chart, Charts, Range
 
-_WIDTH, _HEIGHT = 320, 156
-_LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 22
+_WIDTH, _HEIGHT = 320, 168
+_LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 34
 _TICKS = 4
 _GRID, _TEXT = "rgba(128,128,128,.28)", "currentColor"
 
@@ -39,7 +39,7 @@ def drawn(chart: Chart) -> str:
     for value in ticks(*across):
         position = float(_between(value, across, _LEFT, right))
         parts.append(f'<path d="M{position:.1f} {_TOP}V{bottom}" stroke="{_GRID}"/>')
-        labels.append(f'<text x="{position:.1f}" y="{_HEIGHT - 5}" text-anchor="middle">{value:g}</text>')
+        labels.append(f'<text x="{position:.1f}" y="{bottom + 15}" text-anchor="middle">{value:g}</text>')
     for value in ticks(*up):
         position = float(_between(value, up, bottom, _TOP))
         parts.append(f'<path d="M{_LEFT} {position:.1f}H{right}" stroke="{_GRID}"/>')
@@ -50,9 +50,9 @@ def drawn(chart: Chart) -> str:
         dash = ' stroke-dasharray="4 3"' if line.dashed else ""
         style = f'fill="none" stroke="{hex_of(on_white(line.colour, 3.0))}" stroke-width="1.6"{dash}'
         parts.append(f'<polyline points="{points}" {style}/>')
-        if line.dot and len(x) and np.isfinite(y[-1]):
-            parts.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="4"{_fill(line.colour, 3.0)}/>')
-    labels.append(f'<text x="{right - 5}" y="{bottom - 5}" text-anchor="end">{escape(foot)}</text>')
+        if line.dot and len(x) and _LEFT <= x[-1] <= right and _TOP <= y[-1] <= bottom:  # whole, above the frame
+            labels.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="4"{_fill(line.colour, 3.0)}/>')
+    labels.append(f'<text x="{(_LEFT + right) // 2}" y="{_HEIGHT - 5}" text-anchor="middle">{escape(foot)}</text>')
     frame = f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}"'
     return "".join(
         [*parts, "</svg>", f'{frame} fill="none" stroke="{hex_of(on_white(BOUNDARY, 3.0))}"/>', *labels, "</svg>"]

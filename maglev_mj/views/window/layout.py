@@ -118,7 +118,7 @@ class Layout:
 
 
 _TEXT, _LEAST_TEXT, _MOST_TEXT = 0.27, 256, 0.45
-_PLOT, _LEAST_PLOT, _MOST_PLOT, _PLOT_HEIGHT = 0.25, 240, 0.3, 110
+_PLOT, _LEAST_PLOT, _MOST_PLOT, _PLOT_HEIGHT = 0.25, 240, 0.3, 130
 _LEAST_HANDLE, _MOST_HELP = 190, 0.8
 _LABEL, _BANNER = "ESC: EMERGENCY STOP", 3
 """Widest text of the label; number of lines of a banner."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
@@ -23,7 +24,7 @@ from maglev_mj.views.window.layout import Area, Font, Layout, Row, arranged
 
 _POINTS = 500
 _DOT = 0.018, 0.045
-_LOW, _MARGIN, _UNBOUNDED = 130, 12, 10_000
+_MARGIN, _UNBOUNDED = 12, 10_000
 _STROKES, _MARKS = 8, 80
 
 _Line: TypeAlias = tuple[Colour, ArrayLike, ArrayLike]
@@ -49,19 +50,15 @@ class Plots:
             scale: Font scale [%].
         """
         charts = self._charts.of(snapshot, snapshot.scene.axis_index if axis is None else axis)
-        width, height = areas[0][2:] if areas else (_UNBOUNDED, _UNBOUNDED)
-        low = height < _LOW * scale // 100
+        font, width = Font(scale), (areas[0].width if areas else _UNBOUNDED) - _MARGIN
         for figure, (title, lines, across, up, foot) in zip(self.figures, charts, strict=True):
             (words, colour), *series = title
-            shapes = [
-                shape for line in reversed(lines) for shape in _shapes(line, across, up)
-            ]  # MuJoCo draws the first on top
+            shapes = [shape for line in reversed(lines) for shape in _shapes(line, across, up)]  # the first is on top
             legend = ", ".join(name for name, _ in series)
             titles = f"{words}: {legend}" if legend else words, words, words.partition(":")[0]
-            _draw(figure, Font(scale).fitting(titles, width - _MARGIN), shapes, across, up)
+            _draw(figure, font.fitting(titles, width), shapes, across, up)
             figure.textrgb[:] = light(colour) if colour in (GOOD, BAD) else _TEXT
-            figure.flg_ticklabel[0] = not low
-            figure.xlabel = "" if low else foot
+            figure.xlabel = font.fitting((foot, re.sub(r"\w+ \[", "[", foot)), width)
         return self.figures
 
 
@@ -80,14 +77,12 @@ class Label:
         figure = self._figure = _new_figure()
         figure.panergba[:], figure.textrgb[:], figure.gridsize[:] = 0.0, 1.0, 0
         figure.flg_ticklabel[:], figure.minwidth = 0, ""
-        self._opacity = opacity
+        figure.figurergba[3] = opacity
         self.paint(colour)
 
     def paint(self, colour: Colour) -> None:
         """Set the colour."""
-        figure = self._figure
-        figure.figurergba[:] = (*colour, self._opacity)
-        figure.gridrgb[:] = colour
+        self._figure.figurergba[:3] = self._figure.gridrgb[:] = colour
 
     def update(self, text: str) -> Any:
         """Return the figure with a line of text at the top."""
@@ -125,7 +120,6 @@ def _new_figure() -> Any:
     mujoco.mjv_defaultFigure(figure)
     figure.figurergba[:] = 0.07, 0.08, 0.10, 0.88
     figure.panergba[:] = 0.13, 0.15, 0.18, 0.80
-    figure.legendrgba[:] = 0.0, 0.0, 0.0, 0.0
     figure.textrgb[:] = _TEXT
     figure.gridrgb[:] = 0.34, 0.37, 0.42
     figure.linewidth, figure.gridwidth = 2.5, 1.0
@@ -320,9 +314,8 @@ class Screen:
             return []
         heads, reason = _banner_texts(content, snapshot)
         width = area.width - 2 * _MARGIN
-        lines = [font.fitting(heads, width), *(line for _, line in font.wrapped([("", reason)], width) if line)][
-            :_LINES
-        ]
+        reasons = [line for _, line in font.wrapped([("", reason)], width) if line]
+        lines = [font.fitting(heads, width), *reasons][:_LINES]
         self._banner.paint(BAD if content.bad else STOP)
         height = (len(lines) + 1) * font.row
         strip = area._replace(bottom=area.top - height, height=height)

@@ -83,10 +83,8 @@ class Grab:
                 self.moved = right * self.knob[1] + up * self.knob[2]
 
         calls = inner._GLFWmousebuttonfun(button), inner._GLFWcursorposfun(cursor)
-        pressed, pointed = (
-            raw.glfwSetMouseButtonCallback(window, calls[0]),
-            raw.glfwSetCursorPosCallback(window, calls[1]),
-        )
+        pressed = raw.glfwSetMouseButtonCallback(window, calls[0])
+        pointed = raw.glfwSetCursorPosCallback(window, calls[1])
         self._callbacks = calls, pressed, pointed  # ctypes keeps no reference
 
     def _take(self, window: Any) -> bool:
@@ -422,8 +420,7 @@ def _mouse(perturb: Any) -> _Mouse:
 
 def _font_scale() -> int:
     """Return MuJoCo's font scale on this screen [%], which its viewer does not report."""
-    monitor = glfw.get_primary_monitor()
-    if not monitor:
+    if not (monitor := glfw.get_primary_monitor()):
         return 100
     if sys.platform == "darwin":
         dpi = 100.0 * glfw.get_monitor_content_scale(monitor)[0]
@@ -435,5 +432,4 @@ def _font_scale() -> int:
 
 
 def _new_picture(folder: Path) -> Path:
-    names = (folder / f"maglev-{number:03d}.png" for number in count(1))
-    return next(path for path in names if not path.exists())
+    return next(path for number in count(1) if not (path := folder / f"maglev-{number:03d}.png").exists())
