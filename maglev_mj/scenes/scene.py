@@ -213,8 +213,8 @@ class Scene(Parameters):
     @property
     def has_pulses(self) -> bool:
         """True if a law exerts force pulses."""
-        laws = self.controller().laws
-        return any(law.pulse_width > 0.0 and np.any(getattr(law, "pulse", True)) for law in laws)
+        widths = ((law, getattr(law, "pulse_width", 0.0)) for law in self.laws())
+        return any(width > 0.0 and np.any(getattr(law, "pulse", True)) for law, width in widths)
 
     @property
     def end(self) -> float:
