@@ -99,8 +99,8 @@ MOST_CALLS, MOST_MODULES = 560, 30
 
 
 def test_a_command_line_is_a_short_way_to_the_first_law(capsys: pytest.CaptureFixture[str]) -> None:
-    # Every call of this package counts, with its modules loaded: parameters, two sets of laws (whether the pulse decides),
-    # plant and controller of the first run. It took 1 423 once.
+    # Every call of this package counts, with its modules loaded: parameters, two sets of laws (whether the pulse
+    # decides), plant and controller of the first run. It took 1 423 once.
     line, laws = "drop --stiffness 4000 --duration 0.01".split(), {Wall.__call__.__code__, Hold.__call__.__code__}
     calls: list[CodeType] = []
 
