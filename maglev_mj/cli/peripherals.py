@@ -51,7 +51,9 @@ class PageOptions:
     web: Annotated[bool, option("web page for a browser, instead of a window", _PAGE)] = False
     port: Annotated[int | None, option(f"TCP port of the page; 0 for any free port (default {PORT})", _PAGE)] = None
     no_open: Annotated[bool, option("do not open a browser", _PAGE)] = False
-    host: Annotated[str | None, option("listen address; requires --token (default 127.0.0.1)", _PAGE, "H")] = None
+    host: Annotated[
+        str | None, option("listen address (default 127.0.0.1); any other requires --token", _PAGE, "H")
+    ] = None
     token: Annotated[
         str | None,
         option(

@@ -86,14 +86,14 @@ class DeviceCard(Result):
     def table(self) -> Table:
         """Return figures, walls and masses of each hand, and impedances."""
         figures = [("transparency bandwidth (impedance within 3 dB of target)", self.transparent, "Hz")]
-        figures += [("force bandwidth of hold and drivers, 3 dB", self.force_bandwidth, "Hz")]
+        figures += [("force bandwidth of zero-order hold and drivers, 3 dB", self.force_bandwidth, "Hz")]
         figures += [("force resolution (one sensor step)", self.force_resolution, "N")]
         figures += [("device damping for a passive target wall", self.passive_damping, "N s/m")]
         hands = [
             (hand, *(f"{k:.0f} at {b:.0f}" for k, b in zip(wall.stiffness, wall.damping)), *mass.tolist())
             for hand, wall, mass in zip(self.hands, self.walls, self.masses)
         ]
-        heads = "hand", *(f"delay {delay * 1e3:g} ms" for delay in self.delays), "min. mass [kg]", "max. mass [kg]"
+        heads = "hand", *(f"delay {delay * 1e3:g} ms" for delay in self.delays), "min. virtual mass [kg]", "max. [kg]"
         title = (
             "Stiffest stable wall [N/m] at its damping [N s/m]; virtual masses that are stable behind the target's "
             "spring and damper (- for unlimited)"
@@ -102,7 +102,11 @@ class DeviceCard(Result):
         some = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
         tables = (
             Table(title, heads, hands, note),
-            Table("Impedance", [with_unit(*unit) for unit in self.units.items()], some),
+            Table(
+                "Impedance at the handle, flotor mass included: target, theory, simulation",
+                [with_unit(*unit) for unit in self.units.items()],
+                some,
+            ),
         )
         return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables, warnings=self.warnings)
 

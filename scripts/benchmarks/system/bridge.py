@@ -109,6 +109,7 @@ def lockstep(blocks: int, block: int) -> Table:
                 with RemotePlant(link, patience=10.0, folder=Path(folder)) as plant, realtime("ignore"):
                     plant.takeoff()
                     laws = Joystick(friction=True).controller()
+                    drive(plant, laws, 1)  # from now on each block starts with a sample that was read
                     for _ in range(blocks):
                         before = plant.samples.tick
                         seconds = timed(partial(drive, plant, laws, block))
