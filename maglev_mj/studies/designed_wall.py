@@ -149,7 +149,8 @@ class DesignResult(Result):
             rows.append(("stable island, not used", wall.island, "N/m", "and above: stable again in some cases"))
         growing = [str(case) for case, grows in zip(self.cases, self.grows) if grows]
         more = [f"and {len(growing) - _MOST_LISTED} more"] if len(growing) > _MOST_LISTED else []
-        note = f"{len(self.cases)} runs simulated from random heights, speeds and phases; not settling: {len(growing) or 'none'}"
+        runs = f"{len(self.cases)} runs simulated from random heights, speeds and phases"
+        note = f"{runs}; not settling: {len(growing) or 'none'}"
         title = f"Stiffest {law} at {1.0 / needs.period:g} Hz with spectral radius at most {needs.spectral_radius:g}"
         return Table(
             f"{title} in all combinations of {needs.description}",
