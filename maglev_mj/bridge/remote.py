@@ -105,7 +105,7 @@ class RemotePlant(GuardedPlant):
         loop.cycle(2)  # warm-up of slow first calls; the device ignores these answers
         poses = [rest, ZERO, *(_TRIES if check_coils else ())]
         times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
-        leader.aim(Trajectory(times, poses), off_path)
+        leader.aim(Trajectory(times, poses, "minimum-jerk"), off_path)
         self.arm()
         self.rest, self.guided = rest, True
         try:

@@ -235,6 +235,9 @@ INTERPOLATIONS: Mapping[str, Callable[[float], float]] = {
 """Interpolations by name: share of the way from one pose to the next at 0 <= s <= 1; "cubic" adds the slopes."""
 
 
+_MOST_VIA_POINTS = 20
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Path through timed poses.
@@ -242,8 +245,9 @@ class Trajectory:
     Args:
         times: Time of each pose [s], increasing, (N,).
         poses: The poses [m, rad], (N, 6).
-        interpolation: One of `INTERPOLATIONS`. "minimum-jerk" is for a few via points: the path stops at each. For a
-            recorded motion use "cubic" (slopes by differences, error of third order in the sample period) or "linear".
+        interpolation: One of `INTERPOLATIONS`. "minimum-jerk" is for a few via points: the path stops at each; "cubic"
+            (slopes by differences, error of third order in the sample period) and "linear" are for recorded motion.
+            By default "minimum-jerk" for up to 20 poses, "cubic" for more.
 
     Raises:
         ParameterError: If shapes do not match, the times do not increase, or there is no such interpolation.
@@ -259,7 +263,7 @@ class Trajectory:
 
     times: ArrayLike
     poses: ArrayLike
-    interpolation: str = "minimum-jerk"
+    interpolation: str = ""
     _times: list[float] = field(init=False, repr=False)
     _poses: list[list[float]] = field(init=False, repr=False)
     _slopes: list[list[float]] = field(init=False, repr=False)
@@ -270,6 +274,8 @@ class Trajectory:
         if (wrong := np.flatnonzero(np.diff(times) <= 0.0)).size:
             index = wrong[0]
             raise ParameterError(f"path times must increase (got {times[index]}, {times[index + 1]} at index {index})")
+        if not self.interpolation:
+            store(self, interpolation="cubic" if times.size > _MOST_VIA_POINTS else "minimum-jerk")
         check_one_of("interpolation", INTERPOLATIONS, self.interpolation)
         slopes = np.zeros_like(poses)
         if self.interpolation == "cubic" and times.size > 1:

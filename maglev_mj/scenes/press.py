@@ -144,7 +144,7 @@ class Press(WallScene):
         for start in self.strokes(phase):
             times += [start, start + way, start + 2.0 * way]
             poses += [up, down, up]
-        return Trajectory(times[:-1], poses[:-1])
+        return Trajectory(times[:-1], poses[:-1], "minimum-jerk")
 
     def series(self, result: RunResult, time: Array) -> dict[str, Array]:
         """Return height [m], actuator force [N], and rest point of the arm's spring as target [m]."""
