@@ -162,7 +162,7 @@ def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) ->
     if hand is not None and hand.soft:
         for index in hand.indices:
             joint = model.joint(f"hand_{AXES[index]}")
-            position[joint.qposadr], velocity[joint.dofadr] = hand.place(pose[index]), twist[index]
+            position[joint.qposadr], velocity[joint.dofadr] = hand.position_at_rest(pose[index]), twist[index]
     return position, velocity
 
 

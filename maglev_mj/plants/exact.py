@@ -330,7 +330,7 @@ class HeldAxis:
         self._index, self._weight = index, weight
         place, velocity, actual = start
         # states of `motion` after position and velocity
-        self._others = [*([hand.place(place), velocity] if hand.soft else []), *([actual] if lag else [])]
+        self._others = [*([hand.position_at_rest(place), velocity] if hand.soft else []), *([actual] if lag else [])]
         self._a, self._b = motion(inertia, hand, lag)
         self._cache: dict[float | bytes, list[list[Component]]] = {}
 

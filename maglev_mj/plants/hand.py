@@ -89,7 +89,7 @@ class Hand:
         """True if the grip is soft, so that the hand moves on its own."""
         return self.grip_stiffness is not None
 
-    def place(self, flotor: Component) -> Component:
+    def position_at_rest(self, flotor: Component) -> Component:
         """Return the hand's equilibrium position for a flotor position [m]."""
         _, _, arm, _, grip = self.values
         total = arm + grip
@@ -99,7 +99,7 @@ class Hand:
     @property
     def static_stiffness(self) -> Array:
         """Static stiffness of arm and grip at the flotor [N/m]."""
-        return np.asarray(self.values[2] * (self.place(1.0) if self.soft else 1.0))
+        return np.asarray(self.values[2] * (self.position_at_rest(1.0) if self.soft else 1.0))
 
     @property
     def values(self) -> tuple[Array, ...]:

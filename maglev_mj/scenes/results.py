@@ -41,7 +41,7 @@ class Figure:
         help: Short description.
         scale: Factor from SI units to that unit.
         batched: True if the function accepts a batch of devices, with results equal to the last bit.
-        late: True if NaN counts as the largest value in percentiles; otherwise it is ignored.
+        nan_is_largest: True if NaN counts as the largest value in percentiles; otherwise it is ignored.
         along: True for a figure along the scene's axis: the unit is that of a translation; see `unit_of`.
 
     Example:
@@ -58,12 +58,12 @@ class Figure:
     help: str = ""
     scale: float = 1.0
     batched: bool = True
-    late: bool = False
+    nan_is_largest: bool = False
     along: bool = False
 
     def __post_init__(self) -> None:
         flag("batched", self.batched)
-        flag("late", self.late)
+        flag("nan_is_largest", self.nan_is_largest)
         flag("along", self.along)
 
     def __call__(self, result: RunResult) -> Any:
@@ -99,7 +99,7 @@ class Figure:
             values: Figures of N runs, (N, ...).
             share: Percentile, 0 to 100.
         """
-        if self.late:
+        if self.nan_is_largest:
             ranked = np.where(np.isnan(values), np.inf, values)
             if np.isinf(np.percentile(ranked, share, method="higher")):
                 return np.array(np.nan)
@@ -119,7 +119,7 @@ def figure(
     *,
     scale: float = 1.0,
     batched: bool = False,
-    late: bool = False,
+    nan_is_largest: bool = False,
     along: bool = False,
 ) -> Callable[[Callable[[RunResult], Any]], Figure]:
     """Return a decorator that makes a `Figure` from a function.
@@ -134,7 +134,7 @@ def figure(
     """
 
     def make(function: Callable[[RunResult], Any]) -> Figure:
-        return Figure(function.__name__, function, unit, help, scale, batched, late, along)
+        return Figure(function.__name__, function, unit, help, scale, batched, nan_is_largest, along)
 
     return make
 

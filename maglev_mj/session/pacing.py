@@ -86,7 +86,7 @@ class Pacer:
     Attributes:
         backlog: Real time not simulated yet [s].
         missed: Total number of skipped ticks.
-        late: True if ticks were skipped in the last frame.
+        overloaded: True if ticks were skipped in the last frame.
         cost: Computing time per tick in the last frame with ticks [s].
     """
 
@@ -96,7 +96,7 @@ class Pacer:
         self.budget = number("budget", budget, above=0.0)
         self.patience = number("patience", patience, at_least=0.0)
         self._clock = clock
-        self.backlog, self.missed, self.late, self.cost = 0.0, 0, False, 0.0
+        self.backlog, self.missed, self.overloaded, self.cost = 0.0, 0, False, 0.0
 
     def advance(self, elapsed: float, period: float, tick: Callable[[], object]) -> int:
         """Run the ticks that are due.
@@ -121,15 +121,15 @@ class Pacer:
         if ticks:
             self.cost = (self._clock() - start) / ticks
         skipped = int((self.backlog - self.patience) / period + _ROUNDING)
-        self.late = skipped > 0
-        if self.late:
+        self.overloaded = skipped > 0
+        if self.overloaded:
             self.missed += skipped
             self.backlog -= skipped * period
         return ticks
 
     def clear_backlog(self) -> None:
         """Clear the backlog, for example after a pause."""
-        self.backlog, self.late = 0.0, False
+        self.backlog, self.overloaded = 0.0, False
 
 
 class Note:

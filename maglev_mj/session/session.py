@@ -379,7 +379,7 @@ class Session:
             pulses=self._pulses,
             cost=self._pacer.cost,
             missed=self._pacer.missed,
-            late=self._pacer.late,
+            overloaded=self._pacer.overloaded,
             time_scale=self._time_scale,
             actions=self.actions,
             state="stopped" if self._stopped else "paused" if self._paused else "running",

@@ -89,7 +89,7 @@ class Snapshot:
         pulses: Number of braking pulses so far.
         cost: Computing time of a tick [s].
         missed: Number of skipped ticks and lost samples.
-        late: True while ticks are skipped because this machine is too slow.
+        overloaded: True while ticks are skipped because this machine is too slow.
         time_scale: Simulated time over real time.
         duration: Duration of a recording [s]; None for a running scene.
         marks: Times of a recording's events [s].
@@ -125,7 +125,7 @@ class Snapshot:
     pulses: int = 0
     cost: float = 0.0
     missed: int = 0
-    late: bool = False
+    overloaded: bool = False
     time_scale: float = 1.0
     duration: float | None = None
     marks: Sequence[float] = ()

@@ -370,7 +370,7 @@ def banner(snapshot: Snapshot) -> Banner | None:
         return Banner(f"PAUSED{position}", _available("pause", snapshot), False)
     if (step := snapshot.tour) is not None and step.done and step.number < step.total:
         return Banner("DONE", "next", False)
-    if snapshot.late:
+    if snapshot.overloaded:
         return Banner("Running slower than real time", _available("slower", snapshot), True)
     return None
 

@@ -83,9 +83,9 @@ def test_a_guided_hand_comes_to_rest_where_springs_balance() -> None:
 
 def test_a_hand_without_any_stiffness_stays_where_the_flotor_is() -> None:
     # Without a division of 0 by 0, whose warning is an error here.
-    assert Hand(mass=0.3, damping=1.0).place(2e-3) == 2e-3
-    assert np.asarray(Hand(stiffness=np.zeros(2)).place(2e-3)).tolist() == [2e-3, 2e-3]
-    assert Hand(mass=0.3, stiffness=300.0, grip_stiffness=100.0).place(4e-3) == pytest.approx(1e-3)
+    assert Hand(mass=0.3, damping=1.0).position_at_rest(2e-3) == 2e-3
+    assert np.asarray(Hand(stiffness=np.zeros(2)).position_at_rest(2e-3)).tolist() == [2e-3, 2e-3]
+    assert Hand(mass=0.3, stiffness=300.0, grip_stiffness=100.0).position_at_rest(4e-3) == pytest.approx(1e-3)
 
 
 def test_a_path_is_of_minimum_jerk() -> None:

@@ -46,7 +46,7 @@ def knots(result: RunResult) -> int:
     return len(result.trace.time)
 
 
-@figure("s", "when it is below 4 mm", late=True)
+@figure("s", "when it is below 4 mm", nan_is_largest=True)
 def low(result: RunResult) -> float:
     time = result.times(1e-3)
     below = np.flatnonzero(result.motion(time)[0] < 0.004)
@@ -311,14 +311,14 @@ def test_figures_of_ones_own_are_swept_whether_they_take_a_batch_or_not() -> Non
 
 def test_missing_values_count_as_late_or_not_at_all() -> None:
     values = np.array([3.0, math.nan, 1.0, 2.0])
-    late, left = Figure("late", low.function, late=True), Figure("left", low.function)
+    late, left = Figure("late", low.function, nan_is_largest=True), Figure("left", low.function)
     assert [float(late.percentile(values, share)) for share in (0.0, 100.0 / 3.0)] == pytest.approx([1.0, 2.0])
     assert math.isnan(late.percentile(values, 75.0)) and math.isnan(late.percentile(values, 100.0))
     assert [float(left.percentile(values, share)) for share in (0.0, 50.0, 100.0)] == [1.0, 2.0, 3.0]
     assert math.isnan(left.percentile(np.full(3, math.nan), 50.0))
     both = left.percentile(np.column_stack([values, np.full(4, math.nan)]), 50.0)
     assert both[0] == 2.0 and math.isnan(both[1])
-    for name in ("batched", "late"):
+    for name in ("batched", "nan_is_largest"):
         with pytest.raises(ParameterError, match=rf"{name} must be True or False \(got 1\)"):
             figure("", "", **{name: 1})(low.function)  # type: ignore[arg-type]
 

@@ -68,7 +68,7 @@ def test_a_machine_that_keeps_up_misses_no_tick(period: float) -> None:
     pacer, made = paced(1e-5, 1200, period=period)
     assert abs(sum(made) - 1200 * FRAME / period) <= 1.0
     assert max(made) - min(made) <= 1
-    assert (pacer.missed, pacer.late) == (0, False)
+    assert (pacer.missed, pacer.overloaded) == (0, False)
     assert pacer.cost == pytest.approx(1e-5)
 
 
@@ -91,7 +91,7 @@ def test_a_stall_is_caught_up_frame_by_frame_within_the_budget() -> None:
 def test_a_machine_that_cannot_keep_up_slows_down_and_says_so() -> None:
     pacer, made = paced(0.010, 600)  # two ticks fill the budget, three and a third are due
     assert set(made[60:]) == {2}
-    assert pacer.late
+    assert pacer.overloaded
     due = 600 * FRAME / 0.005
     assert sum(made) + pacer.missed == pytest.approx(due - 0.5 / 0.005, abs=2.0)
     assert pacer.backlog <= 0.5 + 0.005

@@ -232,7 +232,7 @@ def test_the_stepped_loop_is_the_plant(integrator: str, hand: str) -> None:
     state[0] = state[-1] = 1e-3  # the last is the position seen before
     assert loop.hand is not None
     if loop.hand.soft:
-        state[2] = float(np.asarray(loop.hand.place(1e-3)))
+        state[2] = float(np.asarray(loop.hand.position_at_rest(1e-3)))
     controller = Controller([Hold(axes="z", stiffness=k, damping=b)], period=0.005)
     heights: list[float] = []
     drive(plant, controller, 20, observe=lambda sample, _: heights.append(float(sample.position[2])))

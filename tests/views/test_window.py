@@ -136,7 +136,7 @@ def test_no_text_is_truncated_or_wider_than_its_area(shot: Snapshot, size: tuple
 def test_nothing_moves_when_states_change(shot: Snapshot, size: tuple[int, int], room: int) -> None:
     # Neither the parts of the picture nor the rows of text that stay, all but the last, of a wall; the device not even
     # when the keys or the hint to drag come and go.
-    states: list[dict[str, Any]] = [{}, STOPPED, {"state": "paused"}, {"state": "flying"}, {"late": True}, BUSY, OFF]
+    states: list[dict[str, Any]] = [{}, STOPPED, {"state": "paused"}, {"state": "flying"}, {"overloaded": True}, BUSY, OFF]
     frames = list(drawings(shot, Area(0, 0, *size), 100, states, "Shadows off: slow drawing. S turns them on."))
     texts = [([name for name, _ in lines(drawn, "TOPLEFT")][:room], drawn) for _, keys, _, drawn in frames if not keys]
     assert len({(*areas(drawn.layout).values(), *names) for names, drawn in texts}) == 1
@@ -301,7 +301,7 @@ def test_the_banner_names_the_state_and_the_key_to_continue(shot: Snapshot) -> N
     assert found is not None and found.resume_action == "" and "--reset" in found.remedy
     assert heading(stopped, Area(0, 0, 1040, 700)).startswith("STOPPED: press /")
     late = "Running slower than real time: press - for slow motion"
-    assert heading(replace(shot, late=True)) == heading(shot) == late  # held for a while
+    assert heading(replace(shot, overloaded=True)) == heading(shot) == late  # held for a while
 
 
 def test_a_key_magnifies_the_motion_of_handle_and_walls(shot: Snapshot) -> None:

@@ -307,9 +307,9 @@ class Screen:
 
     def _banner_figures(self, snapshot: Snapshot, area: Area, font: Font) -> list[tuple[Area, Any]]:
         """Return the background and lines of the banner, the heading first; empty while running normally."""
-        if snapshot.late:
+        if snapshot.overloaded:
             self._late.say("late")
-        content = banner(replace(snapshot, late=bool(self._late.lines)))  # hold the state: no flicker
+        content = banner(replace(snapshot, overloaded=bool(self._late.lines)))  # hold the state: no flicker
         if content is None:
             return []
         heads, reason = _banner_texts(content, snapshot)
