@@ -318,10 +318,24 @@ def press_name(name: str) -> str:
 STOCK: Mapping[str, Figure] = {
     figure.name: replace(figure, along=True)
     for figure in (
-        Figure("penetration", _part(_bounce, "penetration"), "mm", "largest depth inside the wall", 1e3, nan_is_largest=True),
+        Figure(
+            "penetration",
+            _part(_bounce, "penetration"),
+            "mm",
+            "largest depth inside the wall",
+            1e3,
+            nan_is_largest=True,
+        ),
         Figure("rebound", _part(_bounce, "rebound"), "mm", "height after the first contact", 1e3, nan_is_largest=True),
         Figure("peak_force", _part(_bounce, "peak_force"), "N", "largest actuator force", nan_is_largest=True),
-        Figure("settling_time", _part(_bounce, "settling_time"), "ms", "time to within 2 % of rest", 1e3, nan_is_largest=True),
+        Figure(
+            "settling_time",
+            _part(_bounce, "settling_time"),
+            "ms",
+            "time to within 2 % of rest",
+            1e3,
+            nan_is_largest=True,
+        ),
         Figure("final_z", _part(_bounce, "final_z"), "mm", "height at the end", 1e3, nan_is_largest=True),
         Figure("hardness", _hardness, "kN/m", "force rate over 5 ms / impact speed", 1e-3),
         Figure("peak_speed", _peak_speed, "mm/s", "peak speed", 1e3),

@@ -136,7 +136,15 @@ def test_no_text_is_truncated_or_wider_than_its_area(shot: Snapshot, size: tuple
 def test_nothing_moves_when_states_change(shot: Snapshot, size: tuple[int, int], room: int) -> None:
     # Neither the parts of the picture nor the rows of text that stay, all but the last, of a wall; the device not even
     # when the keys or the hint to drag come and go.
-    states: list[dict[str, Any]] = [{}, STOPPED, {"state": "paused"}, {"state": "flying"}, {"overloaded": True}, BUSY, OFF]
+    states: list[dict[str, Any]] = [
+        {},
+        STOPPED,
+        {"state": "paused"},
+        {"state": "flying"},
+        {"overloaded": True},
+        BUSY,
+        OFF,
+    ]
     frames = list(drawings(shot, Area(0, 0, *size), 100, states, "Shadows off: slow drawing. S turns them on."))
     texts = [([name for name, _ in lines(drawn, "TOPLEFT")][:room], drawn) for _, keys, _, drawn in frames if not keys]
     assert len({(*areas(drawn.layout).values(), *names) for names, drawn in texts}) == 1
