@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import re
+import types
+from collections import ChainMap
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from functools import wraps
-from typing import Any, TypeVar
+from numbers import Integral, Real
+from typing import Any, TypeVar, Union, get_args, get_origin
 from weakref import WeakSet
 
-from maglev_mj.errors import KeywordError, choice_message
+from maglev_mj.errors import KeywordError, MaglevError, ParameterError, choice_message, one_line
 
 _T = TypeVar("_T")
+_NUMBERS: dict[Any, Any] = {float: Real, int: Integral}
 _done: WeakSet[Any] = WeakSet()
 
 
 def with_hints(target: _T) -> _T:
     """Return a function, or a class with its constructor replaced, that takes `rate` [Hz] for `period`.
 
-    A wrong keyword raises `KeywordError` with a suggestion.
+    A wrong keyword raises `KeywordError` with a suggestion. If the call fails on an argument of another type than
+    declared, or on their number, a `ParameterError` says so.
     """
     method = "__new__" if isinstance(target, type) and issubclass(target, tuple) else "__init__"
     call: Any = getattr(target, method) if isinstance(target, type) else target
@@ -33,10 +38,12 @@ def with_hints(target: _T) -> _T:
             keywords = with_period(_names(call), keywords)
         try:
             return call(*arguments, **keywords)
-        except TypeError:
+        except (TypeError, AttributeError) as error:
             names = _names(call)
             wrong = [name for name in keywords if name not in names]
             if not wrong:
+                if not isinstance(error, MaglevError):
+                    _check_types(target.__name__, call, arguments, keywords)  # type: ignore[attr-defined]
                 raise
             also = "; set those of a scene first: find_scene('drop')(height=0.002)" if "scene" in names else ""
             raise KeywordError(choice_message(f"argument of {target.__name__}", names, wrong[0], also)) from None  # type: ignore[attr-defined]
@@ -61,10 +68,30 @@ def with_period(names: Collection[str], keywords: Mapping[str, Any]) -> dict[str
     return changed
 
 
-def _names(call: Any) -> list[str]:
-    """Return the names of a function's parameters, with those of an unpacked TypedDict."""
+def _check_types(called: str, call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> None:
+    """Raise an error if arguments are missing or too many, or one does not have its declared type."""
+    import inspect  # slow to load
+
+    try:
+        given = inspect.signature(call).bind(*arguments, **keywords).arguments | keywords
+    except TypeError as error:
+        raise KeywordError(f"arguments of {called} must be {', '.join(_names(call))}: {error}") from None
+    for name, declared in _names(call).items():
+        note = getattr(declared, "__forward_arg__", declared)
+        with suppress(NameError, TypeError):  # without a type, or one that cannot be checked here
+            hint = eval(note, call.__globals__)
+            parts = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+            kinds = tuple(_NUMBERS.get(part, get_origin(part) or part) for part in parts)
+            if name in given and "Array" not in note and not isinstance(given[name], kinds):
+                kind = re.sub(r"\w+\.(?=\w)", "", inspect.formatannotation(hint))
+                raise ParameterError(f"{name} must be of type {kind} (got {one_line(given[name])})")
+
+
+def _names(call: Any) -> dict[str, Any]:
+    """Return a function's parameters with their declared types, with those of an unpacked TypedDict."""
     import inspect  # slow to load
 
     given = {name: re.fullmatch(r"Unpack\[(\w+)\]", str(note)) for name, note in call.__annotations__.items()}
     names = [name for name in inspect.signature(call).parameters if name != "self" and not given.get(name)]
-    return [*names, *(key for kind in given.values() if kind for key in call.__globals__[kind[1]].__annotations__)]
+    packed = [call.__globals__[kind[1]].__annotations__ for kind in given.values() if kind]
+    return {name: call.__annotations__.get(name) for name in names} | dict(ChainMap(*packed))

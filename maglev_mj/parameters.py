@@ -316,6 +316,7 @@ class Turn:
 
     def __post_init__(self) -> None:
         flag("inverse", self.inverse)
+        store(self, factor=number("factor", self.factor, at_least=0.0), add=number("add", self.add, at_least=0.0))
 
     @property
     def has_keys(self) -> bool:

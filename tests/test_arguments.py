@@ -149,3 +149,19 @@ def test_the_message_of_equal_times_names_their_index() -> None:
     times[500] = times[499]
     with pytest.raises(ParameterError, match=r"path times must increase \(got 0.499, 0.499 at index 499\)"):
         Trajectory(times, np.zeros((len(times), 6)))
+
+
+WRONG_TYPES = """
+observe: run("twist", plant="exact", observe=3); law: compare("drop", [3]); workers: local_workers("x")
+velocity: Controller([], period=0.005, velocity=3); design: largest_stable_stiffness(80.0, design=3)
+hands: WallRequirements(hands=None); sample: Controller([], period=0.005).step(None); factor: Turn(factor="x")
+parameters: Session("drop").change(None); time: Trajectory([0, 1], MANY).at("x"); field: Recording([]).samples("tim")
+arguments of Wall: Wall(6000, 80); arguments of judge: judge(Controller([], period=0.005))
+"""
+
+
+@pytest.mark.parametrize("line", WRONG_TYPES.strip().replace("\n", "; ").split("; "))
+def test_an_argument_of_another_type_is_named(line: str) -> None:
+    name, call = line.split(": ", 1)
+    with pytest.raises(ParameterError, match=f"^{name} must be "):
+        eval(f"maglev_mj.{call}", globals())

@@ -62,6 +62,7 @@ class Controller:
             raise ParameterError(f"laws must share one pulse_width (got {sorted(widths)})")
         self._pulse_width = widths.pop() if widths else 0.0
         self.velocity = velocity or FiniteDifference()
+        check_instance("velocity", self.velocity, Callable, "a velocity estimator, such as LowPass()")
         self._estimate = self.velocity.__call__
         self._calls: _Calls = tuple(enumerate(law.__call__ for law in self.laws))
         self._first_calls: _Calls = tuple(enumerate(partial(answer, law) for law in self.laws))
@@ -116,6 +117,8 @@ class Controller:
                 shape of the laws, if a law returns an invalid result for it, or if the tick of a later sample does not
                 increase, as in a new run without `reset()`.
         """
+        if self._tick is None:
+            check_instance("sample", sample, Sample, "a Sample")
         position, tick, last, calls = sample.position, sample.tick, self._tick, self._calls
         if last is None:
             self._check(position)

@@ -195,15 +195,15 @@ class SampledPlant(ABC):
         if self._closed or self._tick < 0:
             raise PlantError("the plant is closed" if self._closed else "write() needs a sample: call read() first")
         width = 0.0
-        total = command.force
         try:
+            total = command.force
             if command.extra is not None:
                 total = [held + pulse for held, pulse in zip(total, command.extra, strict=True)]
                 width = command.pulse_width
                 if not 0.0 < width < math.inf:
                     raise PlantError(f"pulse_width must be finite and above 0 (got {width:g})")
             check = sum(total)  # finite only if all terms are, short of overflow
-        except (TypeError, ValueError):
+        except (AttributeError, TypeError, ValueError):
             raise PlantError(f"a command must have 6 components, and so must its pulse (got {command})") from None
         if len(total) != 6 or not (isfinite(check) if check.__class__ is float else self._valid(check)):
             raise _invalid(total, self._tick, self.batch)

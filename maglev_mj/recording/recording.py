@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.errors import ParameterError, check_instance, file_path
+from maglev_mj.errors import ParameterError, check_instance, check_one_of, file_path
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
 from maglev_mj.parameters import store, whole
@@ -146,6 +146,8 @@ class Recording(Result):
 
     def samples(self, fields: Sequence[str] = _RECORDED) -> Samples:
         """Return fields of all samples as arrays; NaN for totals that were not loaded."""
+        for name in fields:
+            check_one_of("field", _FIELDS, name)
 
         def joined(name: str) -> Array:
             parts = [part.arrays.get(name, np.full(len(part), np.nan)) for part in self.segments]

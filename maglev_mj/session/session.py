@@ -14,7 +14,7 @@ import numpy as np
 
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError, choice_message
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, choice_message
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.recording import RecordingError, RecordingFile, open_recording
@@ -293,6 +293,7 @@ class Session:
         Raises:
             ParameterError: If a live parameter is unknown, or the scene refuses a value; then nothing changes.
         """
+        check_instance("parameters", parameters, Mapping, "values by name")
         changes = dict(parameters)
         stiffness = number("hand_stiffness", changes.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
         lowest, highest = TIME_SCALES[0], TIME_SCALES[-1]

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
+from maglev_mj.parameters import whole
 from maglev_mj.process import process_start
 from maglev_mj.studies.record import Cell, Columns, Record, pack
 from maglev_mj.versions import Versions, differences, versions
@@ -132,7 +133,7 @@ def local_workers(count: int | None = None) -> Workers:
     By default one per processor; 0 for none: jobs run in this process.
 
     Raises:
-        ParameterError: If the count is negative.
+        ParameterError: If the count is not a whole number, or negative.
 
     Example:
         >>> from maglev_mj import local_workers
@@ -141,8 +142,8 @@ def local_workers(count: int | None = None) -> Workers:
         >>> powers
         [1, 4, 9]
     """
-    if count is not None and count < 0:
-        raise ParameterError(f"workers must be at least 0 (got {count})")
+    if count is not None:
+        count = whole("workers", count, at_most=np.inf)
     number = len(os.sched_getaffinity(0)) if count is None and hasattr(os, "sched_getaffinity") else count
     number = (os.cpu_count() or 1) if number is None else number
     return Workers(partial(_Processes, number), 2 * number) if number else Workers(_Inline, 1)

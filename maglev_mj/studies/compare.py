@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import Law, ObserverWall, PredictiveWall, Wall
-from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.parameters import number
 from maglev_mj.plants.model import load_model
 from maglev_mj.result import Table, plain, with_unit
@@ -187,6 +187,7 @@ def _named(law: str | LawMaker) -> tuple[str, LawMaker]:
         check_one_of("law", LAWS, law, ", or your own FILE.py[:CLASS]")
         return law, LAWS[law]
     own = class_in_file(law, Law) if isinstance(law, str) else law
+    check_instance("law", own, Callable, "a name, FILE.py[:CLASS] or a function that returns a Law")
     return getattr(own, "__name__", str(own)), own
 
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.control import Law, ObserverWall
-from maglev_mj.errors import ParameterError, check_instance, check_one_of
+from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array
 from maglev_mj.parameters import Parameters, param, param_range, transport_delay
 from maglev_mj.plants.hand import get_hand
@@ -258,7 +258,6 @@ def design_wall(
         >>> round(wall.stiffness), round(wall.damping)
         (7725, 74)
     """
-    check_instance("requirements", requirements, WallRequirements, "WallRequirements(...)")
     check_one_of("law", LAWS, law)
     check_one_of("goal", GOALS, goal)
     poles: Sequence[float | None] = (None,) if law == "pd" else _POLES if pole is None else (pole,)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import MaglevError, TooManyCallsError, check_instance, named, require
+from maglev_mj.errors import MaglevError, TooManyCallsError, named, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.pictures import save
@@ -268,7 +268,6 @@ def linearise(controller: Controller, poses: ArrayLike, *, axes: str | Sequence[
         >>> round(near.stiffness[2, 2]), round(near.damping[2, 2])
         (6000, 80)
     """
-    check_instance("controller", controller, Controller, "a Controller")
     rest = np.atleast_2d(numbers("poses", poses, shape="(6,) or (P, 6)"))
     chosen = list(axis_indices(axes))
     size, n = np.minimum(_LARGEST, _SPEED * controller.period), len(chosen)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import ParameterError, TooManyCallsError, check_instance
+from maglev_mj.errors import ParameterError, TooManyCallsError
 from maglev_mj.frames import AXES, ZERO, Array, Sample
 from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.pictures import save
@@ -236,7 +236,6 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
         >>> judge(Controller([wall], period=0.005), delay=0.0015).stable
         True
     """
-    check_instance("controller", controller, Controller, "a Controller")
     start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
     transport_delay(number("delay", delay), controller.period)
     gains = stated_gains(controller)
@@ -560,7 +559,6 @@ def delay_margins(
         >>> round(delay_margins(joystick.controller(), ["none"])["none"] * 1e3, 2)  # [ms]
         2.91
     """
-    check_instance("controller", controller, Controller, "a Controller")
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
     gains, period = stated_gains(controller), controller.period
     if gains is None:
