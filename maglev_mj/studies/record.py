@@ -227,7 +227,7 @@ def _check(path: Path, plan: Mapping[str, Any]) -> None:
     if others:
         raise ParameterError(f"record must be of this study (got {str(path)!r}, which differs in {', '.join(others)})")
     if other := differences(code, plan["versions"]):
-        raise ParameterError(f"record must be of this code, or a new folder (got {str(path)!r}): {other}")
+        raise ParameterError(f"record must be of this code (got {str(path)!r}): {other}; use another, or delete it")
 
 
 def _checksum(table: Columns) -> int:
