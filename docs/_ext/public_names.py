@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
-from inspect import getdoc, getsource, isclass, isroutine, signature
+from inspect import getdoc, getsource, isclass, isroutine, signature, unwrap
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -62,17 +62,17 @@ class Name(NamedTuple):
     def is_data(self) -> bool:
         """True for a value, which does not know its name."""
         named = isclass(self.found) or isroutine(self.found)
-        return not (named and str(self.found.__module__).startswith("maglev_mj."))
+        return not (named and str(unwrap(self.found).__module__).startswith("maglev_mj."))
 
     @property
     def key(self) -> int | str:
         """Key that two names of one object share."""
-        return self.path if self.is_data else id(self.found)
+        return self.path if self.is_data else id(unwrap(self.found))
 
     @property
     def package(self) -> str:
         """Package of its source."""
-        return str(self.module if self.is_data else self.found.__module__).split(".")[1]
+        return str(self.module if self.is_data else unwrap(self.found).__module__).split(".")[1]
 
     @property
     def directive(self) -> str:
