@@ -154,7 +154,7 @@ def _run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt as stopped:
         return _stopped(options, str(stopped) or "stopped")
     except ParameterError as error:
-        say(f"maglev-mj {options.command}: {error}", sys.stderr)
+        say(f"maglev-mj {options.command}: {_line_of(error)}{error}", sys.stderr)
         return 2
     except (MaglevError, OSError) as error:
         if isinstance(error, BrokenPipeError) and _is_unread(sys.stdout):
@@ -166,12 +166,17 @@ def _run(options: argparse.Namespace) -> int:
         _drop_unwritten()
         return 1
     except Exception as error:
-        from maglev_mj.scenes.find import line_of  # imported here: --help does not need it
-
-        if (line := line_of(error)) is None:
+        if not (line := _line_of(error)):
             raise
-        say(f"maglev-mj {options.command}: {line}: {type(error).__name__}: {error}", sys.stderr)
+        say(f"maglev-mj {options.command}: {line}{type(error).__name__}: {error}", sys.stderr)
         return 2
+
+
+def _line_of(error: Exception) -> str:
+    from maglev_mj.scenes.find import line_of  # imported here: --help does not need it
+
+    line = line_of(error)
+    return f"{line}: " if line else ""
 
 
 @contextmanager

@@ -103,7 +103,7 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     ),
     "time of a session": (lambda: m.Session("box").tick("1"), r"elapsed must be a finite number \(got '1'"),
     "a scene to be found": (lambda: m.find_scene(DROP), "scene must be a name, .*(not|got) Drop"),
-    "requirements": (lambda: m.design_wall("pd"), "requirements must be WallRequirements.*(not|got) 'pd'"),
+    "requirements": (lambda: m.design_wall("pd"), "requirements must be .*WallRequirements.*(not|got) 'pd'"),
     "a file to analyse": (lambda: m.analyse("f.maglev"), "segment must be a Segment, .*(not|got) 'f.maglev'"),
     "a file to verify": (lambda: m.verify("f.maglev", m.rebuild), "recording must be .*load.*(not|got) 'f.maglev'"),
     "a file to export": (
