@@ -103,7 +103,7 @@ class DeviceCard(Result):
         tables = (
             Table(title, heads, hands, note),
             Table(
-                "Impedance at the handle, flotor mass included: target, theory, simulation",
+                "Impedance at the handle: target (spring and damper), rendered and simulated (with the flotor)",
                 [with_unit(*unit) for unit in self.units.items()],
                 some,
             ),

@@ -500,8 +500,8 @@ class StabilityMap(GainMap):
                 f"theory, {self.disagreement.sum()} outside ±0.5 % of the boundary ({self.near.sum()} cells inside)"
             )
         note.append(
-            f"published bounds: at {damping:.1f} N s/m, without a hand; those above the first row hold only for low "
-            f"damping, or without delay{passive}"
+            f"published bounds: at {damping:.1f} N s/m, without a hand; those larger than the first row's hold only "
+            f"for low damping, or without delay{passive}"
         )
         head = "", "stiffness [N/m]", "ratio", ""
         return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note), self.below, self.warnings)

@@ -140,7 +140,9 @@ class Verdict(Result):
             parts = [f"{axis} = {1e3 * x:.3g} {unit}" for axis, x, unit in zip(AXES, self.pose, units) if x]
             worst = f" (worst at {', '.join(parts) or 'the centre'})" if self.axes else ""
             method = "by numerical linearisation"
-        remarks = "\n".join([f"first line: worst axis; margin = 1 - spectral radius; computed {method}", *self.remarks])
+        remarks = "\n".join(
+            [f"line above the table: worst axis; margin = 1 - spectral radius; computed {method}", *self.remarks]
+        )
         return Table(f"{self}{worst}", ("axes", "state", "spectral radius", "margin", "verdict"), rows, remarks)
 
     def __str__(self) -> str:
