@@ -121,7 +121,7 @@ class Result:
 
     @property
     def warnings(self) -> Sequence[str]:
-        """Verdicts printed above the table: an unstable wall, and force or motion beyond the device's."""
+        """Verdicts printed above the table: an unstable wall, and force or motion above the limits of the device."""
         return ()
 
     def table(self) -> Table:

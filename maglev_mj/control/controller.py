@@ -117,13 +117,12 @@ class Controller:
                 shape of the laws, if a law returns an invalid result for it, or if the tick of a later sample does not
                 increase, as in a new run without `reset()`.
         """
-        if self._tick is None:
-            check_instance("sample", sample, Sample, "a Sample")
-        position, tick, last, calls = sample.position, sample.tick, self._tick, self._calls
+        last, calls = self._tick, self._calls
         if last is None:
-            self._check(position)
-            last = tick - 1
-            calls = self._first_calls
+            check_instance("sample", sample, Sample, "a Sample")
+            self._check(sample.position)
+            last, calls = sample.tick - 1, self._first_calls
+        position, tick = sample.position, sample.tick
         total = sum(position, sample.time)  # finite only if all terms are, short of overflow
         if not (isfinite(total) if total.__class__ is float else np.isfinite(total).all()):
             if message := not_finite(f"sample at tick {tick}", (*position, sample.time)):

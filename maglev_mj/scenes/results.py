@@ -468,7 +468,7 @@ class Variants(Result):
             labels.setdefault(check(scene), []).append(label)
         several = len(labels) > 1
         unstable = [f"{', '.join(names)}: " * several + text for text, names in labels.items() if text]
-        return [*unstable, *(text.removeprefix("Warning: ") for text in self._warnings())]
+        return [*unstable, *self._warnings()]
 
     def _warnings(self) -> Iterator[str]:
         """Yield a line for a force and for a motion that the device cannot produce."""
@@ -479,7 +479,7 @@ class Variants(Result):
         if (peak := max(peaks, default=0.0)) > limit * _ROUNDING:
             axis = "" if scene.axis == "z" else " along z"
             option = f"; --force-limit {limit:.4g} applies it" if hasattr(scene, "force_limit") else ""
-            yield f"Warning: peak force {peak:.3g} N{axis} exceeds the device's {limit:.4g} N limit{option}"
+            yield f"peak force {peak:.3g} N{axis} exceeds the device's {limit:.4g} N limit{option}"
         texts, exceeded = [], np.zeros(len(AXES))
         for label in dict.fromkeys([*self.runs, *self.phases]):
             alone = [self.runs[label].trace.furthest()] if label in self.runs else []
@@ -492,7 +492,7 @@ class Variants(Result):
                 count = f" ({phases} of {len(swept)} phases)" if phases else ""
                 texts.append(f"{label} {_distances(outside.max(axis=0))}{count}")
         if texts:
-            yield f"Warning: motion exceeds the range of {_distances(exceeded)}: {', '.join(texts)}"
+            yield f"motion exceeds the range of {_distances(exceeded)}: {', '.join(texts)}"
 
 
 def chaos_note(subject: str, moved: float, unit: str) -> str:

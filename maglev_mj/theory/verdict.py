@@ -635,7 +635,7 @@ def _poses(controller: Controller, start: Array) -> Array:
 
 
 def _edges(controller: Controller, grid: Sequence[Linearised]) -> Iterator[Array]:
-    """Yield poses just beyond the edges of regions of constant gains, such as free motion, along each axis."""
+    """Yield poses just inside the edges of regions of constant gains, such as free motion, along each axis."""
     for axis in range(len(AXES)):
         line = grid[axis * _POINTS : (axis + 1) * _POINTS]
         same = [_same(*(near.response for near in pair)) for pair in pairwise(line)]

@@ -152,7 +152,7 @@ def figures(flown: Flown, since: float) -> Row:
         "reversals": rounded(flown.reversals, 2),
         "small": rounded(flown.small, 2),
         "energy": rounded(flown.energy, 5),
-        "bears": rounded(flown.critical_delay, 5) if math.isfinite(flown.critical_delay) else None,
+        "critical_delay": rounded(flown.critical_delay, 5) if math.isfinite(flown.critical_delay) else None,
     }
 
 
@@ -342,7 +342,7 @@ def fly_good(delays: dict[str, list[int]], cell: Row) -> Row:
         link._line = Line(delay)  # type: ignore[assignment]
         with RemotePlant(link, folder=folder) as plant:
             result = preflight(plant, find_scene(cell["scene"])())
-        latency = {"usual": rounded(result.report.delay_95, 6), "reduced": bool(result.reduction)}
+        latency = {"delay_95": rounded(result.report.delay_95, 6), "reduced": bool(result.reduction)}
         if result.problem:
             return {"refused": result.problem, **latency}
         options = {name: cell[name] for name in ("rate", "hand", "seconds", "seed")}
