@@ -1,7 +1,4 @@
-"""Gamepads and 3D mice as hands.
-
-Real sockets, real GLFW with a made-up gamepad, and the session behind.
-"""
+"""Gamepads and 3D mice as hands: real sockets, made-up gamepads of GLFW, and the session behind."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ import math
 import os
 import socket
 import struct
-import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -43,8 +40,6 @@ from maglev_mj.session import Session, Snapshot
 from maglev_mj.spec import RANGE
 from maglev_mj.views.viewer_process import ShowReport
 from maglev_mj.views.window import window
-from tests.conftest import COMPILER
-from tests.views.virtual_screen import VirtualScreen
 
 REST = Reading((0.0,) * 6)
 PERIOD = 0.005
@@ -284,6 +279,8 @@ class PadRig:
 
     JOYSTICK_1, JOYSTICK_LAST, GAMEPAD_BUTTON_LEFT_BUMPER, GAMEPAD_BUTTON_RIGHT_BUMPER = 0, 15, 4, 5
 
+    get_gamepad_name: Callable[[int], bytes | None]
+
     def __init__(self, known: bool) -> None:
         rig: Any = self
         self.rest = [0.0] * 4 + [-1.0 if known else 0.0] * 2
@@ -381,79 +378,66 @@ def test_no_input_device_pulls_that_was_lost_or_never_at_rest(kind: str, fault: 
         assert goal(rig.device, rig.hand)[0] > 0.0
 
 
-KEY, ABSOLUTE = 1, 3
-BUTTON_A, BUTTON_B, LEFT_BUMPER = 0x130, 0x131, 0x136
+class WatchedPads(PadRig):
+    """GLFW with a joystick and a gamepad, watched in this process over a script of changes."""
 
+    ended = False
 
-class Pads:
-    """Made-up gamepads and joysticks, as GLFW finds them."""
+    def __init__(self, *changes: Callable[[WatchedPads], object]) -> None:
+        super().__init__(True)
+        self.axes[0], self.line, self.messages, self.changes = [0.0, 0.0, 1.0, 0.0], self, list[Any](), iter(changes)
+        self.joystick_is_gamepad, self.get_joystick_name = lambda number: number == 1, lambda number: b"Test Stick"
+        self.get_gamepad_name = lambda number: b"X360 Controller" if number else None
+        self.get_joystick_axes = lambda number: (self.axes[number], len(self.axes[number]))
+        self.send, self.sent = self.messages.append, iter(self.messages)
+        self.init = self.poll_events = self.terminate = self.close = lambda: None
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.lines: dict[str, int] = {}
+    def watch(self, function: Callable[..., None], name: str) -> WatchedPads:
+        function(self, name)
+        return self
 
-    def plug(self, name: str = "event3") -> None:
-        os.mkfifo(self.folder / name)
-        self.lines[name] = os.open(self.folder / name, os.O_RDWR | os.O_NONBLOCK)
+    def poll(self, _: float) -> bool:
+        if (change := next(self.changes, None)) is not None:
+            change(self)
+        return change is None
 
-    def unplug(self, name: str = "event3") -> None:
-        (self.folder / name).unlink()
-        os.close(self.lines.pop(name))
-
-    def say(self, *events: tuple[int, int, int], name: str = "event3") -> None:
-        for event in events:
-            os.write(self.lines[name], struct.pack("@llHHi", 0, 0, *event))
+    def received(self) -> Any:
+        return self.sent
 
 
 @pytest.fixture
-def pads(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pads]:
-    library, folder = tmp_path / "fake_gamepad.so", tmp_path / "input"
-    folder.mkdir()
-    source = Path(__file__).with_name("fake_gamepad.c")
-    subprocess.run([str(COMPILER), "-shared", "-fPIC", str(source), "-o", str(library), "-ldl"], check=True)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with VirtualScreen(320, 240) as screen:
-        monkeypatch.setenv("DISPLAY", screen.display)
-        monkeypatch.setenv("LD_PRELOAD", str(library))
-        monkeypatch.setenv("FAKE_INPUT", str(folder))
-        found = Pads(folder)
-        yield found
-        for line in found.lines.values():
-            os.close(line)
+def watched(path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Return a function that sets the script of the next devices."""
+
+    def plug(*changes: Callable[[WatchedPads], object]) -> None:
+        pads = WatchedPads(lambda _: None, *changes)
+        monkeypatch.setitem(sys.modules, "glfw", pads)
+        monkeypatch.setattr(hand_devices, "SideProcess", pads.watch)
+
+    return plug
 
 
-@pytest.mark.needs("screen", "compiler")
-def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
-    # GLFW itself, with its own table of gamepads, beside a folder of made-up devices.
-    pads.plug("event1")
-    pads.plug()
+HELD = [0, 1, 0, 0, 0], [1, 0, 0, 0, 0], [1, 1, 0, 0, 1]
+"""Buttons of a gamepad in turn: one that stays down is not pressed again, and the last is the left bumper."""
+
+
+def test_a_gamepad_is_read_and_unplugged(watched: Callable[..., None]) -> None:
+    watched()
     assert described_devices() == ["gamepad X360 Controller", "gamepad Test Stick"]  # gamepads first
-    with closing(Gamepad("x360")) as pad:
-        assert pad.name == "X360 Controller"
-        assert pad.read().shares == pytest.approx([0.0] * 6, abs=1e-4)
-        pads.say((ABSOLUTE, 0, 32767), (ABSOLUTE, 5, 255), (KEY, LEFT_BUMPER, 1))
-        waited(lambda: pad.read().shares == pytest.approx([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], abs=1e-4))
-        pads.say((KEY, BUTTON_B, 1))
-        assert waited(lambda: pad.read().pressed) == [1]
-        pads.say((KEY, BUTTON_B, 0), (KEY, BUTTON_A, 1))
-        assert waited(lambda: pad.read().pressed) == [0]
-        pads.say((KEY, BUTTON_B, 1))
-        assert waited(lambda: pad.read().pressed) == [1]  # the other one is held, not pressed again
-        pads.unplug()
-        waited(lambda: pad.read() == Reading(None))
-        pads.plug()
-        waited(lambda: pad.read().shares == pytest.approx([0.0] * 6, abs=1e-4))
-    assert pad.read() == Reading(None)
+    held = [lambda pads, button=button: pads.down.__setitem__(slice(5), button) for button in HELD]
+    watched(*held, lambda pads: pads.axes.update({1: [1.0, 0.0, 0.0, 0.0, -1.0, 1.0]}))
+    pad = Gamepad("x360")
+    assert pad.name == "X360 Controller"
+    assert pad.read() == Reading((1.0, 0.0, 1.0, 0.0, 0.0, 1.0), [1, 0, 1])
+    watched(*held, lambda pads: pads.axes.pop(1))
+    assert Gamepad("x360").read() == Reading(None)
 
 
-@pytest.mark.needs("screen", "compiler")
-def test_an_unknown_joystick_has_its_axes_in_order(pads: Pads) -> None:
-    pads.plug("event1")
-    with closing(open_device("auto")) as stick:
-        assert stick.name == "Test Stick"
-        assert stick.read().shares == pytest.approx(one(2), abs=1e-4)
-        pads.say((ABSOLUTE, 1, 32767), (ABSOLUTE, 2, 0), name="event1")
-        waited(lambda: stick.read().shares == pytest.approx([0.0, -1.0, 0.0, 0.0, 0.0, 0.0], abs=1e-4))
+def test_an_unknown_joystick_has_its_axes_in_order(watched: Callable[..., None]) -> None:
+    watched(lambda pads: pads.axes.update({0: [0.0, 1.0, 0.0, 0.0]}), lambda pads: pads.axes.pop(1))
+    stick = open_device("Stick")
+    assert stick.name == "Test Stick"
+    assert stick.read().shares == pytest.approx([0.0, -1.0, 0.0, 0.0, 0.0, 0.0])
 
 
 # -- the command -----------------------------------------------------------------------------------------
