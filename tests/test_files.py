@@ -104,7 +104,7 @@ def test_a_foreign_file_is_refused_in_one_line_that_names_it(
     (read, valid), path = READERS[name], tmp_path / name
     pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
     mcap = b"\x89MCAP0\r\n\x01" + (8).to_bytes(8, "little") + (4).to_bytes(4, "little") + b"ros2" + bytes(4)
-    for content in (b"", valid[: len(valid) * 2 // 3], mcap, pointer, None):
+    for content in (b"", valid[: len(valid) * 2 // 3], b"[" * 100_000, b"[1, 2]", mcap, pointer, None):
         path.mkdir() if content is None else path.write_bytes(content)
         try:
             said = capsys.readouterr().err if read(str(path)) == 2 else ""

@@ -100,10 +100,8 @@ BROKEN: list[tuple[str, Any]] = [
         "old format: only the version of maglev_mj that wrote it can read it",
         b'{"format": "maglev_mj fault 2"}',
     ),
-    ("incomplete header", b'{"offset": 4096, "format": "maglev_mj journal"'),
     ("first must be a string [(]got None", {"first": None}),
     ("period_ns must be between 1 and .*got 0", {"period_ns": 0}),
-    ("cannot be read: No such file", None),
 ]
 
 
@@ -112,7 +110,7 @@ def test_a_file_without_last_cycles_is_an_error_of_one_line(says: str, wrong: An
     path = tmp_path / "wrong.maglev"
     if isinstance(wrong, bytes):
         path.write_bytes(wrong)
-    elif isinstance(wrong, dict):
+    else:
         boxed(tmp_path, **wrong).rename(path)
     with pytest.raises(InvalidRecordingError, match=says) as caught:
         load_fault(path)

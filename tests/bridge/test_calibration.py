@@ -131,8 +131,6 @@ def change(*path: Any, to: Any = None) -> Callable[[dict[str, Any]], object]:
         (change("mass"), "mass is missing"),
         (change("coils", to=[1.0]), r"coils must be an object with directions, force_constants, points \(got \[1.0\]"),
         (change("mass", to=0.0), r"mass must be above 0.* \(got 0.0"),
-        (change("mass", to="heavy"), r"mass must be a number or an array of numbers \(got 'heavy'"),
-        (change("mass", to=[0.7]), r"mass must be a number \(got \(1,\)"),
         (change("inertia", 1, to=0.0), r"inertia must be above 0.* \(got 0.0"),
         (change("gravity", to=[0.0, -9.81]), r"gravity must have shape \(3,\) \(got \(2,\)"),
         (change("coils", "directions", 2, to=[0.0, 0.0, 1.01]), "coils directions must be unit vectors .* length 1.01"),
@@ -140,7 +138,6 @@ def change(*path: Any, to: Any = None) -> Callable[[dict[str, Any]], object]:
         (change("coils", "force_constants", 3, to=0.0), "the six coils cannot produce every wrench"),
         (change("beams", "leds", to=[[0.0] * 3] * 2), r"beams leds must have shape \(3, 3\) \(got \(2, 3\)"),
         (change("units", "mass", to="g"), '"mass": "g"'),
-        (change("name", to=7), r"name must be a (text|string).* 7"),
     ],
 )
 def test_a_bad_value_is_one_line_with_file_and_value(edit: Callable[[Any], object], said: str, tmp_path: Path) -> None:
@@ -149,25 +146,6 @@ def test_a_bad_value_is_one_line_with_file_and_value(edit: Callable[[Any], objec
     path = tmp_path / "device.json"
     path.write_text(json.dumps(values))
     with pytest.raises(CalibrationError, match=rf"^calibration '.*device\.json': .*{said}") as caught:
-        Calibration.load(path)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"", "not valid JSON: Expecting value"),
-        (b"[" * 100_000, "not valid JSON"),
-        (b'{"mass": 1' + b"0" * 400 + b"}", "format must be"),
-        (None, "cannot be read: No such file"),
-        (b"[1, 2]", r"format must be 'maglev_mj calibration 1' \(got 'list'"),
-    ],
-)
-def test_what_is_no_calibration_is_one_line_too(content: bytes | None, said: str, tmp_path: Path) -> None:
-    path = tmp_path / "device.json"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(CalibrationError, match=rf"^calibration '.*device\.json'.*{said}") as caught:
         Calibration.load(path)
     assert "\n" not in str(caught.value)
 
