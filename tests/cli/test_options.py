@@ -23,9 +23,8 @@ from maglev_mj.cli.declare import Parser
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.cli.program import COMMANDS
 from maglev_mj.control import Hold, Wall
-from maglev_mj.errors import ParameterError
 from maglev_mj.interop.hand_devices import AUTO
-from maglev_mj.parameters import Parameters, interval, param
+from maglev_mj.parameters import Parameters, param
 from maglev_mj.pictures import FORMATS
 from maglev_mj.recording import EXPORTS
 from maglev_mj.theory import GOALS, LAWS
@@ -81,18 +80,6 @@ def test_the_help_has_unit_and_default() -> None:
     assert "locked (default on)" in text
     assert "--ends" not in text
     assert "--length" not in parser(Lever, without=["length"]).format_help()
-
-
-def test_a_range_has_two_ends_within_its_bounds() -> None:
-    assert interval("ends", [1, 5], at_least=0.0, at_most=5.0) == (1.0, 5.0)
-    values: list[tuple[Any, str]] = [
-        ((2.0, 1.0), r"ends must be in ascending order, low to high \(got 2 to 1"),
-        ((0.0, 9.0), r"ends must be between 0 and 5.* \(got 9.0"),
-        ((1.0,), r"ends must be a pair \(low, high\) \(got \(1.0,\)"),
-    ]
-    for value, complaint in values:
-        with pytest.raises(ParameterError, match=complaint):
-            interval("ends", value, at_least=0.0, at_most=5.0)
 
 
 MOST_CALLS, MOST_MODULES = 560, 30

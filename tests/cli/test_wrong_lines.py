@@ -25,6 +25,7 @@ SCENES = {
     "start": "    def laws(self):\n        return []\n\n    def start(self):\n        return (0.0, 0.0, 0.0)\n",
     "option": "    def laws(self):\n        return []\n\n    def plant_options(self):\n        return {'hue': 3}\n",
     "still": "    def laws(self):\n        return [type('Still', (AxisLaw,), {})(axes='z')]\n",
+    "law": "    def laws(self):\n        return [type('Odd', (AxisLaw,), {'force': lambda *_: 1 / 0})(axes='z')]\n",
     "figure": "    figures = ('beauty',)\n\n    def laws(self):\n        return []\n",
 }
 FILES = {
@@ -83,7 +84,6 @@ drop --rate 0                                       | argument --rate: must be a
 press --hits 0                                      | hits must be
 stick-slip --breakaway 0                            | breakaway must be
 twin --rate 0                                       | rate must be
-twin --noise -1                                     | noise must be
 bridge DEVICE --max-current 0                       | max_current must be
 stability --damping 1 2 3                           | damping must be LOW HIGH, LOW:HIGH or one value (got '1 2 3')
 # rates beside periods
@@ -101,7 +101,6 @@ drop --plant exct                                   | (got 'exct'); did you mean
 stability --damping -5:3 | damping must be between 0 and 1e6 (got -5
 stability --stiffness 9 3                           | stiffness must be in ascending order, low to high (got 9 to 3)
 stability --delay 1 | delay must be at most 0.05 s, 10 periods (got 1.0); did you mean 0.001 s?
-stability --workers -1 --plant exact                | workers must be at least 0 (got -1
 stability --hand 1e-300,0,0,0,1e10                  | hand grip_stiffness must be between 0 and 1e7
 stability --hand 0,0,1e300                          | hand stiffness must be between 0 and 1e7
 stability --hand 0.2,0,0,1,0                        | grip_stiffness above 0 in a soft grip
@@ -151,6 +150,7 @@ run wrong_law.py                                    | wrong_law.py, line 6
 run start.py                                        | start() of Own of start.py
 run option.py                                       | hue
 run still.py                                        | must define force(self
+run law.py                                          | law Odd raises ZeroDiv
 run figure.py                                       | figure.py
 run syntax.py                                       | syntax.py
 stability --record notes.jsonl                      | notes.jsonl
@@ -177,7 +177,6 @@ bridge DEVICE --identify a.json --view              | view
 bridge DEVICE --profile nosuch.json                 | profile 'nosuch.json' cannot be read
 bridge DEVICE --calibration run.maglev              | run.maglev
 bridge DEVICE --reset --identify a                  | --reset and --identify cannot be combined
-bridge DEVICE --max-current much                    | --max-current: must be a number (got 'much')
 bridge DEVICE --force-limit 7                       | force_limit must be above
 commission DEVICE coils --coil 9                    | 9
 commission DEVICE spots --write a.json              | write

@@ -146,15 +146,6 @@ def test_an_error_in_a_file_is_one_line_and_leaves_nothing(source: str, words: s
     assert find_scene(str(push)).name == "push"
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder.py").mkdir()
-    for text in ("nowhere.py", "nowhere.py:Push", "folder.py", ".py"):
-        with pytest.raises(ParameterError, match=r"scene file .* does not exist") as refused:
-            find_scene(text)
-        assert repr(text.partition(":")[0]) in str(refused.value)
-
-
 def test_an_installed_package_adds_scenes(installed: Callable[..., None]) -> None:
     installed(PUSH, push_back="other_scenes:Push")
     assert scene_names() == [*BUILT_IN, "push-back"]

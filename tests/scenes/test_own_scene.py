@@ -141,20 +141,3 @@ def test_a_plain_function_is_a_law_that_a_twin_is_flown_with() -> None:
             plant.write(controller.step(sample))
         plant.land()
     assert np.abs(poses[-1]).max() < 1e-3
-
-
-TEXT = EXAMPLE.read_text()
-LINE = TEXT[: TEXT.index("return [detent")].count("\n") + 1
-FAULTS: dict[str, tuple[str, int, str]] = {
-    "not Python": ("def (", 2, "detents.py cannot be read: SyntaxError"),
-    "an error": (TEXT.replace("return [detent", "return 1 / 0, [detent"), 2, f"detents.py, line {LINE}: ZeroDiv"),
-    "an error in the law": (TEXT.replace("return -gains", "return 1 / 0 - gains"), 2, "law Detent raises ZeroDiv"),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_wrong_in_it_is_one_line(fault: str, folder: Path, say: Say) -> None:
-    text, expected, words = FAULTS[fault]
-    (folder / "detents.py").write_text(text)
-    status, _, wrong = say(*"run detents.py --plant exact".split())
-    assert status == expected and wrong.count("\n") == 1 and words in wrong, wrong

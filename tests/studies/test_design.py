@@ -206,14 +206,10 @@ def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"mass": (0.8, 0.6)}, r"mass must be in ascending order, low to high \(got 0.8 to 0.6"),
         ({"delay": (0.0, 0.06)}, r"delay must be at most 0.05 s, 10 periods \(got 0.06"),
-        ({"hands": ()}, "hands must be at least one, without duplicates .got none"),
         ({"hands": ("arm", "arm")}, "hands must be at least one, without duplicates .got arm, arm"),
-        ({"hands": ("fist",)}, "hand must be one of none, arm, stylus, fingertip, or"),
-        ({"spectral_radius": 1.01}, r"spectral_radius must be above 0 and at most 1.* \(got 1.01"),
-        ({"spectral_radius": 0.5}, r"spectral_radius must be above 0\.5: no pd wall"),
         ({"law": "pid"}, "law must be one of pd, observer"),
+        ({"spectral_radius": 1.01}, r"spectral_radius must be above 0 and at most 1.* \(got 1.01"),
     ],
 )
 def test_bad_requirements_are_refused_with_the_value(options: dict[str, Any], words: str) -> None:

@@ -352,21 +352,6 @@ def test_a_looser_tolerance_takes_a_lower_level_unless_it_diverges(monkeypatch: 
     assert other.level is not None and other.level.level == "body"
 
 
-@pytest.mark.parametrize(
-    ("scene", "tolerance", "over", "words"),
-    [
-        ("moon", None, {}, "scene must be one of joystick, drop, "),
-        ("twist", math.nan, {}, "tolerance must be"),
-        ("twist", None, {"share": 0.0}, "share"),
-        ("twist", None, {"around": 0.6}, "around"),
-        ("twist", None, {"phases": 0}, "phases"),
-    ],
-)
-def test_bad_values_are_refused(scene: str, tolerance: float | None, over: dict[str, Any], words: str) -> None:
-    with pytest.raises(ParameterError, match=words):
-        measure_fidelity(scene, tolerance, Range(**over))
-
-
 def moved(place: float, force: float = 0.0) -> Motion:
     """Return a motion that is nothing but a displacement [m]."""
     return Motion(np.array([[place, 0.0, 0.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)), force, False, 1.0)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies import record as recording
 from maglev_mj.studies.cells import StudyInterrupted, Workers, dask_workers, local_workers, run_cells
@@ -348,14 +348,6 @@ def test_workers_never_hear_ctrl_c() -> None:
         blocked = workers.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result(timeout=60)
     assert signal.SIGINT in blocked
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
-
-
-def test_bad_workers_are_refused() -> None:
-    with pytest.raises(ParameterError, match=r"workers must be at least 0 [(]got -1"):
-        local_workers(-1)
-    assert local_workers(0).window == 1
-    with pytest.raises(MaglevError, match=r"address of a Dask scheduler [(]got 'moon'"):
-        dask_workers("moon")
 
 
 @pytest.fixture(scope="module")

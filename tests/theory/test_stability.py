@@ -231,8 +231,6 @@ def test_bad_loops_are_refused_with_the_value(loop: dict[str, Any], words: str) 
     [
         ({"mass": -1.0}, "hand mass must be"),
         ({"grip_stiffness": 100.0}, "hand mass must be at least 0.001"),
-        ({"mass": 0.1, "grip_stiffness": 0.0}, "grip_stiffness above 0 in a soft grip"),
-        ({"stiffness": 1e300}, "hand stiffness must be between 0 and 1e7"),
         ({"mass": "a"}, "hand mass must be a number"),
         ({"grip_damping": 1.0}, "hand grip_damping must be 0"),
         ({"mass": [1.0, 2.0], "damping": [1.0, 2.0, 3.0]}, "must share a shape"),
