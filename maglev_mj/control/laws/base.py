@@ -9,7 +9,6 @@ import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from functools import wraps
 from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, dataclass_transform
 
 import numpy as np
@@ -227,8 +226,6 @@ class AxisLaw(Law):
         if not _takes(cls.force, 5):
             signature = inspect.signature(cls.force)
             raise ParameterError(f"{cls.__name__}.force must take (self, x, v, gains, state) (got {signature})")
-        if "force" in vars(cls):
-            cls._force, cls.force = cls.force, _with_gains(cls.force)  # type: ignore[method-assign]
 
     def __post_init__(self) -> None:
         name, indices = self._title or type(self).__name__, axis_indices(self.axes)
@@ -263,11 +260,9 @@ class AxisLaw(Law):
         """
         raise ParameterError(f"{named(type(self))} must define force(self, x, v, gains, state)")
 
-    _force = force  # unchecked: called on every tick
-
     def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """Add the forces for one sample; see `Law`."""
-        following, force = [], self._force
+        following, force = [], self.force
         for (axis, gains), memory in zip(self._each, state):
             result = force(position[axis], velocity[axis], gains, memory)
             if result.__class__ is tuple:
@@ -371,16 +366,6 @@ def _check(name: str, what: str, parts: Six, batch: tuple[int, ...]) -> None:
             raise ParameterError(f"{name}: {what} on {axis} must be {shape} (got {part!r})")
         if (wrong := array[~np.isfinite(array)]).size:
             raise ParameterError(f"{name}: {what} on {axis} must be finite (got {wrong.flat[0]})")
-
-
-def _with_gains(force: Callable[..., Any]) -> Callable[..., Any]:
-    @wraps(force)
-    def checked(law: AxisLaw, x: Component, v: Component, gains: Any, state: Any) -> Any:
-        if gains is None:
-            raise ParameterError("gains must be those of one axis; use Controller.step for a whole law (got None)")
-        return force(law, x, v, gains, state)
-
-    return checked
 
 
 def _takes(function: Callable[..., Any], count: int) -> bool:
