@@ -435,7 +435,8 @@ def test_no_option_of_the_compiler_replaces_what_a_plant_is_given(name: str) -> 
     default, given = getattr(mujoco.MjSpec().compiler, name), {"inertia": [2e-3] * 3, "mass": 0.9, "hand": STYLUS}
     for keyword, value in given.items() if isinstance(default, bool | int | float) else ():
         with suppress(ModelError, ParameterError):
-            device = load_model(changed("compiler", name, type(default)(not default)), **{keyword: value})
+            changes = 2.0 if isinstance(default, float) else type(default)(not default)
+            device = load_model(changed("compiler", name, changes), **{keyword: value})
             if keyword == "hand":
                 assert device.model.body("hand").mass == STYLUS.mass
             else:
