@@ -13,7 +13,7 @@ import numpy as np
 
 from maglev_mj.bridge.twin.simulated_links import Line, VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
-from maglev_mj.cli.program import COMMANDS
+from maglev_mj.cli.program import COMMANDS as COMMANDS
 from maglev_mj.control import (
     AdaptiveWindow,
     Bias,
@@ -41,23 +41,10 @@ from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledP
 from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.plants.hand import GuidedHand, Hand, SpringHand, Trajectory
 from maglev_mj.plants.model import load_model
-from maglev_mj.recording.export import EXPORTS
+from maglev_mj.recording.export import EXPORTS as EXPORTS
 from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.spec import INERTIA
-
-__all__ = [
-    "COMMANDS",
-    "EXPORTS",
-    "LAWS",
-    "LINES",
-    "MOTIONS",
-    "PLANTS",
-    "SCENES",
-    "SENSORS",
-    "UNRECORDED",
-    "VELOCITIES",
-]
 
 SCENES = [*BUILT_IN]
 SENSORS: Mapping[str, Any] = {

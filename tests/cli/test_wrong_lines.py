@@ -191,7 +191,9 @@ replay run.maglev --port 80                         | port
 analyse run.maglev --segment 9                      | 9
 analyse run.maglev --axis w                         | w
 analyse run.maglev --json run.maglev                | must not overwrite the recording
-export run.maglev --to npz --out run.maglev         | run.maglev
+export run.maglev --to npz --out run.maglev         | out must not overwrite the recording
+export run.maglev --to npz --out .                  | out must be a file in an existing folder
+export none.maglev --to csv                         | 'none.maglev' cannot be read: No such file
 """
 LINES = [
     [part.strip() for part in line.replace("DEVICE", DEVICE).split(" | ", 1)]

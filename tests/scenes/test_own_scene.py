@@ -18,9 +18,6 @@ from maglev_mj.cli import bridge, main
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.versions import hash_of
-from tests.studies.test_dask_workers import cluster
-
-__all__ = ["cluster"]
 
 EXAMPLE = Path(__file__).parents[2] / "scripts" / "examples" / "detents.py"
 

@@ -463,18 +463,6 @@ def test_state_spaces_of_controller_and_loop_answer_as_they_do(monkeypatch: pyte
     np.testing.assert_allclose(answer[0], past, atol=1e-12)
 
 
-@pytest.mark.machine  # it takes python-control 2 s to load
-def test_python_control_answers_as_the_loop() -> None:
-    import control
-
-    near, loop = held_loop()
-    law, plant = near.to_statespace(), loop.to_statespace()
-    assert law.dt == plant.dt == T and np.abs(plant.poles()).max() == pytest.approx(loop.spectral_radius, abs=1e-9)
-    push = np.eye(6)[:, :1] * np.ones(300)
-    moved = responses((loop.matrix, loop.enters, loop.seen, np.zeros((6, 6))), push)
-    np.testing.assert_allclose(control.forced_response(plant, inputs=push).outputs, moved, atol=1e-15)
-
-
 def test_a_hold_on_an_axis_without_a_wall_is_judged_too() -> None:
     laws = [Wall(axes="z", lower=0.0, stiffness=1000.0, damping=40.0), Hold(axes="ry", stiffness=5e4, damping=1.0)]
     found = judge(Controller(laws, period=0.005), delay=DELAY)
