@@ -75,12 +75,11 @@ class Program:
         """Standard error so far."""
         return self._errors.decode()
 
-    def wait_for(self, pattern: str, *, in_errors: bool = False) -> str:
+    def wait_for(self, pattern: str) -> str:
         """Wait for text in the output.
 
         Args:
             pattern: Regular expression.
-            in_errors: True to look in standard error.
 
         Returns:
             Its first group, or all of the match if it has none.
@@ -90,7 +89,7 @@ class Program:
             ended = self.child.poll() is not None
             if ended:  # the last of its output may still be on the way
                 self._join()
-            if match := re.search(pattern, self.errors if in_errors else self.output, re.MULTILINE):
+            if match := re.search(pattern, self.output, re.MULTILINE):
                 return match[1] if match.re.groups else match[0]
             if ended:
                 break

@@ -362,7 +362,6 @@ def _roots(series: Array) -> Array:
     return result
 
 
-@with_hints
 def least_passive_damping(
     stiffness: ArrayLike,
     damping: ArrayLike = 0.0,

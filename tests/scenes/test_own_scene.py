@@ -62,7 +62,9 @@ def test_its_stability_is_told_and_warned_of(folder: Path, say: Say) -> None:
     assert not wrong and "detents is unstable" in json.loads(said)["warnings"][0]
 
 
-def assert_checked_with_the_scene_alone(say: Say, name: str) -> None:
+def test_a_run_is_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
+    name = "run.maglev"
+    assert say(*f"run detents.py --plant exact --duration 0.1 --record {name}".split())[0] == 0
     status, said, wrong = say("replay", name, "--check")
     assert (status, wrong.count("\n")) == (2, 1) and "was not executed" in wrong and "--scene detents.py" in wrong
     assert say("analyse", name)[0] == 0
@@ -80,11 +82,6 @@ def assert_checked_with_the_scene_alone(say: Say, name: str) -> None:
     os.utime(file, ns=(1, 1))
     assert "differs from the recorded file" in say("replay", name, "--check", "--scene", "detents.py")[2]
     file.write_text(text)
-
-
-def test_a_run_is_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
-    assert say(*"run detents.py --plant exact --duration 0.1 --record run.maglev".split())[0] == 0
-    assert_checked_with_the_scene_alone(say, "run.maglev")
 
 
 @pytest.fixture
