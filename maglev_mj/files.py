@@ -30,6 +30,23 @@ def read_text(path: Path) -> str:
     return text
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a file in UTF-8; see `errors_named`."""
+    with errors_named(path):
+        path.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def errors_named(path: Path) -> Iterator[None]:
+    """Name the file in errors of this context: those of writing, such as onto a full disk, do not."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
+
+
 def parse_json(text: bytes | str, **options: Any) -> Any:
     """Parse JSON text, with options of `json.loads`.
 
@@ -75,7 +92,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     target, mode = destination(path)
     if special := mode is not None and not stat.S_ISREG(mode):
         from tempfile import TemporaryDirectory  # imported here: slow, rarely needed
-    with TemporaryDirectory() if special else nullcontext(target.parent) as folder:
+    with errors_named(path), TemporaryDirectory() if special else nullcontext(target.parent) as folder:
         partial = Path(folder, f"{path.stem}.{os.getpid()}.partial{path.suffix}")
         try:
             yield partial

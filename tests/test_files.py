@@ -11,6 +11,7 @@ from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from matplotlib.figure import Figure
@@ -69,21 +70,39 @@ def test_a_written_path_stays_what_it_is(name: str, tmp_path: Path) -> None:
         assert {*path.parent.iterdir()} <= files | {path.with_name(f"{name}.json")}, kind
 
 
-@pytest.mark.parametrize("fails", ["access", "replace"])
-@pytest.mark.parametrize("name", [name for name in WRITERS if name.startswith(("x", "chart"))])
-def test_a_failed_write_keeps_the_old_file(name: str, fails: str, tmp_path: Path, monkeypatch: Any) -> None:
-    (tmp_path / name).write_bytes(b"old")
-    monkeypatch.setattr(os, fails, lambda *_: fails != "access" and os.readlink("/"))
-    with pytest.raises((MaglevError, OSError), match=r"Permission denied|Invalid argument"):
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_is_reported_with_the_file(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).symlink_to("/dev/full")
+    with pytest.raises((MaglevError, OSError), match=name):
         WRITERS[name](tmp_path / name)
-    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+
+
+FAILURES: dict[str, Callable[..., object]] = {
+    "access": lambda *_: False,
+    "replace": lambda *_: os.readlink("/"),
+    "chmod": Mock(side_effect=KeyboardInterrupt),
+}
+
+
+@pytest.mark.parametrize("fails", FAILURES)
+@pytest.mark.parametrize("name", [name for name in WRITERS if name.startswith(("x", "chart"))])
+def test_a_failed_or_interrupted_write_keeps_the_old_file(
+    name: str, fails: str, tmp_path: Path, monkeypatch: Any
+) -> None:
+    (tmp_path / name).write_bytes(b"old")
+    monkeypatch.setattr(os, fails, FAILURES[fails])
+    with pytest.raises((MaglevError, OSError, KeyboardInterrupt), match=r"Permission denied|Invalid argument|^$"):
+        WRITERS[name](tmp_path / name)
+    kept = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert kept.keys() <= {name, f"{name}.json"} and kept[name] == b"old"  # a table's context is a file of its own
 
 
 def test_files_are_renamed_in_one_place() -> None:
     rename = re.compile(r"\.(rename|replace)\([\w.]+\)|os\.(rename|replace)\(")
     package = Path(maglev_mj.__file__).parent
     renaming = {path.name for path in package.rglob("*.py") if rename.search(path.read_text(encoding="utf-8"))}
-    assert renaming == {"files.py", "journal.py", "offscreen.py"}  # the last one a file that it has made
+    assert renaming == {"files.py", "journal.py"}
 
 
 READERS: dict[str, tuple[Callable[[str], Any], bytes]] = {

@@ -18,6 +18,7 @@ import numpy as np
 
 from maglev_mj.bridge.wire import Fault, Frame, State, StateReport, fault_names
 from maglev_mj.errors import ParameterError, PlantError, file_path
+from maglev_mj.files import errors_named
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import flag, whole
 from maglev_mj.pictures import save
@@ -171,7 +172,7 @@ def _write(folder: Path, data: bytes, now: Callable[[], float] = time.time) -> P
     for name in chain([stem], (f"{stem}-{number}" for number in count(1))):
         path = folder / f"{name}{SUFFIX}"
         try:
-            with path.open("xb") as file:
+            with errors_named(path), path.open("xb") as file:
                 file.write(data)
             break
         except FileExistsError:

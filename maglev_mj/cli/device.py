@@ -109,11 +109,12 @@ def _print_check(result: CheckResult) -> None:
 def _write_report(path: Path, address: str, counts: dict[str, int], results: list[CheckResult]) -> None:
     import json
 
+    from maglev_mj.files import write_text
     from maglev_mj.versions import versions
 
     report = {"format": _FORMAT, "address": address, "versions": versions(), "counts": counts}
     checked = [result._asdict() for result in results]
-    path.write_text(json.dumps({**report, "checks": checked}, indent=1) + "\n", "utf-8")
+    write_text(path, json.dumps({**report, "checks": checked}, indent=1) + "\n")
 
 
 def commission(

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from maglev_mj.cli.declare import option
 from maglev_mj.errors import ParameterError
+from maglev_mj.files import write_text
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 LESSONS = _PACKAGE / "lessons" if (_PACKAGE / "lessons").is_dir() else _PACKAGE.parent / "docs" / "lessons"
@@ -31,7 +32,7 @@ def lessons(
     for path in notebooks:
         notebook = json.loads(path.read_text(encoding="utf-8").replace("](../", f"]({_PAGES}"))
         content = without_solutions(notebook) if students else notebook
-        (out / path.name).write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_text(out / path.name, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
     print(f"  wrote {len(notebooks)} notebooks to {out}; next: jupyter lab {out}")
     return 0
 

@@ -192,13 +192,14 @@ def write_json(target: str, data: Mapping[str, Any]) -> None:
     """Write results and code versions as JSON to a file, or to standard output if the target is "-"."""
     import json
 
+    from maglev_mj.files import write_text
     from maglev_mj.versions import versions
 
     text = json.dumps({**data, "versions": versions()}, allow_nan=False)
     if target == "-":
         print(text)
     else:
-        Path(target).write_text(text + "\n", encoding="utf-8")
+        write_text(Path(target), text + "\n")
 
 
 def write_results(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import atexit
+import errno
 import gc
 import io
 import os
@@ -125,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _drop_unwritten()
         if isinstance(error, BrokenPipeError):
             return _CLOSED_PIPE
-        print(f"maglev-mj: {error}", file=sys.stderr)
+        print(f"maglev-mj: {_line(error)}", file=sys.stderr)
         return 1
     except ImportError as error:
         missing = str(error.name).partition(".")[0]
@@ -159,7 +160,7 @@ def _run(options: argparse.Namespace) -> int:
     except (MaglevError, OSError) as error:
         if isinstance(error, BrokenPipeError) and _is_unread(sys.stdout):
             raise
-        text = printable(f"maglev-mj {options.command}: {error}")  # commands to copy stay on one line
+        text = printable(f"maglev-mj {options.command}: {_line(error)}")  # commands to copy stay on one line
         print(
             *(wrapped(text, "", "") if isinstance(error, PlantError) else [text]), sep="\n", file=sys.stderr, flush=True
         )
@@ -170,6 +171,12 @@ def _run(options: argparse.Namespace) -> int:
             raise
         say(f"maglev-mj {options.command}: {line}{type(error).__name__}: {error}", sys.stderr)
         return 2
+
+
+def _line(error: Exception) -> str:
+    """Return the message of an error; every file is named, so that a full disk without a name is standard output."""
+    full = isinstance(error, OSError) and error.errno == errno.ENOSPC and error.filename is None
+    return f"standard output: {error}" if full else str(error)
 
 
 def _line_of(error: Exception) -> str:
@@ -227,6 +234,12 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     if words and words[0] in COMMANDS:
         return _parsed(*words)
     program = program_parser()  # the first word is an option of the program, or invalid
+    later = [index for index, word in enumerate(words) if word in COMMANDS and words[0].startswith("-")]
+    if later and not {*words[: later[0]]} & {*program._option_string_actions}:
+        import shlex
+
+        given, name, rest = words[: later[0]], words[later[0]], words[later[0] + 1 :]
+        program.error(f"options must follow the command: maglev-mj {shlex.join([name, *rest, *given])}")
     options, unknown = program.parse_known_args(words)
     if options.command is not None:
         options = _parsed(*options.command)

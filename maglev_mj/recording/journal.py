@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.files import LFS_POINTER, destination, parse_json
+from maglev_mj.files import LFS_POINTER, destination, errors_named, parse_json
 from maglev_mj.recording.sample import FIELDS, ROW, Rows, units, value_in
 from maglev_mj.versions import versions
 
@@ -164,13 +164,14 @@ class Journal:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0)
         self._file = os.open(self._partial, flags, 0o666)
         try:
-            if mode is not None:
-                self._partial.chmod(stat.S_IMODE(mode))
-            self._write(header())
-        except OSError as error:
+            with errors_named(path):
+                if mode is not None:
+                    self._partial.chmod(stat.S_IMODE(mode))
+                self._write(header())
+        except OSError:
             os.close(self._file)
             self._partial.unlink()
-            raise OSError(error.errno, error.strerror, str(path)) from None
+            raise
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="journal", daemon=True)
         self._thread.start()

@@ -218,10 +218,10 @@ def _figures_of(members: Sequence[tuple[int, _Member]]) -> list[tuple[int, Mappi
         rows: list[Mapping[str, Any]] = []
         for start in range(0, good.size, _AT_ONCE):
             some = result[good[start : start + _AT_ONCE]]
-            figures, marks = figures_of_each(some), some.marks()
+            figures, verdicts = figures_of_each(some), some.verdicts()
             rows += [
-                {**dict(zip(figures, row, strict=True)), **({"warnings": mark} if mark else {})}
-                for mark, row in zip(marks, zip(*figures.values(), strict=True), strict=True)
+                {**dict(zip(figures, row, strict=True)), **({"warnings": verdict} if verdict else {})}
+                for verdict, row in zip(verdicts, zip(*figures.values(), strict=True), strict=True)
             ]
         return [(members[device][0], row) for device, row in zip(good.tolist(), rows, strict=True)]
     except Exception:  # reported by the single run

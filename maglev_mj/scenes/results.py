@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import compress
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.lazy import loaded
 from maglev_mj.parameters import flag, number
 from maglev_mj.pictures import save
+from maglev_mj.plants.limits import LIMITS, excess_of, peaks_of, verdicts
 from maglev_mj.plants.trace import Trace
 from maglev_mj.result import Result, Table, number_text, plain
 
@@ -24,9 +25,7 @@ _MOST_SHOWN = 4
 _SHARES = 50.0, 5.0, 95.0
 _PREFIXES = {1e-3: "k", 1.0: "", 1e3: "m", 1e6: "µ"}
 _STEP = 1e-3
-_ROUNDING = 1.0 + 1e-9
 _UNITS = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "z": "m", "target": "m", "stick_position": "m"}
-_MARKS = "peak force above limit", "motion out of range"
 _HEADS = {"final_z": "final height"}
 
 
@@ -235,20 +234,20 @@ class RunResult(Result):
     def _shown(self) -> Phases | Variants:
         return self.over_phases() if np.ndim(self.phase) else Variants({self.scene.name: self})
 
-    def marks(self) -> list[str]:
+    @cached_property
+    def peaks(self) -> Array:
+        """Peaks of each device, see `peaks_of`, (N, 7); a single run has one row."""
+        return np.atleast_2d(peaks_of(self.trace))
+
+    def verdicts(self) -> list[str]:
         """Return what each device exceeds, such as "peak force above limit, motion out of range"; empty for nothing."""
-        body = self.scene.body
-        force = np.ravel(np.abs(self.trace.wrench[:-1, ..., 2]).max(axis=0)) / body.force_limit
-        reach = (self.trace.furthest().reshape(-1, len(body.range)) / body.range).max(axis=1)
-        exceeded = np.array([force, reach]).T > _ROUNDING
-        return [", ".join(compress(_MARKS, row)) for row in exceeded.tolist()]
+        return verdicts(excess_of(self.peaks, self.scene.body))
 
     def over_phases(self) -> Phases:
         """Return the figures at each phase; a single run has one phase."""
         each = figures_of_each(self) if np.ndim(self.phase) else {name: [x] for name, x in self.figures.items()}
         figures = {name: np.asarray(values) for name, values in each.items()}
-        furthest = self.trace.furthest().reshape(-1, len(AXES))
-        return Phases(self.scene, self.plant, np.atleast_1d(self.phase), figures, furthest)
+        return Phases(self.scene, self.plant, np.atleast_1d(self.phase), figures, self.peaks)
 
     def as_json(self) -> dict[str, Any]:
         """Return parameters, series every millisecond and figures, ready for JSON."""
@@ -280,7 +279,7 @@ class Phases(Result):
         plant: Name of the plant.
         phases: Sampling phases, (N,).
         figures: The scene's figures by name, (N, ...) each.
-        furthest: Largest distance from the centre on each axis [m, rad], (N, 6).
+        peaks: Largest force along z [N] and distance from the centre on each axis [m, rad], (N, 7).
 
     Example:
         >>> from maglev_mj import find_scene, run_phases
@@ -293,7 +292,7 @@ class Phases(Result):
     plant: str
     phases: Array
     figures: Mapping[str, Array]
-    furthest: Array
+    peaks: Array
 
     def columns(self) -> dict[str, Array]:
         """Return phases and figures in SI units, (N,) each; a figure of several hits has a column per hit."""
@@ -343,6 +342,19 @@ class Phases(Result):
         named: Mapping[str, Figure] = self.scene.figures
         return {name: named[name].percentile(values, share) for name, values in self.figures.items()}
 
+    def spreads(self) -> list[str]:
+        """Return the extremes of each figure that differs between the phases; of several hits, the least alike."""
+        texts = []
+        for name, values in self.figures.items():
+            figure, columns = self.scene.figures[name], values.reshape(len(values), -1).astype(np.float64)
+            ends = np.array([np.fmin.reduce(columns), np.fmax.reduce(columns)])
+            with np.errstate(invalid="ignore"):  # of infinite figures
+                low, high = ends[:, np.argmax(np.nan_to_num(ends[1] - ends[0]))]
+            if (first := figure.text(low)) != (last := figure.text(high)):
+                unit = unit_of(figure.unit, self.scene.axis, figure.along)
+                texts.append(f"{figure_head(name)} {first} to {last} {unit}".rstrip())
+        return texts
+
     def as_json(self) -> dict[str, Any]:
         """Return the figures at each phase with their median, 5th and 95th percentile, ready for JSON."""
         rows = [{name: values[index] for name, values in self.figures.items()} for index in range(len(self.phases))]
@@ -365,14 +377,14 @@ class Variants(Result):
         phases: Figures at many sampling phases by label; may be empty.
         bands: Motion at many sampling phases by label, drawn around the runs; may be empty.
         gap: Maximum deviation between the two plants in the first run [m, rad]; None if not compared.
-        chaotic: Deviation of a run if its phase changes by 1e-12 [m, rad], by label, if above a sensor step.
+        chaotic: Warnings about chaotic runs, with the spread of their figures.
     """
 
     runs: Mapping[str, RunResult]
     phases: Mapping[str, Phases] = field(default_factory=dict)
     bands: Mapping[str, RunResult] = field(default_factory=dict)
     gap: float | None = None
-    chaotic: Mapping[str, float] = field(default_factory=dict)
+    chaotic: Sequence[str] = ()
 
     @property
     def first(self) -> Any:
@@ -441,8 +453,6 @@ class Variants(Result):
     def _remarks(self) -> Iterator[str]:
         yield from self._rank()
         yield from self._missing()
-        for label, moved in self.chaotic.items():
-            yield chaos_note(label, moved, unit_of("m", self.first.scene.axis))
         if self.gap is not None:
             yield f"max. deviation, MuJoCo vs exact plant: {self.gap:.1e} {unit_of('m', self.first.scene.axis)}"
 
@@ -468,37 +478,26 @@ class Variants(Result):
             labels.setdefault(check(scene), []).append(label)
         several = len(labels) > 1
         unstable = [f"{', '.join(names)}: " * several + text for text, names in labels.items() if text]
-        return [*unstable, *self._warnings()]
+        return [*unstable, *self._excesses(), *self.chaotic]
 
-    def _warnings(self) -> Iterator[str]:
-        """Yield a line for a force and for a motion that the device cannot produce."""
-        scene = self.first.scene
-        limit, limits = scene.body.force_limit, scene.body.range
-        # the last knot's force has not acted yet
-        peaks = [float(np.abs(result.trace.wrench[:-1, 2]).max(initial=0.0)) for result in self.runs.values()]
-        if (peak := max(peaks, default=0.0)) > limit * _ROUNDING:
-            axis = "" if scene.axis == "z" else " along z"
-            option = f"; --force-limit {limit:.4g} applies it" if hasattr(scene, "force_limit") else ""
-            yield f"peak force {peak:.3g} N{axis} exceeds the device's {limit:.4g} N limit{option}"
-        texts, exceeded = [], np.zeros(len(AXES))
+    def _excesses(self) -> Iterator[str]:
+        """Yield a warning for each limit of the device that a run exceeds."""
+        scene, rows = self.first.scene, dict[str, tuple[Array, Array]]()
         for label in dict.fromkeys([*self.runs, *self.phases]):
-            alone = [self.runs[label].trace.furthest()] if label in self.runs else []
-            swept = self.phases[label].furthest if label in self.phases else np.empty((0, len(AXES)))
-            furthest = np.vstack([*alone, swept])
-            outside = np.where(furthest > limits * _ROUNDING, furthest, 0.0)
-            if outside.any():
-                exceeded = np.where(outside.any(axis=0), limits, exceeded)
-                phases = int(outside[len(alone) :].any(axis=1).sum())
-                count = f" ({phases} of {len(swept)} phases)" if phases else ""
-                texts.append(f"{label} {_distances(outside.max(axis=0))}{count}")
-        if texts:
-            yield f"motion exceeds the range of {_distances(exceeded)}: {', '.join(texts)}"
-
-
-def chaos_note(subject: str, moved: float, unit: str) -> str:
-    """Return the note on runs whose single figures are not reproducible."""
-    change = f"a change of the phase by 1e-12 moves the flotor by up to {moved:.2g} {unit}"
-    return f"{subject}: chaotic, single figures are not reproducible ({change}); use many phases for the spread"
+            parts = [group[label].peaks if label in group else np.empty((0, 7)) for group in (self.runs, self.phases)]
+            rows[label] = excess_of(parts[0], scene.body), excess_of(parts[1], scene.body)
+        largest = np.vstack([*chain(*rows.values())]).max(axis=0)
+        texts = {"axis": "" if scene.axis == "z" else " along z"}
+        if hasattr(scene, "force_limit"):
+            texts["remedy"] = f"; --force-limit {scene.body.force_limit:.4g} applies it"
+        for limit in LIMITS:
+            runs = []
+            for label, (alone, swept) in rows.items():
+                if (most := np.vstack([alone, swept])[:, limit.part].max(axis=0)).any():
+                    count = int(swept[:, limit.part].any(axis=1).sum())
+                    runs.append(f"{label} {limit.text(most, 4)}" + f" ({count} of {len(swept)} phases)" * (count > 0))
+            if runs:
+                yield limit.warning(largest, scene.body, runs=", ".join(runs), **texts)
 
 
 def _figures_table(
@@ -541,11 +540,6 @@ def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:
 def figure_head(name: str) -> str:
     """Return the name of a figure in tables and pictures."""
     return _HEADS.get(name, name.replace("_", " "))
-
-
-def _distances(furthest: Array) -> str:
-    parts = [(furthest[:3].max() * 1e3, "mm"), (np.degrees(furthest[3:].max()), "deg")]
-    return " and ".join(f"{value:.4g} {unit}" for value, unit in parts if value > 0.0)
 
 
 def share_below(values: Array, value: float) -> float:

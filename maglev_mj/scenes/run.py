@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record, drive
 from maglev_mj.errors import DivergenceError, ParameterError, check_one_of, choice_message
-from maglev_mj.frames import Array, Command, Component, Sample
+from maglev_mj.frames import Array, Command, Component, Sample, unit_of
 from maglev_mj.lazy import has_engine
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
@@ -25,6 +25,10 @@ from maglev_mj.spec import ESCAPE, RESOLUTION
 
 _MOST_PHASES = 10_000
 _CHUNK = 64
+_NUDGE = 1e-12
+
+STARTS = 6
+"""Runs that show the spread of a chaotic one."""
 
 Observe: TypeAlias = Callable[[Sample, Command], object]
 
@@ -87,7 +91,7 @@ def figures_of(scene: Scene, plant: str, phase: float = 0.0) -> Mapping[str, Any
     """Return the figures of one run by name, from the scene's `run_figures` if defined; and any `warnings`."""
     if scene.run_figures is None:
         result = run(scene, plant=plant, phase=phase)
-        return {**result.figures, **({"warnings": mark} if (mark := result.marks()[0]) else {})}
+        return {**result.figures, **({"warnings": text} if (text := result.verdicts()[0]) else {})}
     figures: Mapping[str, Any] = scene.run_figures(plant, phase)
     return figures
 
@@ -127,7 +131,7 @@ def run_phases(
         if progress is not None:
             progress(start + chunk.size, chosen.size)
     together = {name: np.concatenate([part.figures[name] for part in parts]) for name in parts[0].figures}
-    return Phases(scene, plant, chosen, together, np.concatenate([part.furthest for part in parts]))
+    return Phases(scene, plant, chosen, together, np.concatenate([part.peaks for part in parts]))
 
 
 def run_variants(
@@ -159,24 +163,27 @@ def run_variants(
     runs: dict[str, RunResult] = {}
     swept: dict[str, Phases] = {}
     drawn: dict[str, RunResult] = {}
-    gap = None
+    gap, label = None, ""
     try:
         for label, variant in variants.items():
             with (not runs and recording) or nullcontext() as begin:  # only the first run is recorded
                 runs[label] = run(variant, plant=plant, phase=phase, begin=begin)
-        if phases is not None:
-            swept = {
-                label: run_phases(each, phases, plant=plant, progress=progress) for label, each in variants.items()
-            }
-        if bands is not None:
-            drawn = {k: run(v, plant="exact", phase=_phases(bands)) for k, v in variants.items()}
+        for label, variant in variants.items():
+            if phases is not None:
+                swept[label] = run_phases(variant, phases, plant=plant, progress=progress)
+            if bands is not None:
+                drawn[label] = run(variant, plant="exact", phase=_phases(bands))
         if compare:
-            gap = _plant_deviation(next(iter(runs.values())))
+            label = next(iter(runs))
+            gap = _plant_deviation(runs[label])
     except DivergenceError as error:
+        if len(variants) > 1:
+            error.args = (f"{label}: {error}",)
         if runs:
             error.partial = next(iter(runs.values()))
         raise
-    return Variants(runs, swept, drawn, gap, {label: each for label, one in runs.items() if (each := sensitivity(one))})
+    chaotic = [chaos_warning(label, one, moved) for label, one in runs.items() if (moved := sensitivity(one))]
+    return Variants(runs, swept, drawn, gap, chaotic)
 
 
 def sensitivity(result: RunResult) -> float:
@@ -186,10 +193,30 @@ def sensitivity(result: RunResult) -> float:
         return 0.0
     step = getattr(scene, "quantize", 0.0) or RESOLUTION[scene.axis_index]
     try:
-        moved = _deviation(result, result.plant, abs(result.phase - 1e-12))
+        moved = _deviation(result, result.plant, abs(result.phase - _NUDGE))
     except DivergenceError:
         moved = ESCAPE
     return moved if moved > step else 0.0
+
+
+def chaos_warning(subject: str, result: RunResult, moved: float) -> str:
+    """Return the warning about a chaotic run, with the spread of its figures over starts that differ by rounding.
+
+    Args:
+        subject: What is chaotic, the beginning of the warning.
+        result: The run, which is repeated from `STARTS` starts.
+        moved: Its `sensitivity`.
+    """
+    scene: Scene = result.scene
+    try:
+        starts = run_phases(scene, [abs(result.phase - k * _NUDGE) for k in range(STARTS)], plant=result.plant)
+        spread = ", ".join(starts.spreads()) or "no figure differs"
+    except DivergenceError:
+        spread = "not every run stays in range"
+    return (
+        f"{subject}: chaotic, single figures are not reproducible: {spread} over {STARTS} starts {_NUDGE:g} periods "
+        f"apart (motion differs by up to {moved:.2g} {unit_of('m', scene.axis)}); use many phases"
+    )
 
 
 def _plant_deviation(result: RunResult) -> float | None:

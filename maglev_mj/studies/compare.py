@@ -178,7 +178,7 @@ def compare(
         raise ParameterError(f"laws must be at least one, without duplicates (got {', '.join(variants) or 'none'})")
     margins = {label: _margins(variant) for label, variant in variants.items()}
     result = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
-    return Comparison(result.runs, result.phases, margins=margins, scene=chosen)
+    return Comparison(result.runs, result.phases, chaotic=result.chaotic, margins=margins, scene=chosen)
 
 
 def _named(law: str | LawMaker) -> tuple[str, LawMaker]:

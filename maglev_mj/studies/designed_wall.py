@@ -24,6 +24,8 @@ from maglev_mj.parameters import Parameters, numbers, param
 from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import Hand, get_hand
+from maglev_mj.plants.limits import LIMITS, excess_of
+from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
@@ -115,13 +117,10 @@ class DesignResult(Result):
     @property
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
-        limit, grows = Spec.largest_vertical_force.value, int(self.grows.sum())
-        texts = {
-            f"unstable in simulation: {grows} of {len(self.cases)} cases do not settle": grows > 0,
-            f"peak force {self.peak:.3g} N exceeds the device's {limit:g} N limit": self.peak > limit,
-            f"motion exceeds the range of {RANGE[2] * 1e3:g} mm: {self.depth * 1e3:.4g} mm": self.depth > RANGE[2],
-        }
-        return [text for text, holds in texts.items() if holds]
+        grows, body = int(self.grows.sum()), body_of({})
+        excess = excess_of(np.array([self.peak, 0.0, 0.0, self.depth, 0.0, 0.0, 0.0]), body)
+        unstable = [f"unstable in simulation: {grows} of {len(self.cases)} cases do not settle"] * (grows > 0)
+        return [*unstable, *(limit.warning(excess, body) for limit in LIMITS if excess[limit.part].any())]
 
     def table(self) -> Table:
         """Return gains, margins, contact and simulated check of the wall."""

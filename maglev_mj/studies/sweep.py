@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib.util import find_spec
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, SupportsIndex, TypeAlias
 
@@ -30,8 +31,8 @@ from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, reference_of, scene_from_reference, text_of
 from maglev_mj.scenes.names import installed_scenes
-from maglev_mj.scenes.results import Figure, chaos_note, figure_head, parameter_texts, parameters_json
-from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of, run, sensitivity
+from maglev_mj.scenes.results import Figure, RunResult, figure_head, parameter_texts, parameters_json
+from maglev_mj.scenes.run import chaos_warning, checked_phase, checked_plant, figures_of, run, sensitivity
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stability_check import unstable
 from maglev_mj.studies.cells import Study, Workers, chosen_workers
@@ -44,7 +45,7 @@ MOST_CELLS = 100_000_000
 _SHARES = 0.0, 50.0, 100.0
 _JOBS, _MOST_TOGETHER = 8, 50
 _LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
-_CHAOS = 8
+_CHAOS = 5  # cells, of two runs each; with `STARTS`, 16 runs
 _CHECKED = 1000  # cells computed to check a grid
 
 _Run: TypeAlias = tuple[Scene, str, float]
@@ -64,7 +65,7 @@ class Sweep(Result):
         results: Figures of each cell by name, or {"error": ...} for a failed run; stored in columns.
         resumed: Number of cells whose results were in the record before.
         record: Folder of the record; None for none.
-        chaos: Note on chaotic cells among up to 8 of the grid; empty for none.
+        chaos: Warning about chaotic cells among up to 5 of the grid; empty for none.
     """
 
     scene: type[Scene]
@@ -164,7 +165,6 @@ class Sweep(Result):
             place = f"in {self.record}, {self.resumed} resumed" if self.resumed else f"written to {self.record}"
             notes.append(f"{total} {place}")
         notes += [f"{_count(len(failed))} failed, first error: {self.results[failed[0]]['error']}"] if failed else []
-        notes += [self.chaos] if self.chaos else []
         head = "", *([", ".join(choices)] if choices else []), "min", "median", "max", "unit", "cells"
         title = f"Sweep of {self.scene.name} over {over}: {_count(len(self.results))}"
         return Table(title, head, rows, "\n".join(notes), warnings=self.warnings)
@@ -173,7 +173,8 @@ class Sweep(Result):
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
         counts = Counter(mark for text in self._marks for mark in text.split(", ") if mark)
-        return [f"{count} of {_count(len(self._marks))}: {mark}" for mark, count in counts.items()]
+        verdicts = [f"{count} of {_count(len(self._marks))}: {mark}" for mark, count in counts.items()]
+        return [*verdicts, *filter(None, [self.chaos])]
 
     @cached_property
     def _marks(self) -> list[str]:
@@ -257,15 +258,18 @@ def sweep(
 
 
 def _chaos(cells: Grid, text: str | None) -> str:
-    """Return a note on chaotic cells among some, evenly spaced; empty for none."""
-    moved, unit = [], ""
+    """Return a warning about chaotic cells among some, evenly spaced; empty for none."""
+    checked: list[tuple[float, int, RunResult]] = []
     for index in np.unique(np.linspace(0, len(cells) - 1, _CHAOS, dtype=np.int64)).tolist():
         with suppress(Exception):  # a failed cell reports its error
             scene, plant, phase = _run_of(dict(cells[index]), text)
-            moved.append(sensitivity(run(scene, plant=plant, phase=phase)) if scene.has_pulses else 0.0)
-            unit = unit_of("m", scene.axis)
-    count = np.count_nonzero(moved)
-    return chaos_note(f"{count} of {len(moved)} cells checked", max(moved), unit) if count else ""
+            if scene.has_pulses:
+                result = run(scene, plant=plant, phase=phase)
+                checked.append((sensitivity(result), index, result))
+    if not (count := sum(moved > 0.0 for moved, _, _ in checked)):
+        return ""
+    moved, index, result = max(checked, key=itemgetter(0))
+    return chaos_warning(f"{count} of {_count(len(checked))} checked, most in row {index}", result, moved)
 
 
 def _count(cells: int) -> str:

@@ -89,6 +89,8 @@ stability --damping 1 2 3                           | damping must be LOW HIGH, 
 # rates beside periods
 drop --rate fast                                    | argument --rate: must be a
 drop --rate 100 --period 0.01                       | argument --period: not allowed with argument --rate
+--rate 5 drop --phase 0                             | options must follow the command: maglev-mj drop --phase 0 --rate 5
+--json=- sweep drop                                 | options must follow the command: maglev-mj sweep drop --json=-
 # slips, with the nearest name
 drpo                                                | (got 'drpo'); did you mean drop?
 --verison                                           | unrecognized arguments: --verison; did you mean --version?

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import replace
+from itertools import compress
 from typing import Any
 
 import mujoco
@@ -15,26 +14,16 @@ from numpy.testing import assert_allclose
 from maglev_mj import AXES, Wall, find_scene
 from maglev_mj import sweep as sweep_of
 from maglev_mj.frames import Array
+from maglev_mj.plants.limits import LIMITS
 from maglev_mj.plants.model import model_path
 from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.run import run, run_phases, run_variants
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
-from maglev_mj.spec import RANGE, Spec
+from maglev_mj.spec import RANGE
 from tests.all_of import SCENES
-from tests.sweeps import further, sweep
-
-LINE = re.compile(r"  Warning: motion exceeds the range of (.*?): (.*)")
-
-
-def remark(text: str) -> str | None:
-    """Return a table's remark on range, or None."""
-    whole = re.sub(r"\n    (?=\S)", " ", text)  # a line that goes on below
-    found = [match for line in whole.splitlines() if (match := LINE.fullmatch(line))]
-    assert len(found) <= 1
-    return found[0][2] if found else None
 
 
 def furthest(trace: Trace) -> Array:
@@ -42,10 +31,6 @@ def furthest(trace: Trace) -> Array:
     pose = trace.at(np.arange(0.0, float(trace.time[-1].min()), 1e-5))[0]
     distance: Array = np.abs(pose).max(axis=0)
     return distance
-
-
-def outside(traces: Sequence[Trace]) -> list[bool]:
-    return [bool((furthest(trace) > RANGE).any()) for trace in traces]
 
 
 def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
@@ -56,73 +41,36 @@ def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
     assert ball.furthest() == pytest.approx([0.05])  # thrown up at 1 m/s, back after 0.2 s
 
 
-LIMITS = [8.0, 20.0, 26.0, 27.0, 60.0, None]
+FORCES = [8.0, 20.0, 26.0, 27.0, 60.0, None]
+GAINS = (6000.0, 80.0), (3000.0, 40.0)
+SHARES = 0.9, 1.0, 1.03, 1.15, -0.9, -1.5
+RUNS = [
+    *(Drop(force_limit=limit, duration=0.3, stiffness=k, damping=b) for limit in FORCES for k, b in GAINS),
+    *(Drop(height=height * RANGE[2], duration=0.05, pulse=0.0) for height in (1.0, 1.0001)),
+    *(Press(hits=1, **change) for change in ({"force_limit": 5.5}, {"height": 0.0046})),  # type: ignore[arg-type]
+    *(StickSlip(axis=axis, target=part * RANGE[AXES.index(axis)]) for axis in ("x", "rz") for part in SHARES),
+]
 
 
-@pytest.mark.parametrize(("limit", "gains"), sweep(LIMITS, [(6000.0, 80.0), (3000.0, 40.0), (9000.0, 60.0)], every=6))
-def test_a_drop_says_when_it_leaves_the_range(limit: float | None, gains: tuple[float, float]) -> None:
-    # By force limit and gains, with the pulse and without, one phase and several.
-    drop = Drop(force_limit=limit, stiffness=gains[0], damping=gains[1], duration=0.3)
-    variants = [drop.replace(pulse=pulse) for pulse in (220.0, 0.0)]
-    labels = ["with pulse", "without pulse"]
-    results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
-    left = outside([one.trace for one in results.values()])
-    said = remark(str(Variants(results).table()))
-    assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
-    sweeps = {label: run_phases(one, 4, plant="exact") for label, one in zip(labels, variants, strict=True)}
-    said = remark(str(Variants(results, sweeps).table())) or ""
-    for label, one in zip(labels, variants, strict=True):
-        phases = [run(one, plant="exact", phase=phase / 4).trace for phase in range(4)]
-        count = sum(outside(phases))
-        found = re.search(rf"{label} [0-9.]+ mm \((\d) of 4 phases\)", said)
-        assert (int(found[1]) if found else 0) == count
-
-
-def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
-    for plant in ("exact", "mujoco"):
-        for height, left in ((RANGE[2], False), (RANGE[2] * 1.0001, True)):
-            result = run(Drop(height=height, duration=0.05), plant=plant)
-            assert (remark(str(Variants({"drop": result}).table())) is not None) == left
-
-
-@pytest.mark.parametrize("change", [{"force_limit": 5.5}, *further({}, {"height": 0.0046}, {"press": 40.0})])
-def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
-    results = {
-        label: run(Press(hits=1, pulse=pulse, **change), plant="exact")  # type: ignore[arg-type]
-        for label, pulse in (("with pulse", 220.0), ("without pulse", 0.0))
-    }
-    said = remark(str(Variants(results).table()))
-    left = outside([one.trace for one in results.values()])
-    assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in results] == left
-
-
-@pytest.mark.parametrize("axis", ["x", "rz"])
-def test_stick_slip_says_when_it_leaves_the_range_on_any_axis(axis: str) -> None:
-    # Targets around the end of the range, in m and rad.
-    reach, kind = RANGE[AXES.index(axis)], []
-    for share in (0.9, 1.0, 1.03, 1.15, -0.9, -1.5):
-        result = run(StickSlip(axis=axis, target=share * reach), plant="exact")
-        said = remark(str(Variants({"stick-slip": result}).table()))
-        assert (said is not None) == outside([result.trace])[0]
-        kind.append(said is not None)
-        if said:
-            value, unit = said.split()[-2:]
-            most = float(
-                np.degrees(furthest(result.trace).max()) if unit == "deg" else furthest(result.trace).max() * 1e3
-            )
-            assert float(value) == pytest.approx(most, rel=1e-3)
-            assert unit == ("mm" if axis in AXES[:3] else "deg")
-    assert any(kind) and not all(kind)
-
-
-@pytest.mark.parametrize(("knot", "told"), [(0, True), (-2, True), (-1, False)])
-def test_a_force_beyond_the_devices_is_told_if_it_acted(knot: int, told: bool) -> None:
-    ran, most = run(Drop(stiffness=2000.0, pulse=0.0), plant="exact"), Spec.largest_vertical_force.value
-    forces = ran.trace.wrench.copy()
-    assert np.abs(forces[:, 2]).max() < most
-    forces[knot, 2] = -1.5 * most
-    text = str(Variants({"drop": replace(ran, trace=replace(ran.trace, wrench=forces))}).table())
-    assert (f"Warning: peak force {1.5 * most:.3g} N exceeds the device's {most:g} N limit" in text) is told
+@pytest.mark.parametrize("scene", RUNS, ids=lambda scene: scene.name)
+def test_every_result_names_the_limits_that_its_runs_exceed(scene: Scene) -> None:
+    phases = np.arange(4) / 4.0 if scene.takes_phase else np.zeros(1)
+    vary: dict[str, Any] = {"phase": phases.tolist()} if scene.takes_phase else {"plant": ["exact"]}
+    traces = [run(scene, plant="exact", phase=float(phase)).trace for phase in phases]
+    reached = np.array([trace.furthest() for trace in traces])
+    above = [np.abs(trace.wrench[:-1, 2]).max() > scene.body.force_limit for trace in traces]
+    out: list[bool] = (reached > scene.body.range * (1.0 + 1e-9)).any(axis=1).tolist()
+    verdicts = [", ".join(compress([limit.verdict for limit in LIMITS], pair)) for pair in zip(above, out)]
+    cells = sweep_of(scene, vary, plant="exact").columns()
+    assert list(cells.get("warnings", [""] * len(phases))) == verdicts
+    several = run_phases(scene, phases, plant="exact")
+    for result, count in ((run(scene, plant="exact"), 1), (several, len(phases))):
+        said = " ".join(result.warnings)
+        assert ("peak force" in said) == any(above[:count]) and ("exceeds the range" in said) == any(out[:count])
+        if (value := re.search(r"([0-9.]+) (mm|deg)(?: \((\d) of|$)", said)) is not None:
+            most = reached[:count].max() * (1e3 if value[2] == "mm" else 180.0 / np.pi)
+            assert float(value[1]) == pytest.approx(most, rel=1e-3)
+            assert int(value[3] or 0) == (sum(out) if result is several else 0)
 
 
 @pytest.fixture(scope="module")
@@ -169,8 +117,15 @@ def test_variants_are_compared_only_if_the_parameter_decides_on_a_pulse(name: st
     assert [each.has_pulses for each in base().variants().values()] == [True] * (1 + (name == "drop")) + [False]
 
 
-def test_a_chaotic_bounce_says_that_single_figures_are_not_reproducible() -> None:
+def test_a_chaotic_bounce_gives_the_spread_of_its_figures() -> None:
     chaotic = Drop(period=1.0 / 1300.0, stiffness=18000.0, damping=0.0, pulse=900.0, duration=0.75)
+    spread = re.compile(
+        r"single figures are not reproducible: .*final height (-[0-9.]+) to (-[0-9.]+) mm over 6 starts"
+    )
     for scene, told in ((chaotic, True), (Drop(), False)):
-        for result in (run_variants({"with pulse": scene}, plant="exact"), sweep_of(scene, {"pulse_width": [0.003]})):
-            assert ("chaotic, single figures are not reproducible" in str(result.table())) == told
+        for result in (
+            run_variants({"with pulse": scene}, plant="exact"),
+            sweep_of(scene, {"pulse_width": [0.003]}),
+        ):
+            found = [match for text in result.warnings if (match := spread.search(text))]
+            assert len(found) == told and all(float(match[1]) < float(match[2]) - 0.1 for match in found)

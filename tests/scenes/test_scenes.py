@@ -22,7 +22,7 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.free import LetGo, SixAxes, Twist
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Figure, RunResult, figure
-from maglev_mj.scenes.run import figures_of, run, run_phases
+from maglev_mj.scenes.run import figures_of, run, run_phases, run_variants
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import GRAVITY, Spec
@@ -96,7 +96,7 @@ def test_only_laws_are_required() -> None:
         run(Bare(), plant="exact")
     assert Empty().end == 1.0 and not Empty.figures
     found = run_phases(Fall().replace(duration=0.01), 3, plant="exact")
-    assert found.furthest.shape == (3, 6)
+    assert found.peaks.shape == (3, 7)
     assert Empty().start() == Start() and Start().gravity is None
     with pytest.raises(ParameterError, match=r"axis must be one of x, y, z, rx, ry, rz \(got 'w'\)"):
         type("Mine", (Scene,), {"shown_axis": "w"})
@@ -253,6 +253,20 @@ def test_a_diverging_run_keeps_what_it_was_up_to_there(plant: str) -> None:
     assert 0.3 < partial.trace.time[-1] < 3.0
     assert abs(partial.figures["final_z"]) > 0.02 and math.isnan(partial.figures["settling_time"])
     assert partial.as_json()["summary"]["settling_time"] is None
+
+
+@pytest.mark.parametrize("runs", [{}, {"phases": [0.4]}, {"bands": [0.4]}])
+def test_a_divergence_names_its_variant(runs: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    stable, other = Drop(duration=0.05), Drop(duration=0.04)
+
+    def diverging(scene: Any, *, phase: Any = 0.0, **_: Any) -> RunResult:
+        if scene is other and (not runs or np.max(phase) == 0.4):
+            raise DivergenceError("diverged at 3 s")
+        return run(scene, plant="exact", phase=phase)
+
+    monkeypatch.setattr("maglev_mj.scenes.run.run", diverging)
+    with pytest.raises(DivergenceError, match=r"^second: diverged at 3 s$"):
+        run_variants({"first": stable, "second": other}, plant="exact", **runs)
 
 
 def test_a_diverging_batch_keeps_nothing_and_its_samples_are_those_before() -> None:

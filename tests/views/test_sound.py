@@ -5,8 +5,8 @@ from __future__ import annotations
 import subprocess
 import wave
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -134,9 +134,9 @@ def test_a_clip_plays_a_wall_buzz_at_its_time_scale(tmp_path: Path) -> None:
 
 @pytest.mark.needs("drawing")
 def test_a_missing_audio_encoder_is_reported(tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    refused = subprocess.CompletedProcess((), 1, b"", b"Unknown encoder 'aac'\nnothing written")
+    refused = subprocess.CalledProcessError(1, "ffmpeg", stderr=b"Unknown encoder 'aac'\nnothing written")
     parts: list[Any] = []
-    monkeypatch.setattr(offscreen, "subprocess", SimpleNamespace(run=lambda *_, **__: refused))
+    monkeypatch.setattr(subprocess, "run", Mock(side_effect=refused))
     monkeypatch.setattr(offscreen, "write_sound", lambda file, heard, turns: parts.extend(heard))
     render_buzz(tmp_path / "buzz.mp4", 1.0)
     assert capsys.readouterr().out.splitlines() == ["  the clip has no sound: Unknown encoder 'aac'"]

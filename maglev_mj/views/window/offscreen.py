@@ -279,12 +279,10 @@ def _add_sound(path: Path, sound: bytes, length: float) -> None:
     """Add the sound of a WAV file to a clip of a given duration [s]; report a failure."""
     from imageio_ffmpeg import get_ffmpeg_exe
 
-    partial = path.with_suffix(".partial.mp4")
     options = f"-c:v copy -c:a aac -af apad -t {length} -loglevel error -y".split()
-    command = [get_ffmpeg_exe(), "-i", str(path), "-i", "pipe:0", *options, str(partial)]
-    result = subprocess.run(command, input=sound, capture_output=True)
-    if result.returncode:
-        say(f"  the clip has no sound: {result.stderr.decode(errors='replace').partition(chr(10))[0]}")
-        partial.unlink(missing_ok=True)
-    else:
-        partial.replace(path)
+    command = [get_ffmpeg_exe(), "-i", str(path), "-i", "pipe:0", *options]
+    try:
+        with atomic_path(path) as partial:
+            subprocess.run([*command, str(partial)], input=sound, capture_output=True, check=True)
+    except subprocess.CalledProcessError as error:
+        say(f"  the clip has no sound: {error.stderr.decode(errors='replace').partition(chr(10))[0]}")
