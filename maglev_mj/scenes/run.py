@@ -200,13 +200,7 @@ def sensitivity(result: RunResult) -> float:
 
 
 def chaos_warning(subject: str, result: RunResult, moved: float) -> str:
-    """Return the warning about a chaotic run, with the spread of its figures over starts that differ by rounding.
-
-    Args:
-        subject: What is chaotic, the beginning of the warning.
-        result: The run, which is repeated from `STARTS` starts.
-        moved: Its `sensitivity`.
-    """
+    """Return the warning about a chaotic run, with the spread of its figures over starts that differ by rounding."""
     scene: Scene = result.scene
     try:
         starts = run_phases(scene, [abs(result.phase - k * _NUDGE) for k in range(STARTS)], plant=result.plant)

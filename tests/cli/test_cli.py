@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shlex
 import sys
 from pathlib import Path
@@ -75,17 +74,6 @@ def test_a_wild_run_says_one_line_and_leaves_no_log(
     assert "  Warning: drop is unstable: walls on z" in printed.out + printed.err
     assert "Traceback" not in printed.err and printed.err.count("maglev-mj drop: ") <= 1
     assert not list(tmp_path.iterdir())
-
-
-def test_the_press_table_says_what_the_device_could_not_do(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["press", "--plant", "exact", "--height", "0.006", "--hits", "8", "--interval", "0.3"]) == 0
-    out = capsys.readouterr().out
-    assert "Warning: peak force 85.7 N exceeds the device's 60 N limit" in out
-    assert "Warning: motion exceeds the range of 4.5 mm: with pulse" in out
-    (depths,) = [line for line in out.splitlines() if "penetration" in line]
-    assert re.findall(r"\S+ to \S+", depths) == ["1.59 to 2.21", "2.35 to 3.25"]  # of eight hits
-    assert cli.main(["press", "--plant", "exact", "--hits", "1"]) == 0
-    assert "device" not in capsys.readouterr().out
 
 
 def test_without_matplotlib_pictures_say_what_to_install(
