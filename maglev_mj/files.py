@@ -79,6 +79,8 @@ def destination(path: Path) -> tuple[Path, int | None]:
         PermissionError: If it is read-only.
     """
     if not path.exists():
+        if not path.resolve().parent.exists():
+            raise FileNotFoundError(errno.ENOENT, "no such folder", str(path.resolve().parent))
         return path.resolve(), None
     if not os.access(path, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))

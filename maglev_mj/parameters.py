@@ -316,6 +316,8 @@ class Turn:
 
     def __post_init__(self) -> None:
         flag("inverse", self.inverse)
+        if not self.least <= self.most:
+            raise ParameterError(f"least must be at most {self.most:g}, the upper limit (got {self.least!r})")
         store(self, factor=number("factor", self.factor, at_least=0.0), add=number("add", self.add, at_least=0.0))
 
     @property
@@ -323,6 +325,7 @@ class Turn:
         """True if keys change the value."""
         return bool(self.factor or self.add or self.among)
 
+    @with_hints
     def __call__(self, value: float, way: int) -> float:
         """Return the value after a press, 1 up, -1 down."""
         if self.among:

@@ -6,7 +6,8 @@ import inspect
 import itertools
 import pickle
 import pkgutil
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -22,6 +23,7 @@ from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.errors import KeywordError, MaglevError, ParameterError
 from maglev_mj.interop import gym
+from maglev_mj.keywords import _EVERY_TICK, _INNER
 from maglev_mj.parameters import Parameters
 from maglev_mj.plants.hand import RecordedHand, SpringHand, Trajectory
 from maglev_mj.theory.boundary import gil
@@ -151,17 +153,77 @@ def test_the_message_of_equal_times_names_their_index() -> None:
         Trajectory(times, np.zeros((len(times), 6)))
 
 
-WRONG_TYPES = """
-observe: run("twist", plant="exact", observe=3); law: compare("drop", [3]); workers: local_workers("x")
-velocity: Controller([], period=0.005, velocity=3); design: largest_stable_stiffness(80.0, design=3)
-hands: WallRequirements(hands=None); sample: Controller([], period=0.005).step(None); factor: Turn(factor="x")
-parameters: Session("drop").change(None); time: Trajectory([0, 1], MANY).at("x"); field: Recording([]).samples("tim")
+OPEN = re.compile(r"Any|object|Self|tuple\[Any.*|_?[A-Za-z]*Model|.*(Array|Mask|Six|Component).*")
+"""Annotations of what any value, any array or an optional package's object may be."""
+
+
+class Foreign:
+    """Value of no type that an argument is declared with."""
+
+    def __repr__(self) -> str:
+        return "Foreign"
+
+
+def checkable() -> Iterator[tuple[str, Callable[..., Any], str]]:
+    """Yield every annotated argument that is checked before a call: owner's name, owner, argument."""
+    for name, call in calls():
+        if name.rpartition(".")[2] in _INNER | _EVERY_TICK | {"Sample", "Command"}:
+            continue
+        plain = inspect.unwrap(call.__init__ if inspect.isclass(call) else call)  # type: ignore[misc]
+        for key, one in inspect.signature(call).parameters.items():
+            if packed := re.fullmatch(r"Unpack\[(\w+)\]", str(one.annotation)):
+                kinds = plain.__globals__[packed[1]].__annotations__
+                notes = {key: getattr(kind, "__forward_arg__", kind) for key, kind in kinds.items()}
+            else:
+                notes = {key: one.annotation} if one.kind < one.VAR_KEYWORD and one.kind != one.VAR_POSITIONAL else {}
+            for argument, note in notes.items():
+                if note is not one.empty and not OPEN.fullmatch(str(note)):
+                    yield name, call, argument
+
+
+CHECKABLE = [*checkable()]
+
+
+@pytest.mark.parametrize("name", sorted({name for name, _, _ in CHECKABLE}))
+def test_an_argument_of_a_foreign_type_is_named(name: str) -> None:
+    for call, argument in ((call, argument) for owner, call, argument in CHECKABLE if owner == name):
+        for value in (Foreign(), [Foreign()]):
+            with pytest.raises(ParameterError, match=rf"\b{argument}\w* must .*\(got .*Foreign") as refused:
+                call(**{argument: value})
+            assert "\n" not in str(refused.value)
+
+
+def stepped_again(*sample: Any) -> None:
+    """Give a controller a second sample."""
+    controller = Controller([], period=0.005)
+    controller.step(Sample(0, 0.0, [0.0] * 6))
+    controller.step(Sample(*sample))
+
+
+LATE = """
+sample: Controller([], period=0.005).step(None); sample tick: stepped_again("x", 0.0, [0.0] * 6)
+sample time: stepped_again(1, None, [0.0] * 6); sample position: stepped_again(1, 0.0, ["x"] * 6)
+currents: MuJoCoPlant().drive(None); coil: MuJoCoPlant().open_coil(9); data: Twin(TwinParameters()).receive(None, 1, 0)
+rotation: COILS.inverse_at(0); rx: COILS.inverse_at_angle(None, 0.0, 0.0); length: COILS.condition_number(0)
+time: Trajectory([0, 1], MANY).at("x"); time: Trajectory([0, 1], MANY).at(np.nan); value: Turn()(None, 1)
+step: next(real_time(1.0, -1.0)); links: conform([]); function: figure("N")(3); hand mass: Hand(mass=None)
+pose: TwinParameters(pose="x"); least: Turn(least=5, most=1); default: gain(default="y")
+velocity: Controller([], period=1e-3, velocity=LowPass)
+wall pulse_width: Wall(lower=0.0, stiffness=1.0, damping=1.0, pulse_width=3)
+delay: PredictiveWall(stiffness=1.0, period=0.005, delay=1)
+parameters: Session("drop").change(None); laws: compare("drop", [3]); observe: run("twist", plant="exact", observe=3)
 arguments of Wall: Wall(6000, 80); arguments of judge: judge(Controller([], period=0.005))
 """
+"""Arguments checked after a failure, or by their value."""
 
 
-@pytest.mark.parametrize("line", WRONG_TYPES.strip().replace("\n", "; ").split("; "))
-def test_an_argument_of_another_type_is_named(line: str) -> None:
+@pytest.mark.parametrize("line", LATE.strip().replace("\n", "; ").split("; "))
+def test_an_argument_that_fails_a_call_is_named(line: str) -> None:
     name, call = line.split(": ", 1)
     with pytest.raises(ParameterError, match=f"^{name} must be "):
-        eval(f"maglev_mj.{call}", globals())
+        eval(call, {**{one: getattr(maglev_mj, one) for one in dir(maglev_mj)}, **globals()})
+
+
+def test_a_file_in_a_missing_folder_names_the_folder(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no such folder: '.*absent'"):
+        maglev_mj.Recording([]).save(tmp_path / "absent" / "run.maglev")

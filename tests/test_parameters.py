@@ -15,6 +15,7 @@ from maglev_mj.parameters import Parameters, flag, number, numbers, param, param
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.base import PlantKeywords
 from maglev_mj.plants.model import load_model
+from maglev_mj.recording import Segment
 
 OURS = {"ExactPlant.six", "MuJoCoPlant.six"}
 """Methods that the package calls itself."""
@@ -26,9 +27,11 @@ NEEDED: dict[str, Any] = {
     "delay": 0.0015,
     "device": load_model("drop"),
     "felt": True,
+    "help": "",
     "inertia": 0.7,
     "integrator": "rk4",
     "kind": "scene",
+    "links": (),
     "name": "drop",
     "parser": Parser(),
     "path": Path("run.maglev"),
@@ -36,9 +39,11 @@ NEEDED: dict[str, Any] = {
     "pose": np.zeros((2, 6)),
     "pushed": True,
     "scene": "drop",
+    "segment": object.__new__(Segment),
     "self": ExactPlant(),
     "step": 1e-3,
     "stiffness": 6000.0,
+    "time": 1.0,
     "text": "udp://127.0.0.1:5678",
     "v_min": 0.005,
     "value": 1.0,

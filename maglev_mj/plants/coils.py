@@ -119,7 +119,7 @@ class CoilMap:
 
     def condition_number(self, length: float) -> float:
         """Return the 2-norm condition number, with torques divided by a length [m]."""
-        scale = np.array([1.0, 1.0, 1.0, 1.0 / length, 1.0 / length, 1.0 / length])
+        scale = np.array([1.0] * 3 + [1.0 / number("length", length, above=0.0)] * 3)
         return float(np.linalg.cond(scale[:, None] * self.wrench_per_current))
 
 

@@ -72,7 +72,7 @@ class Hand:
 
     def __post_init__(self) -> None:
         for name, most in _MOST.items():
-            if (value := getattr(self, name)) is not None:
+            if (value := getattr(self, name)) is not None or name != "grip_stiffness":
                 numbers(f"hand {name}", value, at_least=0.0, at_most=most)
         shape = common_shape("hand values", *(value.shape for value in self.values))
         mass, _, _, grip_damping, grip_stiffness = self.values
@@ -286,6 +286,8 @@ class Trajectory:
     @with_hints
     def at(self, time: float) -> list[float]:
         """Return the pose at a time [s]: the first one before the path, the last one after it."""
+        if time != time:
+            raise ParameterError("time must be a number (got nan)")
         index = bisect.bisect_right(self._times, time)
         if index == 0 or index == len(self._times):
             return self._poses[index - 1 if index else 0]

@@ -15,7 +15,7 @@ from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, Six, components, join, rotation_vector
 from maglev_mj.lazy import mujoco
-from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.parameters import flag, number, numbers, whole
 from maglev_mj.plants import engine
 from maglev_mj.plants.base import PlantKeywords, SampledPlant, restore, states_of
 from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap
@@ -230,7 +230,7 @@ class MuJoCoPlant(SampledPlant):
 
     def open_coil(self, coil: int) -> None:
         """Disconnect a coil (0 to 5), as by a broken wire."""
-        self._model.actuator_gainprm[coil, 0] = 0.0
+        self._model.actuator_gainprm[whole("coil", coil, at_most=5), 0] = 0.0
 
     @cached_property
     def inertia(self) -> Array:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.lazy import loaded
 from maglev_mj.parameters import flag, number
@@ -133,6 +133,7 @@ def figure(
     """
 
     def make(function: Callable[[RunResult], Any]) -> Figure:
+        check_instance("function", function, Callable, "a function of a RunResult")
         return Figure(function.__name__, function, unit, help, scale, batched, nan_is_largest, along)
 
     return make

@@ -32,6 +32,7 @@ def real_time(
         >>> passed > 0.0
         True
     """
+    number("step", step, at_least=0.0)
     start = last = clock()
     while duration is None or last - start < duration:
         now = clock()
@@ -61,7 +62,7 @@ class FrameClock:
     """
 
     def __init__(self, period: float = 1.0 / 60.0, clock: Callable[[], float] = time.monotonic) -> None:
-        self._period, self._clock, self._next = period, clock, -1.0
+        self._period, self._clock, self._next = number("period", period, above=0.0), clock, -1.0
 
     def __call__(self) -> bool:
         """Return True once for each frame that is due."""

@@ -13,7 +13,7 @@ from maglev_mj.bridge.conformance.check import CHECKS, CheckResult
 from maglev_mj.bridge.conformance.tester import Tester
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.wire import Operation, State, fault_names
-from maglev_mj.errors import PlantError, check_instance
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.parameters import flag
 
 __all__ = ["CheckResult", "checks", "conform"]
@@ -57,7 +57,8 @@ def conform(
         []
     """
     flag("flight", flight)
-    check_instance("links", links, list | tuple, "a list of links, as open_link returns")
+    if not links:
+        raise ParameterError("links must be one or two links, as open_link returns (got none)")
     tester = Tester(links, calibration or Calibration.nominal(), key)
     tester.join()
     if tester.welcome.state == State.FAULT:

@@ -22,7 +22,7 @@ from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.wire import WRAP, Codec, Fault, State, StateReport, fault_names
 from maglev_mj.errors import check_instance, check_one_of
 from maglev_mj.frames import ZERO, Array
-from maglev_mj.parameters import number
+from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.plants.hand import HandForce
@@ -71,6 +71,7 @@ class TwinParameters:
 
     def __post_init__(self) -> None:
         check_one_of("plant", PLANTS, self.plant)
+        numbers("pose", self.pose, shape="(6,)")
         # whole nanoseconds, the protocol's unit of time
         period, delay = (round(number(name, getattr(self, name)) * 1e9) for name in ("period", "delay"))
         limits, most = self.limits, _MARGIN * np.abs(self.calibration.hover).max()

@@ -165,7 +165,9 @@ def gain(
         >>> Damper(damping=30.0).damping
         30.0
     """
-    bounds = {"above": above, "at_least": at_least, "finite": flag("finite", finite)}
+    bounds: dict[str, Any] = {"above": above, "at_least": at_least, "finite": flag("finite", finite)}
+    if default is not MISSING:
+        numbers("default", default, **bounds)
     return field(default=default, metadata={"help": help, "unit": unit, "gain": bounds})
 
 

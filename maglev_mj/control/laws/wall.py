@@ -93,7 +93,7 @@ class Wall(AxisLaw):
         super().__post_init__()
         if not np.less(self.lower, self.upper).all():
             raise ParameterError(f"wall lower must be below upper (got {self.lower!r} and {self.upper!r})")
-        width = number("wall pulse_width", self.pulse_width, at_least=0.0)
+        width = number("wall pulse_width", self.pulse_width, at_least=0.0, at_most=1.0, unit="s")
         if width == 0.0 and np.any(self.pulse):
             raise ParameterError("wall pulse_width must be above 0 with a pulse (got 0)")
         lower = [_face(axis, 1.0, law.lower, law) for axis, law in self._each]
@@ -220,6 +220,10 @@ class PredictiveWall(_LowerWall):
     damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
     period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
     delay: float = setting(default=0.0, at_least=0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_delay(self.delay, self.period)
 
     def force(self, x: Component, v: Component, gains: Any, state: None) -> Component:
         """Return the force on one axis; see `AxisLaw`."""
