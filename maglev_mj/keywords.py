@@ -44,7 +44,8 @@ def with_hints(target: _T) -> _T:
         return target
     result = target if isinstance(target, type) else _checked(call, call.__name__)
     if isinstance(target, type):
-        call.__module__ = target.__module__  # that of a named tuple has names of its own
+        if method == "__new__":
+            call.__module__ = target.__module__  # generated: it has no names of the module
         setattr(target, method, _checked(call, target.__name__, constructs=True, late=target.__name__ in _EVERY_TICK))
     _done.add(result)
     return result
@@ -66,7 +67,7 @@ def with_checked_methods(cls: type) -> None:
 
 
 def _is_light(kind: Any) -> bool:
-    return "__slots__" in vars(kind) and "__dataclass_fields__" in vars(kind)
+    return vars(kind).keys() >= {"__slots__", "__dataclass_fields__"}
 
 
 def _checked(call: Any, called: str, *, constructs: bool = False, late: bool = False) -> Any:

@@ -315,7 +315,6 @@ class Turn:
     word: str = ""
 
     def __post_init__(self) -> None:
-        flag("inverse", self.inverse)
         if not self.least <= self.most:
             raise ParameterError(f"least must be at most {self.most:g}, the upper limit (got {self.least!r})")
         store(self, factor=number("factor", self.factor, at_least=0.0), add=number("add", self.add, at_least=0.0))
@@ -446,8 +445,6 @@ def param(
         >>> Ball(mass=1.0).mass
         1.0
     """
-    flag("optional", optional)
-    flag("along", along)
     bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
     declared = {
         "help": help,

@@ -14,7 +14,6 @@ from maglev_mj.bridge.conformance.tester import Tester
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.wire import Operation, State, fault_names
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.parameters import flag
 
 __all__ = ["CheckResult", "checks", "conform"]
 
@@ -56,7 +55,6 @@ def conform(
         >>> [result.name for result in results if result.passed is False]
         []
     """
-    flag("flight", flight)
     if not links:
         raise ParameterError("links must be one or two links, as open_link returns (got none)")
     tester = Tester(links, calibration or Calibration.nominal(), key)
