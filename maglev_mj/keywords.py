@@ -67,7 +67,7 @@ def with_checked_methods(cls: type) -> None:
 
 
 def _is_light(kind: Any) -> bool:
-    return vars(kind).keys() >= {"__slots__", "__dataclass_fields__"}
+    return bool(vars(kind).keys() >= {"__slots__", "__dataclass_fields__"})
 
 
 def _checked(call: Any, called: str, *, constructs: bool = False, late: bool = False) -> Any:
