@@ -15,6 +15,7 @@ from maglev_mj.errors import ParameterError, check_instance, check_one_of, choic
 from maglev_mj.frames import AXES, Array, Component, Six, quaternion, rotation_vector
 from maglev_mj.keywords import with_hints
 from maglev_mj.parameters import axis_indices, common_shape, number, numbers, store
+from maglev_mj.spec import Spec
 
 HANDS: Mapping[str, tuple[float, ...]] = {
     "none": (),
@@ -213,6 +214,8 @@ State: TypeAlias = Callable[[], tuple[Array, Array]]
 
 _NOTHING = (0.0,) * 6
 _GAP, _SOFTEST = 0.1, 1e-9
+_YIELD_STIFFNESS, _YIELD_DAMPING, _YIELD_SHARE = 3.0, 0.1, 0.5
+"""Stiffness and damping towards the largest angle [N m/rad, N m s/rad], and the share of it from which they act."""
 
 
 class HandForce(Protocol):
@@ -355,6 +358,8 @@ class SpringHand:
         force_limit: Largest force [N].
         torque_limit: Largest torque [N m].
         rise_time: Shortest time in which the force rises to its limit [s]: the spring's end moves to the target.
+        largest_angle: Largest total angle to which it turns the flotor [rad]: the torque away from the centre yields by
+            3 N m/rad and 0.1 N m s/rad before it.
         target: Target pose [m, rad], (6,), or a path; None if released.
         device_target: Target of an input device [m, rad], (6,), used while `target` is None; None if released.
 
@@ -377,6 +382,7 @@ class SpringHand:
     force_limit: float = 20.0
     torque_limit: float = 0.4
     rise_time: float = 0.0
+    largest_angle: float = math.pi
     target: Sequence[float] | Trajectory | None = None
     device_target: Sequence[float] | None = None
     _end: list[float] | None = field(default=None, init=False, repr=False)
@@ -397,7 +403,8 @@ class SpringHand:
         Args:
             stiffness: Stiffness of the translations [N/m].
         """
-        return cls(stiffness=stiffness, force_limit=7.0, torque_limit=0.2, rise_time=0.2)
+        largest = 0.97 * math.radians(Spec.rotation_range.value)
+        return cls(stiffness=stiffness, force_limit=7.0, torque_limit=0.2, rise_time=0.2, largest_angle=largest)
 
     @property
     def goal(self) -> Sequence[float] | Trajectory | None:
@@ -425,7 +432,18 @@ class SpringHand:
             self.turning_stiffness * angle - self.turning_damping * speed
             for angle, speed in zip(_turn(pose[3:], target[3:]), twist[3:])
         ]
-        return [*_shortened(force, self.force_limit), *_shortened(torque, self.torque_limit)]
+        torque = self._yielding(_shortened(torque, self.torque_limit), pose[3:], twist[3:])
+        return [*_shortened(force, self.force_limit), *torque]
+
+    def _yielding(self, torque: list[float], turn: list[float], speed: list[float]) -> list[float]:
+        """Return a torque that turns the flotor to the largest angle at most."""
+        angle = math.hypot(*turn)
+        if angle <= _YIELD_SHARE * self.largest_angle:
+            return torque
+        outward, rate = (sum(a * b for a, b in zip(turn, parts)) / angle for parts in (torque, speed))
+        most = _YIELD_STIFFNESS * (self.largest_angle - angle) - _YIELD_DAMPING * rate
+        excess = max(outward - max(most, -self.torque_limit), 0.0)
+        return [part - excess * along / angle for part, along in zip(torque, turn)]
 
     def _moved(self, end: Sequence[float], target: Sequence[float], pose: list[float], share: float) -> list[float]:
         """Return the spring's end, moved to the target by a share of the extension that gives the limits."""
