@@ -25,9 +25,7 @@ from maglev_mj.parameters import number
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingError, RecordingFile
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.session import REPLACED, STEP_FORCE, ChangeRequest, Publisher, SampledMotion, Snapshot
-from maglev_mj.spec import GRAVITY
 from maglev_mj.terminal import wrapped
 
 _ANSWERS = 100  # of the median delay: single late answers do not destabilise a loop
@@ -104,16 +102,17 @@ class Flight:
         self._steps: Iterator[None] = iter(())
         self._pending: tuple[ChangeRequest, Controller] | None = None
         self._started: ChangeRequest | None = ChangeRequest(scene)
-        self._controller = session.device_controller(scene)
+        body = plant.calibration.body
+        self._inertia, self._load, self._force = (each.tolist() for each in (body.inertia, body.load, 0.0 - body.load))
+        self._weight = self._force
+        self._controller = session.device_controller(scene, self._weight)
         self._step_force = number("step_force", step_force, above=0.0)
         self._actions = session.device_actions(type(scene))
-        self._inertia = [*[plant.calibration.mass] * 3, *plant.calibration.inertia]
-        self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_ANSWERS)
         self._warn, self._check_due = warn, session.FrameClock(1.0)
         self._delay_guard, self._power_guard = (
             DelayGuard(delay_limit(critical_delay, plant.period)),
-            PowerGuard(plant.period),
+            PowerGuard(plant.period, self._inertia),
         )
         self.reason, self._judge = "", judge
         if file is not None:
@@ -183,8 +182,7 @@ class Flight:
             self._scene = self._started.scene
         plant, controller, scene, record = self._plant, self._controller, self._scene, None
         if self._file is not None:
-            weight = (0.0, 0.0, -self._inertia[2] * GRAVITY, 0.0, 0.0, 0.0)
-            values = {"inertia": self._inertia, "load": weight, "before": self._force}
+            values = {"inertia": self._inertia, "load": self._load, "before": self._force}
             name = f"{scene.name} on a device"
             record = session.begin_scene(self._file, scene, plant, controller, kind="device", name=name, **values)
         loop = ControlLoop(plant, controller, observe=self._observe(controller), record=record)
@@ -262,7 +260,7 @@ class Flight:
             if critical is None:
                 raise ParameterError(note)
             limit = delay_limit(critical, self._plant.period)
-        controller = session.device_controller(scene)
+        controller = session.device_controller(scene, self._weight)
         yield  # creating it takes half a period at 1 kHz: check it one sample later
         session.check_step(self._controller, controller, self._position, self._step_force)
         assert self._request is not None

@@ -49,8 +49,6 @@ _ENERGY = 0.045
 More than twice the maximum of good flights, 18 mJ: 20 N against a wall, released after 1 s.
 """
 _HEAVY = 1e9
-_SIZES = tuple(math.sqrt(inertia / INERTIA[0]) for inertia in INERTIA)
-"""Radius of gyration of each rotation [m], 1 for translations: converts torque to force, angle to path."""
 
 _ACTIVE, _ENABLED, _HOLDING = State.ACTIVE.value, Flag.ENABLED.value, Flag.HOLDING.value  # faster than enum members
 
@@ -259,9 +257,11 @@ class PowerGuard:
 
     Args:
         period: Sample period [s].
+        inertia: Mass and moments of inertia of the flotor [kg, kg m²], six.
     """
 
-    def __init__(self, period: float) -> None:
+    def __init__(self, period: float, inertia: Sequence[float] = INERTIA) -> None:
+        self._sizes = [math.sqrt(part / inertia[0]) for part in inertia]  # radii of gyration [m], 1 for translations
         self._growth = math.exp(period / _MEMORY)
         self._weight = 1.0  # of a new reversal: grows instead of decaying the older ones
         self._reversals, self._small = [0.0] * 6, [0.0] * 6
@@ -280,7 +280,7 @@ class PowerGuard:
             energy += before * (end - start)
             if part != before and (part > before) is not rose:
                 rises[axis] = not rose
-                swing = abs(before - self._turns[axis]) / _SIZES[axis]
+                swing = abs(before - self._turns[axis]) / self._sizes[axis]
                 reversal = swing if swing < swings[axis] else swings[axis]
                 self._turns[axis], swings[axis] = before, swing
                 self._reversals[axis] = total = self._reversals[axis] + weight * reversal

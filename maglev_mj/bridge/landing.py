@@ -146,10 +146,9 @@ class Leader:
 
     def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
         self.period = period
-        inertia = np.concatenate([[calibration.mass] * 3, calibration.inertia])
-        weight = np.concatenate([-calibration.mass * calibration.gravity, np.zeros(3)])
-        hold = Hold.critically_damped(inertia=inertia, period=period, delay=delay)
-        self._controller = Controller([Bias(weight), hold], period=period)
+        body = calibration.body
+        hold = Hold.critically_damped(inertia=body.inertia, period=period, delay=delay)
+        self._controller = Controller([Bias(0.0 - body.load), hold], period=period)
         self.aim(straight(ZERO, ZERO, 1.0))
 
     def aim(self, path: Trajectory, off_path: Callable[[Sequence[float]], object] | None = None) -> None:

@@ -61,8 +61,8 @@ class HandObserver:
         self._period = period
         self._keep = math.exp(-2.0 * math.pi * _CORNER * period)
         self._calibration = calibration
-        self._body = [inertia / period**2 for inertia in (*[calibration.mass] * 3, *calibration.inertia.tolist())]
-        self._weight = [*(calibration.mass * calibration.gravity).tolist(), 0.0, 0.0, 0.0]
+        self._body = [inertia / period**2 for inertia in calibration.body.inertia.tolist()]
+        self._weight = calibration.body.load.tolist()
         self.check_coils = False
         self.reset()
 
@@ -189,8 +189,7 @@ class CoilEstimator:
     """
 
     def __init__(self, calibration: Calibration, period: float) -> None:
-        body = np.array([*[calibration.mass] * 3, *calibration.inertia])
-        self._paths = calibration.coils.wrench_per_current * (period**2 / body)[:, None]
+        self._paths = calibration.coils.wrench_per_current * (period**2 / calibration.body.inertia)[:, None]
         self._fall = np.concatenate([period**2 * calibration.gravity, np.zeros(3)])
         self._rows: list[tuple[float, ...]] = []
 

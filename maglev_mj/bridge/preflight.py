@@ -251,7 +251,7 @@ def preflight(
     """
     report = report or measure_link(plant)
     scene = scene.replace(period=plant.period, delay=plant.delay)
-    inertia = np.array([*[plant.calibration.mass] * 3, *plant.calibration.inertia])
+    inertia = plant.calibration.body.inertia
     critical_delay, reduction = _critical_delay(scene, inertia), ""
     if (
         critical_delay < report.required_delay

@@ -190,18 +190,17 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     import numpy as np
 
     from maglev_mj.bridge.wire import State, fault_names
-    from maglev_mj.scenes.interactive import WEIGHT
     from maglev_mj.session import Publishers, SampledMotion
 
     twin, plant = server.twin, server.twin.plant
-    coils, carried = twin.truth.coils, np.array(WEIGHT)
+    coils, load = twin.truth.coils, twin.truth.body.load
     motion, publishers = SampledMotion(), Publishers([viewer])
     viewer.on_close, viewer.on_emergency = server.stop, twin.estop
 
     def publish() -> None:
         currents, pose, time = plant.currents, twin.pose, twin.tick * blank.scene.period
         faults = fault_names(twin.firmware.faults) if twin.firmware.faults else ""
-        force = coils.wrench(currents) - carried if currents.any() else np.zeros(6)
+        force = coils.wrench(currents) + load if currents.any() else np.zeros(6)
         motion.add(time, pose, force, plant.hand_wrench)
         publishers.show(
             lambda: replace(

@@ -20,13 +20,9 @@ from maglev_mj.frames import ZERO, Array, components, join
 from maglev_mj.parameters import axis_indices, numbers, whole
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.run import checked_plant
-from maglev_mj.spec import INERTIA, RANGE
 
-FORCE = 20.0
-"""Maximum force of an agent on a translation [N]."""
-
-LIMITS = tuple(FORCE * inertia * reach / (INERTIA[0] * RANGE[0]) for inertia, reach in zip(INERTIA, RANGE))
-"""Maximum wrench of an agent on the six axes [N, N m], scaled to cross the range of each axis in the same time."""
+FORCE_SHARE = 3.0
+"""Device's force limit over the maximum force of an agent on a translation: 20 N of 60 N."""
 
 _DISTURBANCE, _TARGET = 0.2, 0.6
 _FAR = (1e15, 1e15)
@@ -47,9 +43,11 @@ class TargetTask:
         parameters: Parameters of the scene.
 
     Attributes:
-        action_space: Wrench of the agent relative to `LIMITS`, in [-1, 1], one number per axis.
+        action_space: Wrench of the agent relative to `limit`, in [-1, 1], one number per axis.
         observation_space: Position, previous position and target [m, rad], one number per axis each, clipped at twice
             the range of motion.
+        limit: Maximum wrench of the agent [N, N m], (axes,): a third of the device's force limit on translations,
+            scaled on rotations to cross the range in the same time.
         target: Target of the episode [m, rad], (..., axes), within 0.6 of the range.
         steps: Samples per episode, the duration of the scene.
 
@@ -67,7 +65,9 @@ class TargetTask:
         self.scene, self._batch = get_scene(scene).replace(**parameters), batch
         checked_plant(self.scene, "exact")
         self._axes = list(axis_indices(axes or self.scene.axis))
-        self._reach, self._limit = np.array(RANGE)[self._axes], np.array(LIMITS)[self._axes]
+        body = self.scene.body.bounded
+        limit = body.force_limit / FORCE_SHARE * body.inertia * body.range / (body.inertia[0] * body.range[0])
+        self._reach, self.limit = body.range[self._axes], limit[self._axes]
         self.action_space = Box(-1.0, 1.0, (len(self._axes),), np.float64)
         high = np.tile(2.0 * self._reach, 3)
         self.observation_space = Box(-high, high, dtype=np.float64)
@@ -98,7 +98,7 @@ class TargetTask:
         """
         action = numbers("action", action, shape=str((*self._batch, len(self._axes))))
         command, wrench = self._controller.step(self._sample), list(ZERO)
-        for index, part in zip(self._axes, components(self._limit * (action + self._disturbance))):
+        for index, part in zip(self._axes, components(self.limit * (action + self._disturbance))):
             wrench[index] = part
         command.force = [law + agent for law, agent in zip(command.force, wrench)]
         self._plant.write(command)

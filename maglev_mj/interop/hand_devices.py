@@ -157,6 +157,8 @@ class HandDevice:
         self.act: Callable[[str], object] = lambda action: None
         self._lost = False
         self._rest: Array | None = None
+        self._reach: Array = np.array(RANGE)
+        self._scene: object = None
         self._recent: deque[Array] = deque(maxlen=_STILL)
 
     def take(self) -> None:
@@ -164,6 +166,8 @@ class HandDevice:
 
     def show(self, snapshot: Snapshot) -> None:
         """Move the hand; see `Publisher`."""
+        if snapshot.scene is not self._scene:
+            self._scene, self._reach = snapshot.scene, snapshot.scene.body.bounded.range
         shares, pressed = self._device.read()
         self._hand.device_target, self.note = None, ""
         valid = shares is not None and all(abs(share) <= _LARGEST for share in shares)  # false for NaN
@@ -195,7 +199,7 @@ class HandDevice:
     def _target(self, deflection: Array) -> list[float] | None:
         """Return the target pose [m, rad]; None at rest."""
         outside = self._mapping.outside(deflection, _FULL)
-        target = np.clip(self._mapping(outside) * RANGE, -_FURTHEST, _FURTHEST)
+        target = np.clip(self._mapping(outside) * self._reach, -_FURTHEST, _FURTHEST)
         return target.tolist() if target.any() else None
 
 

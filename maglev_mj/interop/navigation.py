@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.parameters import number, numbers, six, store
-from maglev_mj.spec import INERTIA
+from maglev_mj.plants.model import Body, body_of
+from maglev_mj.spec import RANGE
 
 _PUSH_ON, _PUSH_OFF, _PUSH_TIME = 0.25, 0.10, 0.1  # fractions of the breakaway force, [s]
 
 _BREAKAWAY = 2.0
 _STRETCH = _BREAKAWAY / 6000.0
-_RADII = [math.sqrt(inertia / INERTIA[0]) for inertia in INERTIA[3:]]
+_EDGE = (0.0025,) * 3 + (math.radians(3.0),) * 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,7 +26,9 @@ class Navigation:
     """Settings of a navigator; each is a number, or (6,) for one per axis.
 
     Args:
-        edge: Deflection above which rate mode is possible [m, rad].
+        body: The device, `Scene.body` of a scene; by default the published one.
+        edge: Deflection above which rate mode is possible [m, rad]; by default 2.5 mm and 3 degrees, in proportion to
+            the device's range.
         scale: Displacement of the slave per displacement of the flotor [1].
         gain: Speed of the slave per deflection outside the edge [1/s].
         give: Stretch of the friction's spring at breakaway, breakaway force over stiffness [m, rad]; by default 2 N
@@ -36,15 +39,20 @@ class Navigation:
         ParameterError: If a value is outside its bounds, or neither a number nor (6,).
     """
 
-    edge: ArrayLike = (0.0025,) * 3 + (math.radians(3.0),) * 3
+    body: Body | None = None
+    edge: ArrayLike | None = None
     scale: ArrayLike = 1.0
     gain: ArrayLike = 10.0
-    give: ArrayLike = (_STRETCH,) * 3 + tuple(_STRETCH / radius for radius in _RADII)
-    breakaway: ArrayLike = (_BREAKAWAY,) * 3 + tuple(_BREAKAWAY * radius for radius in _RADII)
+    give: ArrayLike | None = None
+    breakaway: ArrayLike | None = None
 
     def __post_init__(self) -> None:
+        body = (self.body or body_of({})).bounded
+        radii = np.sqrt(body.inertia / body.inertia[0])
+        own = {"edge": _EDGE * (body.range / RANGE), "give": _STRETCH / radii, "breakaway": _BREAKAWAY * radii}
         for name in ("edge", "scale", "gain", "give", "breakaway"):
-            values = six(name, getattr(self, name), finite=True)
+            value = getattr(self, name)
+            values = six(name, own[name] if value is None else value, finite=True)
             if name in ("give", "breakaway") and not (values > 0.0).all():
                 raise ParameterError(f"{name} must be above 0 (got {values.min():g})")
             store(self, **{name: values.copy()})

@@ -239,6 +239,17 @@ class Body(NamedTuple):
     range: Array
     force_limit: float
 
+    @property
+    def load(self) -> Array:
+        """Weight in stator axes [N, N m], (6,)."""
+        return np.append(self.inertia[0] * self.gravity, np.zeros(3))
+
+    @property
+    def bounded(self) -> Body:
+        """The same device, with the published range and force limit where its own are infinite."""
+        limit = self.force_limit if math.isfinite(self.force_limit) else Spec.largest_vertical_force.value
+        return self._replace(range=np.where(np.isfinite(self.range), self.range, RANGE), force_limit=limit)
+
 
 def body_of(keywords: Mapping[str, Any]) -> Body:
     """Return the device of a plant's keywords; without a model, the published one.

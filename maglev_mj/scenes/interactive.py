@@ -69,7 +69,7 @@ def wall(
     """
     share = _share(axes)
     width = _PULSE_SHARE * scene.period
-    pulse = max(MASS / width - scene.damping, 0.0) if scene.pulse else 0.0
+    pulse = max(float(scene.body.inertia[0]) / width - scene.damping, 0.0) if scene.pulse else 0.0
     return Wall(
         axes=axes,
         lower=lower,
@@ -227,8 +227,7 @@ class InteractiveScene(Scene):
     @property
     def lift(self) -> tuple[float, ...]:
         """Wrench that compensates the weight of the device in use [N, N m]."""
-        body = body_of(self.plant_options())
-        return (*(0.0 - body.inertia[0] * body.gravity).tolist(), 0.0, 0.0, 0.0)
+        return tuple((0.0 - body_of(self.plant_options()).load).tolist())
 
     def start(self) -> Start:
         """Return a flotor at rest, its weight compensated if `weightless`."""

@@ -35,7 +35,7 @@ from maglev_mj.recording import (
     UserCodeError,
     open_recording,
 )
-from maglev_mj.recording.sample import check_setup
+from maglev_mj.recording.sample import RunMetadata, check_setup, value_in
 from maglev_mj.recording.setup import ALLOW_HINT, rebuild_controller, rebuild_plant, refused
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
 from maglev_mj.scenes.find import SceneLike, defined_in, object_of_text, recorded_scene, text_of
@@ -160,7 +160,9 @@ def _controller(setup: Setup, own: UserCode | None) -> Controller:
         return rebuild_controller(setup, own)
     with refused(*_INVALID):
         scene = _scene(setup, own)
-        return device_controller(scene) if setup["kind"] == "device" else scene.controller()
+        if setup["kind"] == "device":
+            return device_controller(scene, RunMetadata.from_json(value_in(setup, "run", dict)).carried)
+        return scene.controller()
 
 
 def _scene(setup: Setup, own: UserCode | None) -> Scene:

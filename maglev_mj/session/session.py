@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
@@ -133,12 +134,18 @@ class SessionRecorder:
         return path
 
 
-def device_controller(scene: Scene) -> Controller:
-    """Return a scene's controller for a device, with weight compensation added if the scene has no gravity."""
-    controller = scene.controller()
-    if (gravity := scene.start().gravity) is None or np.any(gravity):
+def device_controller(scene: Scene, weight: ArrayLike = WEIGHT) -> Controller:
+    """Return a scene's controller for a device, with the device's weight compensated if the scene's is, or is zero.
+
+    Args:
+        scene: The scene.
+        weight: Compensation of the device's weight [N, N m], (6,); by default the published device's.
+    """
+    controller, load = scene.controller(), scene.body.load
+    missing = np.asarray(weight) + load
+    if not missing.any() or (load.any() and not np.allclose(controller.carried, -load)):
         return controller
-    return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
+    return Controller([*controller.laws, Bias(missing)], period=scene.period, velocity=scene.velocity_estimator())
 
 
 _DROP_HEIGHT = 0.004  # [m]

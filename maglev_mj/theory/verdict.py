@@ -211,11 +211,19 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
     """
     if isinstance(scene, type) or not hasattr(scene, "controller"):
         raise ParameterError(f"scene must be a Scene, such as find_scene('drop')() (got {scene!r})")
-    body, delay = scene.body.inertia if inertia is None else inertia, scene.delay if delay is None else delay
-    return judge(scene.controller(), delay=delay, pose=scene.start().pose, inertia=body)
+    body, delay = scene.body.bounded, scene.delay if delay is None else delay
+    inertia = body.inertia if inertia is None else inertia
+    return judge(scene.controller(), delay=delay, pose=scene.start().pose, inertia=inertia, reach=body.range)
 
 
-def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA) -> Verdict:
+def judge(
+    controller: Controller,
+    *,
+    delay: float,
+    pose: ArrayLike = ZERO,
+    inertia: ArrayLike = INERTIA,
+    reach: ArrayLike = RANGE,
+) -> Verdict:
     """Return the stability verdict on the closed loop of a free flotor.
 
     If all laws declare their gains, the loop is exact in every combination of their states. Otherwise the controller
@@ -227,6 +235,7 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
         delay: Transport delay [s], up to 10 periods.
         pose: Start of the flotor [m, rad], (6,).
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
+        reach: Range of motion [m, rad], (6,).
 
     Raises:
         ParameterError: If `controller` is no Controller, or a value is outside its bounds.
@@ -242,7 +251,7 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
     transport_delay(number("delay", delay), controller.period)
     gains = stated_gains(controller)
     if gains is None:
-        return _numerically(controller, delay, start, body)
+        return _numerically(controller, delay, start, body, numbers("reach", reach, shape="(6,)", above=0.0))
     return _by_gains(gains, controller, delay, start, body)
 
 
@@ -403,12 +412,12 @@ class _Loops(NamedTuple):
     """True if each axis has a loop, and no pose is unknown."""
 
 
-def _linearised(controller: Controller, pose: Array, body: Array) -> _Loops:
+def _linearised(controller: Controller, pose: Array, body: Array, reach: ArrayLike = RANGE) -> _Loops:
     loops: list[_Loop] = []
     away: list[_Loop] = []
     previous: list[_Loop] = []
     jumps, unknown, judged = [], [], set()
-    grid = linearise(controller, _poses(controller, pose))
+    grid = linearise(controller, _poses(controller, pose, reach))
     edges = [*_edges(controller, grid[2 : 2 + len(AXES) * _POINTS])]
     for near in [*grid, *(linearise(controller, edges) if edges else ())]:
         scaled = near.scaled(body)
@@ -431,9 +440,9 @@ def _linearised(controller: Controller, pose: Array, body: Array) -> _Loops:
     return _Loops(loops + unstable, away, jumps, unknown, not (missing or unknown))
 
 
-def _numerically(controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
+def _numerically(controller: Controller, delay: float, pose: Array, body: Array, reach: Array) -> Verdict:
     """Return the verdict by linearisation."""
-    linear = _linearised(controller, pose, body)
+    linear = _linearised(controller, pose, body, reach)
     worst: _Loop | None = None
     spectral_radius, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
     for loop, roots in _roots(_grouped(linear.loops), delay, body):
@@ -622,13 +631,13 @@ def _coupled(scaled: Array) -> list[tuple[int, ...]]:
     return list(dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in linked))
 
 
-def _poses(controller: Controller, start: Array) -> Array:
+def _poses(controller: Controller, start: Array, reach: ArrayLike) -> Array:
     """Return start, centre, poses along each axis, and poses inside each face."""
     (near,) = linearise(controller, start[None])
     start = start + _OFF * _SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
     rows = [start, np.zeros(6)]
-    for axis, reach in enumerate(RANGE):
-        rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, _POINTS) * reach * _STRIDE]
+    for axis, far in enumerate(np.asarray(reach)):
+        rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, _POINTS) * far * _STRIDE]
     for axis, normal, edge in controller.faces:
         rows += [_with(start, axis, float(edge) - normal * depth * _SCALE[axis]) for depth in _DEPTHS]
     return np.array(rows)

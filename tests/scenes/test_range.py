@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from itertools import compress
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -12,9 +14,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from maglev_mj import AXES, Wall, compare, find_scene
+from maglev_mj import AXES, Calibration, Controller, Twin, TwinParameters, Wall, compare, find_scene, stability
 from maglev_mj import sweep as sweep_of
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.frames import Array
+from maglev_mj.interop.gym import TargetTask
+from maglev_mj.interop.hand_devices import AxisMapping, HandDevice, Reading
+from maglev_mj.interop.navigation import Navigation
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.limits import LIMITS, peaks_of
 from maglev_mj.plants.model import model_path
 from maglev_mj.plants.trace import Trace
@@ -23,7 +32,8 @@ from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
-from maglev_mj.spec import RANGE
+from maglev_mj.session import Snapshot
+from maglev_mj.spec import RANGE, Spec
 from tests.all_of import SCENES
 
 
@@ -90,12 +100,19 @@ def light(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(file)
 
 
+@pytest.fixture(scope="module")
+def device() -> RemotePlant:
+    """Return a twin of the light device."""
+    own = replace(Calibration.nominal(), mass=0.3, gravity=np.array([0.0, 0.0, -1.62]))
+    return RemotePlant(VirtualLink(Twin(TwinParameters(calibration=own))), calibration=own)
+
+
 @pytest.mark.parametrize("name", SCENES)
-def test_a_scene_is_judged_by_the_device_in_use(name: str, light: str) -> None:
+def test_a_scene_is_judged_by_the_device_in_use(name: str, light: str, device: RemotePlant) -> None:
     base: Any = find_scene(name)
 
     def options(self: Any) -> dict[str, Any]:
-        return {**super(type(self), self).plant_options(), "model": light, "mass": None}
+        return {**base.plant_options(self), "model": light, "mass": None}
 
     scene = type("Light", (base,), {"plant_options": options})()
     fall = 1.62 if scene.start().gravity is None else 0.0
@@ -110,6 +127,25 @@ def test_a_scene_is_judged_by_the_device_in_use(name: str, light: str) -> None:
         text = " ".join(str(run(scene, plant="exact").table()).split())
         assert "mass 0.3 kg" in text and "device's 30 N" in text and "range of 2 mm" in text
         assert scene.rest == pytest.approx(-0.3 * 1.62 / scene.stiffness)
+        seen: Any = []
+        law = lambda position, velocity: seen.append(np.abs(position[0]).max()) or [0.0] * 6  # noqa: E731
+        stability(type("Own", (type(scene),), {"controller": lambda self: Controller([law], period=0.005)})())
+        assert 0.0018 < max(seen) < 0.0021
+    if "exact" in scene.plants:
+        task = TargetTask(scene, AXES)
+        assert task.limit[2] == pytest.approx(10.0) and (task.observation_space.high[:6] == 2 * scene.body.range).all()
+    assert_allclose(
+        np.array(Navigation(body=scene.body).edge), [0.0025 * 2.0 / 4.5] * 3 + [math.radians(3.0)] * 3, rtol=1e-5
+    )
+    hand, readings = SpringHand(), iter((Reading([0.0] * 6, [2]), Reading([1.0] * 6)))
+    stick: Any = HandDevice(SimpleNamespace(read=lambda: next(readings)), hand, AxisMapping())
+    for _ in range(2):
+        stick.show(Snapshot(scene=scene))
+    assert hand.device_target == scene.body.range.tolist()
+    for flown in (base(), scene):
+        flight = Flight(device, flown.replace(period=device.period))
+        assert flight._controller.carried[2] == pytest.approx(0.3 * 1.62 * (carried or not fall))
+        assert (flight._force[2], flight._load[2]) == pytest.approx((0.3 * 1.62, -0.3 * 1.62))
 
 
 @pytest.mark.parametrize(("name", "gain"), [("drop", 0.0), ("drop", 50.0), ("press", 0.0), ("press", 50.0)])

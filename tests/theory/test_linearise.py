@@ -28,6 +28,7 @@ from maglev_mj.control import (
     gain,
 )
 from maglev_mj.errors import MissingPackageError, ParameterError, TooManyCallsError
+from maglev_mj.plants.model import body_of
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, spectral_radius, stability, stated_gains
@@ -375,7 +376,7 @@ def test_a_scene_of_any_kind_is_judged() -> None:
         delay=DELAY,
         controller=lambda: controller,
         start=lambda: SimpleNamespace(pose=[0.0] * 6),
-        body=SimpleNamespace(inertia=np.array(INERTIA)),
+        body=body_of({}),
     )
     assert stability(scene).stable is False
     heavy = stability(scene, inertia=np.array(INERTIA) * 10.0)

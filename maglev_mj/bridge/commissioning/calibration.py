@@ -18,7 +18,7 @@ from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers, read_json
 from maglev_mj.plants.coils import CoilMap
-from maglev_mj.plants.model import load_model
+from maglev_mj.plants.model import Body, body_of, load_model
 from maglev_mj.plants.sensor import Beams, beams
 from maglev_mj.spec import GRAVITY, INERTIA
 
@@ -100,6 +100,11 @@ class Calibration:
             inertia=np.array(INERTIA[3:]),
             gravity=np.array([0.0, 0.0, -GRAVITY]),
         )
+
+    @property
+    def body(self) -> Body:
+        """The device, with the published range and force limit: a calibration states none."""
+        return body_of({"mass": self.mass, "inertia": self.inertia, "gravity": self.gravity})
 
     @property
     def hover(self) -> Array:

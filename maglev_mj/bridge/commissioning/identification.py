@@ -153,7 +153,7 @@ def excitation(
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    body = np.concatenate([np.full(3, known.mass), known.inertia])
+    body = known.body.inertia
     hold = Hold.critically_damped(inertia=body, period=period, delay=delay)
     stiffness = np.asarray(hold.stiffness)
     rate = np.sqrt(stiffness / body)
@@ -161,8 +161,7 @@ def excitation(
     omega = 2.0 * math.pi * numbers("lines", lines, shape="(6, L)")
     # compliance of a critically damped hold: 1 / (body (rate² + omega²))
     forces = (body * sizes)[:, None] * (np.square(rate)[:, None] + np.square(omega))
-    weight = np.concatenate([-known.mass * known.gravity, np.zeros(3)])
-    laws: list[Law] = [Bias(weight), hold, Trim(gain=_TRIM * stiffness * rate, period=period)]
+    laws: list[Law] = [Bias(0.0 - known.body.load), hold, Trim(gain=_TRIM * stiffness * rate, period=period)]
     return Shaker(Controller(laws, period=period), frequencies=lines, amplitudes=forces)
 
 
