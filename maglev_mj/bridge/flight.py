@@ -110,10 +110,8 @@ class Flight:
         self._actions = session.device_actions(type(scene))
         self._delays: deque[float] = deque(maxlen=_ANSWERS)
         self._warn, self._check_due = warn, session.FrameClock(1.0)
-        self._delay_guard, self._power_guard = (
-            DelayGuard(delay_limit(critical_delay, plant.period)),
-            PowerGuard(plant.period, self._inertia),
-        )
+        self._delay_guard = DelayGuard(delay_limit(critical_delay, plant.period))
+        self._power_guard = PowerGuard(plant.period, self._inertia)
         self.reason, self._judge = "", judge
         if file is not None:
             file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())

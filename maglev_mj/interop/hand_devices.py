@@ -22,7 +22,6 @@ from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
 from maglev_mj.session import FrameClock, Snapshot
-from maglev_mj.spec import RANGE
 
 BUTTONS = "centre", "pause", "zero"
 """Actions of the first buttons; "zero" takes the current position for the rest position."""
@@ -157,8 +156,6 @@ class HandDevice:
         self.act: Callable[[str], object] = lambda action: None
         self._lost = False
         self._rest: Array | None = None
-        self._reach: Array = np.array(RANGE)
-        self._scene: object = None
         self._recent: deque[Array] = deque(maxlen=_STILL)
 
     def take(self) -> None:
@@ -166,8 +163,6 @@ class HandDevice:
 
     def show(self, snapshot: Snapshot) -> None:
         """Move the hand; see `Publisher`."""
-        if snapshot.scene is not self._scene:
-            self._scene, self._reach = snapshot.scene, snapshot.scene.body.bounded.range
         shares, pressed = self._device.read()
         self._hand.device_target, self.note = None, ""
         valid = shares is not None and all(abs(share) <= _LARGEST for share in shares)  # false for NaN
@@ -185,7 +180,7 @@ class HandDevice:
         self._lost = False
         self._recent.append(position)
         if self._rest is not None:
-            self._hand.device_target = self._target(position - self._rest)
+            self._hand.device_target = self._target(position - self._rest, snapshot.scene.body.bounded.range)
         elif np.abs(position).max() > _NEAR:
             self.note = f"{self._device.name} is deflected: let it go, or press its third button where it is at rest"
         elif len(self._recent) == _STILL and np.ptp(self._recent, axis=0).max() <= _JITTER:
@@ -196,10 +191,10 @@ class HandDevice:
         self._hand.device_target = None
         self._device.close()
 
-    def _target(self, deflection: Array) -> list[float] | None:
+    def _target(self, deflection: Array, reach: Array) -> list[float] | None:
         """Return the target pose [m, rad]; None at rest."""
         outside = self._mapping.outside(deflection, _FULL)
-        target = np.clip(self._mapping(outside) * self._reach, -_FURTHEST, _FURTHEST)
+        target = np.clip(self._mapping(outside) * reach, -_FURTHEST, _FURTHEST)
         return target.tolist() if target.any() else None
 
 

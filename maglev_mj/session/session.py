@@ -135,12 +135,7 @@ class SessionRecorder:
 
 
 def device_controller(scene: Scene, weight: ArrayLike = WEIGHT) -> Controller:
-    """Return a scene's controller for a device, with the device's weight compensated if the scene's is, or is zero.
-
-    Args:
-        scene: The scene.
-        weight: Compensation of the device's weight [N, N m], (6,); by default the published device's.
-    """
+    """Return a scene's controller for a device, with `weight` [N, N m], (6,), compensated unless the scene falls."""
     controller, load = scene.controller(), scene.body.load
     missing = np.asarray(weight) + load
     if not missing.any() or (load.any() and not np.allclose(controller.carried, -load)):

@@ -33,7 +33,7 @@ from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Snapshot
-from maglev_mj.spec import RANGE, Spec
+from maglev_mj.spec import INERTIA, RANGE, Spec
 from tests.all_of import SCENES
 
 
@@ -110,11 +110,8 @@ def device() -> RemotePlant:
 @pytest.mark.parametrize("name", SCENES)
 def test_a_scene_is_judged_by_the_device_in_use(name: str, light: str, device: RemotePlant) -> None:
     base: Any = find_scene(name)
-
-    def options(self: Any) -> dict[str, Any]:
-        return {**base.plant_options(self), "model": light, "mass": None}
-
-    scene = type("Light", (base,), {"plant_options": options})()
+    options = lambda self: {**base.plant_options(self), "model": light, "mass": None}  # noqa: E731
+    scene: Any = type("Light", (base,), {"plant_options": options})()
     fall = 1.62 if scene.start().gravity is None else 0.0
     assert scene.body.inertia[0] == pytest.approx(0.3) and scene.body.gravity[2] == -fall
     assert scene.body.range[0] == 0.002 and scene.body.force_limit == pytest.approx(30.0)
@@ -142,10 +139,13 @@ def test_a_scene_is_judged_by_the_device_in_use(name: str, light: str, device: R
     for _ in range(2):
         stick.show(Snapshot(scene=scene))
     assert hand.device_target == scene.body.range.tolist()
+    pulses = [np.max(law.pulse) for law in scene.laws() if isinstance(law, Wall)]
+    assert not carried or pulses in ([], [pytest.approx(0.3 / 0.003 - 80.0)], [0.0])
     for flown in (base(), scene):
         flight = Flight(device, flown.replace(period=device.period))
         assert flight._controller.carried[2] == pytest.approx(0.3 * 1.62 * (carried or not fall))
         assert (flight._force[2], flight._load[2]) == pytest.approx((0.3 * 1.62, -0.3 * 1.62))
+        assert flight._power_guard._sizes[3] == pytest.approx(math.sqrt(INERTIA[3] / 0.3))
 
 
 @pytest.mark.parametrize(("name", "gain"), [("drop", 0.0), ("drop", 50.0), ("press", 0.0), ("press", 50.0)])

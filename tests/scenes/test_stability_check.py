@@ -302,14 +302,7 @@ def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia:
         heavy = mujoco.MjSpec.from_file(str(model_path("drop")))
         heavy.body("flotor").mass += 0.05
         options = options | {"model": heavy}
-
-    class Own(Drop):
-        """Drop of a flotor of its own."""
-
-        def plant_options(self) -> dict[str, Any]:
-            return options
-
-    scene = Own(stiffness=15_000.0)
+    scene = type("Own", (Drop,), {"plant_options": lambda self: options})(stiffness=15_000.0)
     body = scene.body.inertia
     np.testing.assert_allclose(body, inertia, rtol=2e-3)
     np.testing.assert_array_equal(scene.plant("exact").inertia, body)  # type: ignore[attr-defined]
