@@ -305,7 +305,7 @@ def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia:
     scene = type("Own", (Drop,), {"plant_options": lambda self: options})(stiffness=15_000.0)
     body = scene.body.inertia
     np.testing.assert_allclose(body, inertia, rtol=2e-3)
-    np.testing.assert_array_equal(scene.plant("exact").inertia, body)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(scene.plant("exact").inertia, body)
     assert stability(scene).spectral_radius == stability(scene, inertia=body).spectral_radius
     assert unstable_loop(scene, inertia=[10.0] * 3 + [1.0] * 3) is None
     assert (stability_warning(scene) is None) == (body[0] > 1.0) == (not unstable([scene])[0])
