@@ -169,7 +169,7 @@ def checkable() -> Iterator[tuple[str, Callable[..., Any], str, str]]:
     for name, call in calls():
         if name.rpartition(".")[2] in _INNER | _EVERY_TICK | {"Sample", "Command"}:
             continue
-        plain = inspect.unwrap(call.__init__ if inspect.isclass(call) else call)  # type: ignore[misc]
+        plain = inspect.unwrap(call.__init__ if inspect.isclass(call) else call)
         for key, one in inspect.signature(call).parameters.items():
             if packed := re.fullmatch(r"Unpack\[(\w+)\]", str(one.annotation)):
                 kinds = plain.__globals__[packed[1]].__annotations__

@@ -4,16 +4,17 @@ import gymnasium
 import numpy as np
 from gymnasium.utils.env_checker import check_env
 
-from maglev_mj.interop import gym  # registers the environments
+from maglev_mj.interop import gym
 
-ENVIRONMENT, AXES = "maglev_mj/Joystick-v0", "z"
+ENVIRONMENT, AXES = "maglev_mj/Joystick-v0", "z"  # registered by the import
+LIMIT = gym.TargetTask("joystick", AXES).limit
 
 
 def spring_and_damper(observation):
     """Return the action of 5000 N/m and 100 N s/m."""
     position, before, target = np.split(observation, 3, axis=-1)
     force = 5000.0 * (target - position) - 100.0 * (position - before) / 0.005
-    return np.clip(force / gym.FORCE, -1.0, 1.0)
+    return np.clip(force / LIMIT, -1.0, 1.0)
 
 
 if __name__ == "__main__":

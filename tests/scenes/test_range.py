@@ -33,7 +33,7 @@ from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Snapshot
-from maglev_mj.spec import INERTIA, RANGE, Spec
+from maglev_mj.spec import INERTIA, RANGE
 from tests.all_of import SCENES
 
 
