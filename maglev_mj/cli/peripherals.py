@@ -22,8 +22,7 @@ from maglev_mj.terminal import say
 if TYPE_CHECKING:
     from maglev_mj.interop.hand_devices import AxisMapping, HandDevice
     from maglev_mj.plants.hand import SpringHand
-    from maglev_mj.session import SnapshotSource
-    from maglev_mj.views.viewer_process import ShowReport, ViewerFunction
+    from maglev_mj.views.viewer_process import ViewerFunction
 
 PORT = 8123
 """Default TCP port of the page."""
@@ -131,11 +130,23 @@ class PageOptions:
             raise ParameterError("view and web are mutually exclusive")
         if (front := self.open(drag=not watch, settings=False)) is not None or not view:
             return front
-        # imported here: loads the window library
-        from maglev_mj.views.window.window import require_display, show
+        return window(folder)
 
-        require_display()
-        return partial(show, folder=folder)
+
+def window(folder: Path = Path()) -> ViewerFunction:
+    """Return the viewer function of a window.
+
+    Args:
+        folder: Output folder for screenshots.
+
+    Raises:
+        DisplayError: If a window cannot be opened.
+    """
+    # imported here: loads the window library
+    from maglev_mj.views.window.window import require_display, show
+
+    require_display()
+    return partial(show, folder=folder)
 
 
 def _open_browser(url: str) -> None:
@@ -143,31 +154,6 @@ def _open_browser(url: str) -> None:
     import webbrowser
 
     threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
-
-
-def show_session(
-    source: SnapshotSource, page: ViewerFunction | None, folder: Path = Path(), duration: float | None = None
-) -> ShowReport:
-    """Show a running scene on a page or in a window.
-
-    Args:
-        source: The scene to show.
-        page: The page; None for a window.
-        folder: Output folder for screenshots.
-        duration: Duration [s]; None until the user closes it.
-
-    Raises:
-        DisplayError: If a window cannot be opened.
-        MaglevError: If the page's process ends unexpectedly.
-    """
-    if page is not None:
-        from maglev_mj.views.viewer_process import show_remotely
-
-        return show_remotely(source, page, duration)
-    # imported here: loads the window library
-    from maglev_mj.views.window.window import show
-
-    return show(source, folder=folder, duration=duration)
 
 
 def _has_screen() -> bool:

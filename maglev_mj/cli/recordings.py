@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from maglev_mj.cli.declare import option
 from maglev_mj.cli.options import Picture, Pictures, Recorded, json_of
 from maglev_mj.cli.output import LAYOUT, Progress, check_files, write_json
-from maglev_mj.cli.peripherals import PageOptions, show_session
+from maglev_mj.cli.peripherals import PageOptions, window
 from maglev_mj.errors import ParameterError
 from maglev_mj.terminal import printable, say, wrapped
 
@@ -46,6 +46,7 @@ def replay(
     """Play back a recording, or check it bit for bit."""
     from maglev_mj.recording import InvalidRecordingError, Recording
     from maglev_mj.session.replay import Replay
+    from maglev_mj.views.viewer_process import show_remotely
 
     with Progress("replay"):
         recording = Recording.load(file)
@@ -61,7 +62,7 @@ def replay(
     if note := _other_code(recording, own):
         for line in wrapped(f"{file}: {note}", further="    "):
             say(line)
-    show_session(Replay(recording, own), page.open(drag=False, settings=False))
+    show_remotely(Replay(recording, own), page.open(drag=False, settings=False) or window())
     return 0
 
 

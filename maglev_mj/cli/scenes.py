@@ -23,7 +23,7 @@ from maglev_mj.cli.options import (
     json_of,
 )
 from maglev_mj.cli.output import Progress, keep_partial, print_written, write_result
-from maglev_mj.cli.peripherals import HandOptions, PageOptions, show_session
+from maglev_mj.cli.peripherals import HandOptions, PageOptions, window
 from maglev_mj.errors import DivergenceError, ParameterError
 
 if TYPE_CHECKING:
@@ -151,16 +151,11 @@ def view(
     controller = started(scene)  # raises errors of a user's scene before a page opens
     if stated_gains(controller) is not None and (warning := stability_warning(scene)):  # else the viewer computes it
         print(Table("", (), (), warnings=[warning]), file=sys.stderr)
-    front = page.open()
-    if front is None:
-        # imported here: loads the window library
-        from maglev_mj.views.window.window import require_display
-
-        require_display()
+    front = page.open() or window(out)
     out.mkdir(parents=True, exist_ok=True)
     with input_hand.open(hand) as devices:
         session = Session(scene, hand=hand, folder=out, record=record, publishers=devices)
-        _show(session, session, devices, front, out, seconds)
+        _show(session, session, devices, front, seconds)
     return 0
 
 
@@ -170,11 +165,11 @@ def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, o
     from maglev_mj.session import Session
     from maglev_mj.session.tour import Tour
 
-    front, hand = page.open(), SpringHand.of_mouse()
+    front, hand = page.open() or window(out), SpringHand.of_mouse()
     out.mkdir(parents=True, exist_ok=True)
     with input_hand.open(hand) as devices:
         session = Session(hand=hand, folder=out, publishers=devices)
-        _show(Tour(session), session, devices, front, out, seconds)
+        _show(Tour(session), session, devices, front, seconds)
     return 0
 
 
@@ -182,15 +177,16 @@ def _show(
     source: SnapshotSource,
     session: Session,
     devices: Sequence[HandDevice],
-    front: ViewerFunction | None,
-    folder: Path,
+    front: ViewerFunction,
     seconds: float | None,
 ) -> None:
     """Show a session whose hand is moved by the devices, and print the paths of its recordings."""
+    from maglev_mj.views.viewer_process import show_remotely
+
     for device in devices:
         device.act = session.act
     try:
-        print(show_session(source, front, folder, seconds))
+        print(show_remotely(source, front, seconds))
     finally:
         for path in session.recordings:  # also after an error: the user needs the paths
             print_written(path)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from maglev_mj.frames import Array
+from maglev_mj.plants.shapes import GRIP
 from maglev_mj.session import Snapshot
 
 MAGNIFICATIONS = 1, 3, 5
@@ -47,3 +50,19 @@ def true_pose(drawn: Array, factor: float) -> Array:
 def motion_words(factor: float) -> str:
     """Return the label of a magnification; empty for the true motion."""
     return "" if factor == 1 else f"motion x{factor:g}"
+
+
+def dragged_pose(start: Array, moved: Array, factor: float, *, tilts: bool) -> Array:
+    """Return the target pose of a hand that drags the knob [m, rad], (6,).
+
+    Args:
+        start: Pose at the start of the drag [m, rad], (6,).
+        moved: Displayed displacement of the knob [m], (3,).
+        factor: Magnification of the displayed motion.
+        tilts: True to rotate about the horizontal axes, False to translate.
+    """
+    moved = true_pose(moved, factor)
+    pose: Array = start + np.concatenate(
+        [np.zeros(3), np.cross(GRIP, moved) / (GRIP @ GRIP)] if tilts else [moved, np.zeros(3)]
+    )
+    return pose

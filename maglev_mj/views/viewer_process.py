@@ -145,7 +145,9 @@ class RemoteViewer:
     Attributes:
         hand: Hand of the mouse.
         frames: Number of snapshots sent.
-        on_close: Called once when the user has closed the viewer; may be replaced.
+        is_open: False once the viewer's process has ended.
+        failure: Why it ended; empty if the user closed the window.
+        on_close: Called once when the viewer's process has ended; may be replaced.
         on_emergency: Called by `take` on an emergency stop; may be replaced, and may raise.
     """
 
@@ -153,7 +155,8 @@ class RemoteViewer:
         self._watch = flag("watch", watch)
         self.hand, self.on_close, self.frames = SpringHand.of_mouse(), _nothing, 0
         self.on_emergency: Callable[[], object] = _nothing
-        self._scene, self._sent_time, self._open = snapshot.scene, -np.inf, True
+        self._scene, self._sent_time, self.is_open = snapshot.scene, -np.inf, True
+        self.failure = "the viewer process has ended"
         self._note, self._due, self._glide = Note(), FrameClock(), Glide()
         self._inbox = Inbox()
         self._front = SideProcess(_open, snapshot, front)
@@ -191,7 +194,10 @@ class RemoteViewer:
     def _requests(self) -> Sequence[Request]:
         """Return the requests that are due; bounded, so that a flood does not delay a tick."""
         for kind, value in islice(self._front.received(), _MAX_MESSAGES):
-            self._inbox.put(kind, value)
+            if kind == "closed":
+                self.failure = value
+            else:
+                self._inbox.put(kind, value)
         return self._inbox.take()
 
     def _changed(self, kind: str, value: Any) -> Scene | None:
@@ -228,14 +234,14 @@ class RemoteViewer:
 
     def _check_open(self) -> None:
         """Release the hand when the viewer has been closed."""
-        if self._front.ended and self._open:
-            self._open = False
+        if self._front.ended and self.is_open:
+            self.is_open = False
             self._glide.aim(None)
             self.on_close()
 
     def close(self) -> None:
         """Close the viewer; idempotent."""
-        self._open = False
+        self.is_open = False
         self._front.close(_CLOSE_TIMEOUT)
 
 
@@ -243,8 +249,7 @@ class ShowReport(NamedTuple):
     """Report of a session in a window or page.
 
     Attributes:
-        frames: Frames drawn, or sent to the page.
-        frame_cost: Median time to draw a snapshot [s]; 0 if not measured.
+        frames: Snapshots sent to the viewer, which takes the next one when it has drawn the last.
         wall_time: Real time that the viewer was open [s].
         simulated: Simulated time [s].
         ticks: Number of control ticks.
@@ -252,7 +257,6 @@ class ShowReport(NamedTuple):
     """
 
     frames: int
-    frame_cost: float
     wall_time: float
     simulated: float
     ticks: int
@@ -260,11 +264,10 @@ class ShowReport(NamedTuple):
 
     def __str__(self) -> str:
         duration = max(self.wall_time, 1e-9)
-        cost = f", {self.frame_cost * 1e3:.1f} ms per frame" if self.frame_cost else ""
         return (
             f"  {self.wall_time:.1f} s, {self.ticks} control ticks, {self.missed} skipped\n"
             f"  real-time factor {self.simulated / duration:.3f}\n"
-            f"  {self.frames} frames, {self.frames / duration:.1f} per second{cost}"
+            f"  {self.frames} frames, {self.frames / duration:.1f} per second"
         )
 
 
@@ -274,20 +277,23 @@ def show_remotely(source: SnapshotSource, front: ViewerFunction, duration: float
     Args:
         source: Source to run.
         front: Viewer function.
-        duration: Real time to run [s]; None until Ctrl-C.
+        duration: Real time to run [s]; None until the user closes the window, or Ctrl-C.
 
     Raises:
-        MaglevError: If the viewer process ends first.
+        MaglevError: If the viewer's process ends by itself.
     """
     viewer, ticks, wall_time = RemoteViewer(source.snapshot(), front), 0, 0.0
-    viewer.on_close = _raise_ended
     with closing(viewer), closing(source):
         with engine_warnings_silenced(), suppress(KeyboardInterrupt):  # ends a page
             for elapsed, total in session.real_time(duration, _NAP):
                 ticks, wall_time = ticks + source.tick(elapsed), total
                 viewer.serve(source)
+                if not viewer.is_open:
+                    if viewer.failure:
+                        raise MaglevError(viewer.failure)
+                    break
         missed = source.snapshot().missed
-        return ShowReport(viewer.frames, 0.0, wall_time, source.simulated, ticks, missed)
+        return ShowReport(viewer.frames, wall_time, source.simulated, ticks, missed)
 
 
 class RemoteSession:
@@ -347,17 +353,15 @@ class RemoteSession:
 def _nothing() -> None: ...
 
 
-def _raise_ended() -> None:
-    raise MaglevError("the viewer process has ended")
-
-
 def _open(pipe: Connection, snapshot: Snapshot, front: ViewerFunction) -> None:
-    """Run the viewer function in the viewer process."""
+    """Run the viewer function in the viewer process, and say why it ended."""
+    reason = ""
     try:
         front(RemoteSession(pipe, snapshot))
-    except MaglevError:
-        pass  # the control process has ended and reports the reason
+    except Exception as error:
+        reason = str(error) if isinstance(error, MaglevError) else repr(error)
     finally:
+        with suppress(OSError):  # the control process has ended
+            pipe.send(("closed", reason))
         pipe.close()
-        # threads of MuJoCo's viewer outlive it by seconds
-        os._exit(0)
+        os._exit(0)  # threads of a server outlive it by seconds

@@ -6,7 +6,6 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
@@ -63,24 +62,6 @@ def test_no_traceback_while_a_command_loads(command: str, module: str, number: i
     served = command == "twin" and "no faults" in done.output
     assert done.status == (0 if served else 130), done
     assert "Traceback" not in done.errors and "ignored" not in done.errors
-
-
-def test_a_window_that_opens_is_whole_before_it_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    # half open it cannot be closed, and the end of the program crashes in the engine's drawing thread
-    window = import_module("maglev_mj.views.window.window")
-    opened = list[str]()
-
-    def scale() -> float:
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.05)
-        opened.append("whole")
-        raise LookupError
-
-    monkeypatch.setattr(window, "_font_scale", scale)
-    monkeypatch.setattr(window, "require_display", lambda: None)
-    with pytest.raises(KeyboardInterrupt):
-        window.show(None, folder=Path())
-    assert opened == ["whole"]
 
 
 def test_a_thread_leaves_signals_alone() -> None:

@@ -227,21 +227,3 @@ def test_a_run_has_its_bar_on_standard_error_and_its_result_on_standard_output(
     assert cli.main("sweep drop --vary phase=0:0.8:2 --set plant=exact --workers 0 --json -".split()) == 0
     assert "] sweep drop" in screen.text and screen.text.endswith("\r\x1b[K")
     assert len(json.loads(capsys.readouterr().out)["results"]) == 2
-
-
-def test_without_mjpython_one_line_says_so_on_macos(monkeypatch: pytest.MonkeyPatch) -> None:
-    from maglev_mj.views.window import window
-    from maglev_mj.views.window.backend import DisplayError
-
-    monkeypatch.setattr(sys, "platform", "darwin")
-    monkeypatch.setattr("glfw.init", lambda: True)
-    monkeypatch.delitem(sys.modules, "mujoco.viewer", raising=False)
-    with pytest.raises(DisplayError, match=r"`mjpython -m maglev_mj view`; .* `maglev-mj view --web`") as refused:
-        window.require_display()
-    assert "\n" not in str(refused.value)
-
-    class Loaded:
-        _MJPYTHON = object()
-
-    monkeypatch.setitem(sys.modules, "mujoco.viewer", Loaded)
-    window.require_display()

@@ -38,6 +38,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import find_scene
 from maglev_mj.session import Session, Snapshot
 from maglev_mj.spec import RANGE
+from maglev_mj.views import viewer_process
 from maglev_mj.views.viewer_process import ShowReport
 from maglev_mj.views.window import window
 
@@ -457,21 +458,21 @@ class Shown:
         self.targets: list[Any] = []
         self.states: list[str] = []
 
-    def show(self, session: Session, **_: Any) -> ShowReport:
+    def show(self, session: Session, *_: Any) -> ShowReport:
         session.tick(PERIOD)  # reads the rest position
         self.begin()
         waited(lambda: [session.tick(PERIOD), session.hand.device_target][1])
         self.targets.append(session.hand.device_target)
         self.states.append(session.snapshot().state)
         session.close()
-        return ShowReport(0, 0.0, 1.0, 1.0, 200, 0)
+        return ShowReport(0, 1.0, 1.0, 200, 0)
 
 
 @pytest.fixture
 def shown(monkeypatch: pytest.MonkeyPatch) -> Shown:
     """Run `view` without window or display."""
     made = Shown()
-    monkeypatch.setattr(window, "show", made.show)
+    monkeypatch.setattr(viewer_process, "show_remotely", made.show)
     monkeypatch.setattr(hand_devices, "_STILL", 1)
     monkeypatch.setattr(window, "require_display", lambda: None)
     monkeypatch.delenv("DISPLAY", raising=False)

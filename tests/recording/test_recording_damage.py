@@ -10,7 +10,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from maglev_mj.cli import main, scenes
+from maglev_mj.cli import main
 from maglev_mj.control import Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
@@ -19,6 +19,7 @@ from maglev_mj.recording import Recording, RecordingError, journal, open_recordi
 from maglev_mj.recording.journal import CHECKSUM, RECORD, SAMPLE, open_journal
 from maglev_mj.recording.sample import FIELDS, TOTALS
 from maglev_mj.session import Pacer, Session
+from maglev_mj.views import viewer_process
 from maglev_mj.views.viewer_process import ShowReport
 
 PERIOD = 0.001
@@ -276,9 +277,9 @@ def test_a_disk_that_is_full_ends_a_session_with_one_line(
             if by_key:
                 session.act("record")
         session.close()
-        return ShowReport(0, 0.0, 0.0, 0.0, 0, 0)
+        return ShowReport(0, 0.0, 0.0, 0, 0)
 
-    monkeypatch.setattr(scenes, "show_session", shown)
+    monkeypatch.setattr(viewer_process, "show_remotely", shown)
     option = [] if by_key else ["--record", str(tmp_path / "run.maglev")]
     assert main(["view", "--out", str(tmp_path), *option]) == 1
     said = capfd.readouterr()

@@ -28,11 +28,10 @@ from maglev_mj.recording import Recording, RecordingError
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.interactive import CENTRING, Joystick
-from maglev_mj.session import Session as LiveSession
 from maglev_mj.session.replay import rebuild
-from maglev_mj.views.window.layout import Area
-from maglev_mj.views.window.scenery import Framing, Scenery
-from maglev_mj.views.window.screen import Screen
+from maglev_mj.views.window.layout import Area, arranged
+from maglev_mj.views.window.painter import default_view, project, zoom
+from maglev_mj.views.window.scenery import Scenery
 from maglev_mj.views.window.window import fitted_size
 from tests.views.virtual_screen import VirtualScreen, waited
 
@@ -164,8 +163,8 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         scene.later(1.0)
         geometry = dict(line.split("=") for line in screen.xdotool("getwindowgeometry", "--shell", window).split())
         assert (int(geometry["WIDTH"]), int(geometry["HEIGHT"])) == fitted_size(*SCREEN)
-        camera, _ = framed(Joystick(), VIEW)
-        right, up = Framing(Scenery(Joystick).model).project(camera, VIEW, GRIP)[0]
+        camera = framed(Joystick(), VIEW)
+        right, up = project(Scenery(Joystick).model, camera, arranged(VIEW, 100).device, GRIP)[0]
         middle = int(geometry["X"]) + round(right), int(geometry["Y"]) + VIEW.height - round(up)
         screen.xdotool("mousemove", *middle)  # keys go to the window under the mouse
         time.sleep(0.5)
@@ -191,16 +190,10 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         screen.xdotool("key", "F10")
         waited(lambda: whole(folder), PATIENCE)
         aside = middle[0] - 150, middle[1] + 40
-        screen.xdotool("mousemove", *aside, "mousedown", 1)  # beside the knob: the engine turns its camera
+        screen.xdotool("mousemove", *aside, "mousedown", 1)  # beside the knob: the camera turns
         time.sleep(2.0 * FRAME)
         screen.xdotool("mousemove", aside[0] + 20, aside[1], "mouseup", 1)
         scene.until(lambda snapshot: not held(snapshot), round(0.5 * RATE))
-        screen.xdotool("keydown", "ctrl", "mousemove", *aside, "mousedown", 3)  # the engine's own hand
-        scene.until(lambda snapshot: bool(snapshot["held"]))
-        screen.xdotool("mousemove", aside[0] + DRAG, aside[1])
-        scene.until(held)
-        screen.xdotool("mouseup", 3, "keyup", "ctrl", "key", "Page_Down")
-        scene.until(lambda snapshot: at_rest(snapshot) and not held(snapshot), round(1.0 * RATE))
         time.sleep(1.1)  # names go by the second
         screen.xdotool("key", "6", "key", "F10")  # the wall is back for the keys' own turn
         waited(lambda: len(list(folder.glob("*.maglev"))) == 2, PATIENCE)
@@ -296,14 +289,12 @@ def test_a_screenshot_is_written(session: Session) -> None:
     assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def framed(scene: Scene, view: Area) -> tuple[Any, Area]:
-    """Return the camera of a window on a scene, and its free area."""
-    session, framing, camera = LiveSession(scene), Framing(Scenery(scene).model), mujoco.MjvCamera()
-    free = Screen().draw(session.snapshot(), view, 100).layout.handle
-    session.close()
-    framing.reset(camera)
-    framing.follow(camera, view, free)
-    return camera, free
+def framed(scene: Scene, view: Area) -> Any:
+    """Return the camera of a window on a scene."""
+    model, camera = Scenery(scene).model, mujoco.MjvCamera()
+    default_view(model, camera)
+    camera.distance *= zoom(arranged(view, 100).device)
+    return camera
 
 
 def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
@@ -311,7 +302,7 @@ def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
 
     By the camera of a window alone.
     """
-    camera, _ = framed(scene, view)
+    camera = framed(scene, view)
     azimuth, elevation = math.radians(camera.azimuth), math.radians(camera.elevation)
     forward = np.array(
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]

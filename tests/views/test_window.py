@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import combinations, product
-from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,22 +16,23 @@ import pytest
 
 from maglev_mj import record_run
 from maglev_mj.colours import HAND, STOP
-from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, rotation_matrix
+from maglev_mj.frames import Array
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP
+from maglev_mj.plants.shapes import KNOB as KNOB_SIZE
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import CENTRING, Joystick
-from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
+from maglev_mj.session import Pacer, Session, Snapshot, TourLine, device_actions
 from maglev_mj.session.replay import Replay
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, stop_contacts
 from maglev_mj.views.window.keys import KEYS, MAGNIFY, help_rows
-from maglev_mj.views.window.layout import Area, Font, Layout, arranged
-from maglev_mj.views.window.scenery import Framing, Scenery, directions
-from maglev_mj.views.window.screen import Drawn, Screen, message_rows, status_rows
-from maglev_mj.views.window.window import Grab, _Window, fitted_size
+from maglev_mj.views.window.layout import Area, arranged, letters
+from maglev_mj.views.window.painter import default_view, project, zoom
+from maglev_mj.views.window.scenery import Scenery
+from maglev_mj.views.window.screen import Screen, message_rows, status_rows
+from maglev_mj.views.window.window import _Window, fitted_size
 from tests.sweeps import sweep
 
 SIZES = (480, 360), (640, 400), (800, 600), (1250, 500), (1920, 1080)
@@ -56,54 +56,44 @@ def shot() -> Snapshot:
     return snapshot_after(Joystick(), seconds=0.1)
 
 
-def areas(layout: Layout) -> dict[str, Area]:
-    """Return the areas of all elements by name."""
-    plots = {f"plot {index}": area for index, area in enumerate(layout.plots)}
-    return plots | {name: getattr(layout, name) for name in ("text", "banner", "bar", "label", "handle")}
-
-
 def overlap(one: Area, other: Area) -> bool:
     """Return True if two areas overlap."""
-    across = one.left < other.right and other.left < one.right
+    across = one.left < other.left + other.width and other.left < one.left + one.width
     return across and one.bottom < other.top and other.bottom < one.top
 
 
-def lines(drawn: Drawn, grid: str) -> list[tuple[str, str]]:
-    """Return the rows of the text block at a grid position."""
-    place = int(getattr(mujoco.mjtGridPos, f"mjGRID_{grid}"))
-    return [row for _, its, *columns in drawn.texts if its == place for row in zip(*(c.split("\n") for c in columns))]
-
-
 @pytest.mark.parametrize("scale", [100, 150])
-def test_no_element_covers_another_or_the_handle(scale: int) -> None:
-    # From 480 pixels on, beside the engine's side panel or not, with a table of keys or help, and without.
-    for (width, height), panel, help_width in product(SIZES, (0, 270), (0, 340, 420)):
-        view = Area(panel, 0, width * scale // 100 - panel, height * scale // 100)
-        layout = arranged(view, scale, help_width=help_width * scale // 100, bar=True)
-        found = areas(layout)
-        if help_width:  # which covers the handle until it is hidden, rather than moving it
-            assert found.pop("handle") == arranged(view, scale, bar=True).handle
-        for (name, one), (other_name, other) in combinations(found.items(), 2):
-            assert not overlap(one, other), (view, help_width, name, other_name)
-        for name, one in found.items():
-            assert view.left <= one.left and one.right <= view.right, (view, help_width, name)
-            assert view.bottom <= one.bottom and one.top <= view.top, (view, help_width, name)
-        assert layout.handle.width >= 0.29 * view.width and layout.handle.height >= 0.3 * view.height
-        if not panel and not help_width and width >= 640:
-            assert len(layout.plots) >= 3 and arranged(view, scale).handle.height >= 0.5 * view.height
+def test_no_element_covers_another(scale: int) -> None:
+    for width, height in SIZES:
+        view = Area(0, 0, width * scale // 100, height * scale // 100)
+        layout = arranged(view, scale)
+        for one, other in combinations((layout.text, layout.device, *layout.plots), 2):
+            assert not overlap(one, other), (view, one, other)
+        assert sum(area.width for area in (layout.text, layout.device, *layout.plots[:1])) == view.width
+        assert not overlap(layout.bar, layout.label)
+        for inner in (layout.bar, layout.label):
+            assert layout.device.left <= inner.left and inner.width <= layout.device.width
+        assert layout.device.width >= 0.4 * view.width and len(layout.plots) >= 2 * (width >= 800)
 
 
 STOPPED = {"state": "stopped", "reason": "unstable: the wall generated 100 mJ"}
 TOURED = {"tour": TourLine(1, 8, "a text that is as long as the texts of the tour are", "a task", False)}
-BUSY = {"hand": np.full(6, 12.3), "work": 9.8765, "taken": 9.8765, "cost": 0.012345, "missed": 98765}
-OFF = {"scene": Joystick(wall=False, pulse=False)}
+STATES: list[dict[str, Any]] = [
+    {},
+    STOPPED,
+    TOURED,
+    {"state": "paused"},
+    {"state": "flying"},
+    {"overloaded": True},
+    {"time_scale": 0.01},
+    {"hand": np.full(6, 12.3), "work": 9.8765, "taken": 9.8765, "cost": 0.012345, "missed": 98765},
+]
 
 
-def drawings(shot: Snapshot, view: Area, scale: int, states: Iterable[dict[str, Any]], note: str) -> Iterator[Any]:
-    """Yield a frame of each state, with and without keys, with a note after a drag and without."""
-    for state, keys, notes in product(states, (False, True), ([note], [])):
+def drawings(shot: Snapshot, view: Area, scale: int) -> Iterator[Any]:
+    """Yield a frame of each state, with and without keys and a note."""
+    for state, keys, notes in product(STATES, (False, True), (["wrote /a/folder/of/some/depth/a-001.png"], [])):
         shown, screen = replace(shot, **state), Screen()
-        screen.dragged = bool(notes)
         if keys:
             screen.press(KEYS, shown.scene)
         STABILITY.wait(shown)
@@ -111,100 +101,67 @@ def drawings(shot: Snapshot, view: Area, scale: int, states: Iterable[dict[str, 
 
 
 @pytest.mark.parametrize(("size", "scale"), sweep([(800, 600), (1280, 720), (1920, 1080)], [100, 150], every=2))
-def test_no_text_is_truncated_or_wider_than_its_area(shot: Snapshot, size: tuple[int, int], scale: int) -> None:
-    view, font = Area(0, 0, *(scale * side // 100 for side in size)), Font(scale)
-    states: list[dict[str, Any]] = [{}, STOPPED, TOURED, {"time_scale": 0.01}]
-    for shown, keys, notes, drawn in drawings(shot, view, scale, states, "wrote /a/folder/of/some/depth/a-001.png"):
-        blocks = lines(drawn, "TOPLEFT"), lines(drawn, "BOTTOMLEFT")
-        assert (sum(map(len, blocks)) + 1) * font.row <= view.height
-        assert all(sum(font.columns(rows)) <= drawn.layout.text.width for rows in blocks)
+def test_texts_fit_their_area_and_are_whole(shot: Snapshot, size: tuple[int, int], scale: int) -> None:
+    view = Area(0, 0, *(scale * side // 100 for side in size))
+    for shown, keys, notes, drawn in drawings(shot, view, scale):
+        blocks, area = (drawn.upper, drawn.lower), drawn.layout.text
+        assert (sum(map(len, blocks)) + 1) * drawn.layout.row <= view.height
+        for rows in blocks:
+            names, values = (max(map(len, column), default=0) for column in zip(*rows, strict=True))
+            assert names + values <= letters(area.width, scale)
         upper, lower = ("".join(map("".join, block)).replace(" ", "") for block in blocks)
-        rows = help_rows(shown.actions) if keys else status_rows(shown)
-        wanted = [(name, value.replace("\n", " ")) for name, value in rows]
-        count = len({name for name, _ in blocks[0] if name})
-        assert "".join(map("".join, wanted[:count])).replace(" ", "") == upper  # none is there in part
-        assert count == len(wanted) or (size[0] == 800 and count >= len(wanted) - 4)
-        assert all((name + value).replace(" ", "") in lower for name, value in message_rows(shown, notes))
-        for rectangle, figure in drawn.figures:
-            assert max(font.width(str(figure.title).rstrip("\0")), font.width(str(figure.xlabel))) <= rectangle.width
+        wanted = help_rows(shown.actions, hand=shown.state != "flying") if keys else status_rows(shown)
+        assert "".join(map("".join, wanted)).replace(" ", "").startswith(upper)
+        assert size[0] == 800 or "".join(map("".join, wanted)).replace(" ", "") == upper
+        assert keys or all((name + value).replace(" ", "") in lower for name, value in message_rows(shown, notes))
         if shown.state == "stopped":
-            words = " ".join(title.rstrip("\0") for title, _ in titles(drawn.figures))
+            words = " ".join(box.text for box in drawn.boxes)
             assert "STOPPED: press /" in words and shown.reason in words
 
 
-@pytest.mark.parametrize(("size", "room"), [((480, 360), 4), ((800, 600), 16), ((1280, 720), 14), ((1920, 1080), 13)])
-def test_nothing_moves_when_states_change(shot: Snapshot, size: tuple[int, int], room: int) -> None:
-    # Neither the parts of the picture nor the rows of text that stay, all but the last, of a wall; the device not even
-    # when the keys or the hint to drag come and go.
-    states: list[dict[str, Any]] = [
-        {},
-        STOPPED,
-        {"state": "paused"},
-        {"state": "flying"},
-        {"overloaded": True},
-        BUSY,
-        OFF,
-    ]
-    frames = list(drawings(shot, Area(0, 0, *size), 100, states, "Shadows off: slow drawing. S turns them on."))
-    texts = [([name for name, _ in lines(drawn, "TOPLEFT")][:room], drawn) for _, keys, _, drawn in frames if not keys]
-    assert len({(*areas(drawn.layout).values(), *names) for names, drawn in texts}) == 1
-    assert len({drawn.layout.handle for *_, drawn in frames}) == 1
+def test_nothing_moves_when_states_change(shot: Snapshot) -> None:
+    for size in SIZES:
+        frames = [(keys, drawn) for _, keys, _, drawn in drawings(shot, Area(0, 0, *size), 100)]
+        assert len({(*drawn.layout[:2], *drawn.layout.plots) for _, drawn in frames}) == 1
+        first = [[name for name, _ in drawn.upper[:5]] for keys, drawn in frames if not keys]
+        assert all(names == first[0] for names in first)
 
 
 def test_f11_shows_the_keys_and_the_window_fits_its_screen(shot: Snapshot) -> None:
     screen, view = Screen(), Area(0, 0, 1280, 800)
     first = screen.draw(shot, view, 100)
-    assert ("F11", "keys") in lines(first, "BOTTOMLEFT") and "Esc" not in dict(lines(first, "TOPLEFT"))
-    for shown in (help_rows(shot.actions)[0], ("hand", lines(first, "TOPLEFT")[0][1])):
+    assert ("F11", "keys") in first.lower and "Esc" not in dict(first.upper)
+    for shown in (help_rows(shot.actions)[0][0], first.upper[0][0]):
         screen.press(KEYS, shot.scene)
-        assert lines(screen.draw(shot, view, 100), "TOPLEFT")[0] == shown
+        assert screen.draw(shot, view, 100).upper[0][0] == shown
     for large, fitted in (((800, 600), (736, 528)), ((1280, 800), (1177, 704)), ((3840, 2160), (2560, 1440))):
         assert fitted_size(*large) == fitted
 
 
 @pytest.mark.parametrize("size", [(1, 1), (30, 800), (800, 30), (120, 90)])
-def test_a_window_of_any_size_is_drawn(shot: Snapshot, size: tuple[int, int]) -> None:
+def test_a_window_of_any_size_is_arranged(shot: Snapshot, size: tuple[int, int]) -> None:
     stopped = replace(shot, state="stopped", duration=2.0)
-    framing, camera = Framing(Scenery(Joystick).model), mujoco.MjvCamera()
-    framing.reset(camera)
     for scale in (100, 300):
         drawn = Screen().draw(stopped, Area(0, 0, *size), scale)
-        assert all(min(rectangle.width, rectangle.height) > 0 for rectangle, _ in drawn.figures)
-        framing.follow(camera, Area(0, 0, *size), drawn.layout.handle)
-        assert np.isfinite([camera.distance, *camera.lookat]).all()
-
-
-def projected(model: Any, camera: Any, view: Area, points: Array) -> Array:
-    """Return the pixels of points in a picture, (N, 2)."""
-    across, up = directions(camera)
-    forward = np.cross(up, across)
-    away = points - (camera.lookat - camera.distance * forward)
-    focal = 0.5 * view.height / np.tan(np.radians(0.5 * model.vis.global_.fovy))
-    depth = away @ forward
-    return np.stack(
-        [view.centre[0] + focal * (away @ across) / depth, view.centre[1] + focal * (away @ up) / depth], axis=1
-    )
+        assert drawn.layout.device.width > 0 and np.isfinite(zoom(drawn.layout.device))
 
 
 @pytest.mark.parametrize("name", ["joystick", "six-axes"])
-def test_the_knob_is_in_the_free_area(name: str) -> None:
-    # At each size, wherever the flotor is.
+def test_the_knob_is_in_its_area(name: str) -> None:
+    # At each size, wherever the flotor is; a displacement of some pixels is seen as such.
     model = Scenery(find_scene(name)).model
-    framing, camera = Framing(model), mujoco.MjvCamera()
-    framing.reset(camera)
-    for (width, height), panel in product(SIZES, (0, 250)):
-        view = Area(panel, 0, width - panel, height)
-        free = arranged(view, 100).handle
-        framing.follow(camera, view, free)
+    for width, height in SIZES:
+        area, camera = arranged(Area(0, 0, width, height), 100).device, mujoco.MjvCamera()
+        default_view(model, camera)
+        camera.distance *= zoom(area)
         for place in (np.zeros(3), np.full(3, 4.5e-3), np.full(3, -4.5e-3)):
-            points = projected(model, camera, view, KNOB + place)
-            assert (points >= (free.left, free.bottom)).all() and (points <= (free.right, free.top)).all(), view
-        middle = projected(model, camera, view, GRIP[None, :])[0]
-        place, right, up = framing.project(camera, view, GRIP)
-        assert place == pytest.approx(middle)
-        moved = projected(model, camera, view, (GRIP + 7.0 * right - 5.0 * up)[None, :])[0]
+            for point in KNOB + place:
+                x, y = project(model, camera, area, point)[0]
+                assert area.left <= x <= area.left + area.width and area.bottom <= y <= area.top
+        middle, right, up = project(model, camera, area, GRIP)
+        moved = project(model, camera, area, GRIP + 7.0 * right - 5.0 * up)[0]
         assert moved - middle == pytest.approx([7.0, -5.0], abs=1e-6)
-        assert abs(middle[0] - free.centre[0]) < 0.1 * free.width
+        assert abs(middle[0] - area.centre[0]) < 0.1 * area.width
 
 
 STOPS = {
@@ -288,15 +245,11 @@ def test_the_margin_is_that_of_the_total_gains() -> None:
         assert "not computed" not in margin(find_scene(name)()).words
 
 
-def titles(figures: list[Any]) -> list[tuple[str, Any]]:
-    return [(str(figure.title), figure) for _, figure in figures]
-
-
 def test_the_banner_names_the_state_and_the_key_to_continue(shot: Snapshot) -> None:
     screen, view = Screen(), Area(0, 0, 1280, 800)
 
     def heading(shown: Snapshot, size: Area = view) -> str:
-        found = [title.rstrip("\0") for title, _ in titles(screen.draw(shown, size, 100).figures)]
+        found = [box.text for box in screen.draw(shown, size, 100).boxes]
         return next((title for title in found if title.startswith(("STOPPED", "PAUSED", "Running"))), "")
 
     assert heading(shot) == ""
@@ -327,7 +280,7 @@ def test_a_key_magnifies_the_motion_of_handle_and_walls(shot: Snapshot) -> None:
     foot = ends(scenery)[0]
     for factor in (1, 3, 5):
         assert screen.factor == factor
-        rows = lines(screen.draw(shown, Area(0, 0, 1280, 800), 100), "BOTTOMLEFT")
+        rows = screen.draw(shown, Area(0, 0, 1280, 800), 100).lower
         assert any(f"motion x{factor}" in words for _, words in rows) is (factor > 1)
         scenery.set_pose(shown, factor)
         other.set_pose(replace(shown, pose=factor * pose))
@@ -343,67 +296,52 @@ def test_a_key_magnifies_the_motion_of_handle_and_walls(shot: Snapshot) -> None:
     assert screen.factor == 1
 
 
-def test_only_plain_left_drags_of_the_knob_are_taken_from_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
-    pixel, engine, ours = [100.0, 100.0], list[Any](), list[Any]()
-
-    def taken(window: Any, call: Any) -> Any:
-        ours.append(call)
-        return lambda *event: engine.append(event)
-
-    raw = SimpleNamespace(glfwSetMouseButtonCallback=taken, glfwSetCursorPosCallback=taken)
-    size = lambda window: (800, 600)  # noqa: E731
-    parts: dict[str, Any] = {"_glfw": raw, "get_framebuffer_size": size, "get_window_size": size}
-    parts |= dict.fromkeys(("_GLFWmousebuttonfun", "_GLFWcursorposfun"), lambda call: call)
-    parts |= dict.fromkeys(("get_primary_monitor", "set_window_size", "set_window_pos"), lambda *_: None)
-    parts |= {"get_monitor_workarea": lambda monitor: (0, 0, 800, 600), "get_cursor_pos": lambda window: pixel}
-    for name, part in parts.items():
-        monkeypatch.setattr(glfw, name, part)
-    grab, knob = Grab(), (np.array([100.0, 500.0]), 1e-3 * np.eye(3)[0], 1e-3 * np.eye(3)[2])
-    grab.attach(None)
-    button, cursor = ours
-    # another button, with a key, beside the knob, a knob that no hand moves
-    for number, keys, beside, seen in ((1, 0, 0.0, knob), (0, 2, 0.0, knob), (0, 0, 30.0, knob), (0, 0, 0.0, None)):
-        pixel[0], grab.knob = 100.0 + beside, seen
-        button(None, number, glfw.PRESS, keys)
-        assert grab.moved is None and engine.pop() == (None, number, glfw.PRESS, keys)
-    pixel[0], grab.knob = 100.0, knob
-    button(None, 0, glfw.PRESS, 0)
-    pixel[:] = 104.0, 98.0
-    cursor(None, *pixel)
-    assert grab.moved == pytest.approx([4e-3, 0.0, 2e-3]) and not engine
-    button(None, 0, glfw.RELEASE, 0)
-    assert grab.moved is None and not engine
-    cursor(None, *pixel)
-    button(None, 0, glfw.RELEASE, 0)
-    assert len(engine) == 2
-
-
-@pytest.mark.parametrize("factor", [3])
-def test_a_drag_sets_the_target_divided_by_the_magnification(shot: Snapshot, factor: int) -> None:
+@pytest.fixture
+def window(shot: Snapshot, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return a window without OpenGL: a knob of 33 pixels in the middle of the screen, 1 mm per pixel."""
     window: Any = _Window.__new__(_Window)
-    hand, start = SpringHand(), np.array([1e-3, 0.0, 0.0, 0.0, 0.01, 0.0])
-    shown = [replace(shot, pose=start)]
-    session = SimpleNamespace(snapshot=lambda: shown[0], hand=hand)
-    none = SimpleNamespace(pushes=False, twists=False)
-    window.__dict__ |= {"_session": session, "_screen": Screen(), "_grab": Grab(), "_mouse": none, "_grab_pose": None}
-    window._screen.factor = factor
-    window._guide_hand()
-    assert hand.target is None and not window._screen.dragged
-    window._grab.moved = np.array([3e-3, 0.0, 6e-3])
-    for _ in range(2):  # the second time it has moved, and is drawn from its start on
-        window._guide_hand()
-        assert hand.target == pytest.approx([1e-3 + 3e-3 / factor, 0.0, 6e-3 / factor, *shown[0].pose[3:]])
-        shown[0] = replace(shot, pose=2.0 * start)
-    assert window._screen.dragged
-    window._grab.moved, window._mouse = None, none
-    window._guide_hand()
-    assert hand.target is None and window._grab_pose is None
-    grip = 2.0 * start[:3] + rotation_matrix(2.0 * start[3:]) @ GRIP
-    window._mouse = SimpleNamespace(
-        pushes=True, twists=False, position=grip + 3e-3 * np.eye(3)[0]
-    )  # the engine's own drag
-    window._guide_hand()
-    assert hand.target == pytest.approx([2e-3 + 3e-3 / factor, 0.0, 0.0, *shown[0].pose[3:]])
+    window.pixel, window.acts, window.moves, window.pose = np.array([400.0, 300.0]), [], [], np.full(6, 1e-3)
+    painter = SimpleNamespace(
+        knob=lambda *_: (np.array([400.0, 300.0]), 1e-3 * np.eye(3)[0], 1e-3 * np.eye(3)[2]),
+        move=lambda *move: window.moves.append(move),
+    )
+    source = SimpleNamespace(
+        snapshot=lambda: replace(shot, pose=window.pose), hand=SpringHand(), act=window.acts.append
+    )
+    window.__dict__ |= {"_painter": painter, "_source": source, "_screen": Screen(), "_drag": "", "_held": None}
+    window.__dict__ |= {"_pixel": lambda: window.pixel.copy(), "_view": lambda: Area(0, 0, 800, 600)}
+    return window
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+@pytest.mark.parametrize("modifiers", [0, glfw.MOD_SHIFT, glfw.MOD_CONTROL])
+def test_a_drag_of_the_knob_moves_the_hand(window: Any, modifiers: int, factor: int) -> None:
+    window._screen.factor, hand = factor, window._source.hand
+    window._button(None, glfw.MOUSE_BUTTON_LEFT, glfw.PRESS, modifiers)
+    start, window.pose = window.pose, 2.0 * window.pose  # it has moved by the time of the first motion
+    window.pixel += (3.0, 6.0)
+    window._move(None, 0.0, 0.0)
+    moved = np.array(hand.target) - start
+    if modifiers == 0:
+        assert moved == pytest.approx([3e-3 / factor, 0.0, 6e-3 / factor, 0.0, 0.0, 0.0])
+    elif modifiers == glfw.MOD_SHIFT:
+        assert moved[4] == pytest.approx(3e-3 / factor / GRIP[2]) and not moved[:3].any() and not moved[5]
+    else:
+        assert moved == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 3e-3 / KNOB_SIZE[0] / factor])
+    window._button(None, glfw.MOUSE_BUTTON_LEFT, glfw.RELEASE, 0)
+    assert hand.target is None and not window.moves
+    window._move(None, 0.0, 0.0)
+    assert hand.target is None and not window.moves
+
+
+@pytest.mark.parametrize(("number", "beside"), [(glfw.MOUSE_BUTTON_LEFT, 30.0), (glfw.MOUSE_BUTTON_RIGHT, 0.0)])
+def test_other_drags_move_the_camera(window: Any, number: int, beside: float) -> None:
+    window.pixel[0] += beside
+    window._button(None, number, glfw.PRESS, 0)
+    for _ in range(2):
+        window.pixel += (6.0, -3.0)
+        window._move(None, 0.0, 0.0)
+    assert [move[1:] for move in window.moves] == [(0.01, 0.005)] * 2 and window._source.hand.target is None
 
 
 DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0.7, 0.7, 0), (0, 0, 1), (0.6, 0.6, -0.5), (-1, 0, 0), (0, 0, -1), (0, -1, 0))
@@ -428,31 +366,15 @@ def test_the_energy_reading(shot: Snapshot) -> None:
     assert "energy" not in dict(status_rows(replace(shot, work=np.nan, taken=np.nan)))
 
 
-def test_a_rejected_key_becomes_a_note(shot: Snapshot) -> None:
-    def refuse(action: str) -> None:
-        raise ParameterError(f"{action} is not taken here") if action == "rate up" else OSError("no space left")
-
-    window: Any = _Window.__new__(_Window)
-    session = SimpleNamespace(snapshot=lambda: shot, act=refuse)
-    window.__dict__ |= {"_session": session, "_screen": Screen(), "_note": Note(), "_pressed": SimpleQueue()}
-    for code, words in ((glfw.KEY_F9, "rate up is not taken here"), (glfw.KEY_F10, "no space left")):
-        window._pressed.put(code)
-        window._press_keys()
-        assert window._note.lines == [words]
-    window._pressed.put(glfw.KEY_F1)  # the engine's own help is on now
-    window._press_keys()
-    assert not window._screen.draw(shot, Area(0, 0, 1280, 800), 100).texts
-
-
 def test_keys_seek_in_a_recording() -> None:
     replay = Replay(record_run(Drop(duration=3.995), plant="exact"))
     window: Any = _Window.__new__(_Window)
-    window.__dict__ |= {"_session": replay, "_screen": Screen(), "_note": Note(), "_pressed": SimpleQueue()}
+    window.__dict__ |= {"_source": replay, "_screen": Screen()}
 
     def press(*keys: str) -> Snapshot:
         for key in keys:
-            window._pressed.put(getattr(glfw, f"KEY_{key}"))
-        window._press_keys()
+            window._key(None, getattr(glfw, f"KEY_{key}"), 0, glfw.PRESS, 0)
+            window._key(None, getattr(glfw, f"KEY_{key}"), 0, glfw.RELEASE, 0)
         replay.tick(0.0)
         return replay.snapshot()
 
@@ -469,7 +391,7 @@ def test_keys_seek_in_a_recording() -> None:
     shown = press("EQUAL", "9")
     assert shown.time_scale == 2.0 and shown.notes == ["REPLAY"]
     shown = press("6", "SLASH", "ENTER", "ESCAPE")  # of a scene: they do nothing here
-    assert shown.time == pytest.approx(3.995) and not window._note.lines
+    assert shown.time == pytest.approx(3.995)
     assert press("HOME", "SPACE").state == "running"
     replay.tick(10.0)
     assert press().state == "paused" and press().time == pytest.approx(3.995)

@@ -29,7 +29,7 @@ from maglev_mj.plants.shapes import (
 )
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
-from maglev_mj.views.magnifier import magnified, motion_words, true_pose, widening
+from maglev_mj.views.magnifier import dragged_pose, magnified, motion_words, widening
 from maglev_mj.views.readings import banner
 from maglev_mj.views.viewer_process import SILENCE
 
@@ -131,15 +131,9 @@ class Grab:
         if event.phase == "end":
             self._release()
         else:
-            self._target = self._pose(np.array(event.end_position) - self._start).tolist()
+            moved = np.array(event.end_position) - self._start
+            self._target = dragged_pose(self._start_pose, moved, self.factor, tilts=self._tilts).tolist()
             self._aim(self._target)
-
-    def _pose(self, moved: Array) -> Array:
-        """Return the target pose for a displayed displacement of the knob [m], (3,)."""
-        position, rotation, moved = self._start_pose[:3], self._start_pose[3:], true_pose(moved, self.factor)
-        if self._tilts:
-            return np.concatenate([position, rotation + np.cross(GRIP, moved) / (GRIP @ GRIP)])
-        return np.concatenate([position + moved, rotation])
 
     def _release(self) -> None:
         self._holder, self._unresponsive = None, False

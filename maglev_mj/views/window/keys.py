@@ -60,9 +60,6 @@ _KEYS = (
 """Keys of actions with fixed names.
 
 Of two keys with one code, the first with an available action is bound.
-
-MuJoCo's viewer uses letters, 0 to 5, F1 to F7, Tab, brackets, Page Up and Backspace. Its Left, Right, - and = have no
-effect in passive mode, and its Escape only selects the free camera, which is selected here anyway.
 """
 
 _ALWAYS = SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY
@@ -92,7 +89,7 @@ _FIXED = {*(key.action for key in _KEYS), *REWIND_ACTIONS}
 HAND = "drag the knob"
 """Mouse gesture that pulls the flotor."""
 
-_HANDS = ((HAND, "pull; elsewhere: orbit"), ("Ctrl + right drag", "pull (Shift: level)"), ("Ctrl + left drag", "twist"))
+_HANDS = (HAND, "pull (Shift: tilt, Ctrl: twist)"), ("drag elsewhere", "orbit (right: pan, wheel: zoom)")
 
 
 def _bound(actions: Sequence[str]) -> list[Key]:

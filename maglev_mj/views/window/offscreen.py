@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from maglev_mj.errors import ParameterError, check_one_of, require
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
-from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import SpringHand
@@ -32,7 +31,7 @@ from maglev_mj.views.magnifier import MAGNIFICATIONS
 from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.backend import NEEDS, DisplayError, drawing_library
 from maglev_mj.views.window.layout import Area
-from maglev_mj.views.window.scenery import Framing, Scenery
+from maglev_mj.views.window.painter import Painter
 from maglev_mj.views.window.screen import Screen
 
 CLIPS = (".gif", ".mp4")
@@ -121,7 +120,6 @@ class OffscreenPainter:
         width: Width of the pictures [pixels].
         height: Height of the pictures [pixels].
         plots: True to include plots and text.
-        default: OpenGL library if MUJOCO_GL names none; None to try all. A process with a window can only use glfw.
         factor: Magnification of the handle's motion, one of MAGNIFICATIONS.
 
     Raises:
@@ -129,54 +127,22 @@ class OffscreenPainter:
         ModelError: If the model file is missing or invalid.
     """
 
-    def __init__(
-        self, scene: Scene, width: int, height: int, *, plots: bool = True, default: str | None = None, factor: int = 1
-    ) -> None:
-        self._factor = factor
-        self._screen = Screen(keys=False, factor=factor) if plots else None
-        self.scenery = Scenery(scene)
-        self._framing = Framing(self.scenery.model)
-        self._rectangle = mujoco.MjrRect(0, 0, width, height)
-        model = self.scenery.model
-        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-        self._gl = _context(width, height, drawing_library(default))
+    def __init__(self, scene: Scene, width: int, height: int, *, plots: bool = True, factor: int = 1) -> None:
+        self._view, self._gl = Area(0, 0, width, height), _context(width, height, drawing_library())
         self._gl.make_current()
-        self._scene = mujoco.MjvScene(model, 2000)
-        self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
-        self._framing.reset(self._camera)
-        self._scale = 150 if height >= _LARGE else 100
-        self._render = mujoco.MjrContext(model, self._scale)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._render)
+        screen, scale = Screen(keys=False, factor=factor, plots=plots), 150 if height >= _LARGE else 100
+        self._painter = Painter(scene, screen, scale=scale, size=(width, height))
 
     def picture(self, snapshot: Snapshot) -> NDArray[np.uint8]:
         """Return a picture, (height, width, 3)."""
-        scenery, scene, rectangle, render = self.scenery, self._scene, self._rectangle, self._render
-        view = Area(0, 0, rectangle.width, rectangle.height)
-        over = None
-        if self._screen is not None:
-            STABILITY.wait(snapshot)
-            over = self._screen.draw(snapshot, view, self._scale)
+        STABILITY.wait(snapshot)
         self._gl.make_current()
-        scenery.set_pose(snapshot, self._factor)
-        self._framing.follow(self._camera, view, view if over is None else over.layout.handle)
-        everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self._camera, everything, scene)
-        scenery.decorate(scene, snapshot, self._factor)
-        if over is not None and (corner := self._framing.corner(self._camera, view, over.layout.handle)) is not None:
-            scenery.draw_axes(scene, *corner)
-        mujoco.mjr_render(rectangle, scene, render)
-        if over is not None:
-            for area, figure in over.figures:
-                mujoco.mjr_figure(area, figure, render)
-            for font, grid, *columns in over.texts:
-                mujoco.mjr_overlay(font, grid, rectangle, *columns, render)
-        pixels = np.empty((rectangle.height, rectangle.width, 3), dtype=np.uint8)
-        mujoco.mjr_readPixels(pixels, None, rectangle, render)
-        return pixels[::-1]
+        self._painter.draw(snapshot, self._view)
+        return self._painter.pixels(self._view)
 
     def close(self) -> None:
         """Free the OpenGL resources."""
-        self._render.free()
+        self._painter.close()
         self._gl.free()
 
 

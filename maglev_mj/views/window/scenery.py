@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
@@ -18,96 +17,6 @@ from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
 from maglev_mj.views.magnifier import magnified, widening
 from maglev_mj.views.readings import stop_contacts
-from maglev_mj.views.window.layout import Area
-
-_HIGH, _WIDE = 0.85, 0.95
-"""Fractions of the default view's height that stay visible, vertically and horizontally."""
-
-_DEPTH, _INSET, _MIN_WIDTH = 0.45, 70, 220
-"""Position of the coordinate axes: depth relative to the camera's target, distance from the corner, and the smallest
-width of the free area [pixels]."""
-
-
-class Framing:
-    """Free camera that centres its target in the free area of a picture.
-
-    Args:
-        model: Compiled model with the default view.
-    """
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._model = model
-        self._last: tuple[Area, Area] | None = None
-
-    def reset(self, camera: Any) -> None:
-        """Reset a camera to the default view, applied at the next `follow`."""
-        mujoco.mjv_defaultFreeCamera(self._model, camera)
-        camera.lookat[:2] = 0.0  # the flotor's axis
-        self._last = None
-
-    def follow(self, camera: Any, view: Area, free: Area) -> None:
-        """Adapt a camera to a change of the free area; the user's rotation and pan are kept.
-
-        Args:
-            camera: Camera to move.
-            view: Area of the picture.
-            free: Free area in it.
-        """
-        if self._last == (view, free) or camera.type != int(mujoco.mjtCamera.mjCAMERA_FREE):
-            return
-        if self._last is not None:
-            camera.lookat[:] += self._shift(camera, *self._last)
-            camera.distance /= _zoom(*self._last)
-        camera.distance *= _zoom(view, free)
-        camera.lookat[:] -= self._shift(camera, view, free)
-        self._last = view, free
-
-    def corner(self, camera: Any, view: Area, free: Area) -> tuple[Array, float] | None:
-        """Return a point near the camera in the upper left corner of the free area, and the height of a pixel there.
-
-        Point [m], (3,), and height [m]; None if the area is too narrow.
-        """
-        if free.width < _MIN_WIDTH:
-            return None
-        across, up = directions(camera)
-        pixel = _DEPTH * self._pixel(camera, view)
-        x, y = free.left + _INSET - view.centre[0], free.top - _INSET - view.centre[1]
-        eye = camera.lookat - camera.distance * np.cross(up, across)
-        point: Array = eye + _DEPTH * (camera.lookat - eye) + pixel * (x * across + y * up)
-        return point, pixel
-
-    def project(self, camera: Any, view: Area, point: Array) -> tuple[Array, Array, Array]:
-        """Return a point's pixel, (2,), and the displacement of one pixel right and up [m], (3,) each."""
-        across, up = directions(camera)
-        away = point - (camera.lookat - camera.distance * np.cross(up, across))
-        pixel = self._pixel(camera, view) * (away @ np.cross(up, across)) / camera.distance
-        return view.centre + np.array([away @ across, away @ up]) / pixel, pixel * across, pixel * up
-
-    def _pixel(self, camera: Any, view: Area) -> float:
-        """Return the height of a pixel at the camera's target [m]."""
-        half = math.radians(0.5 * float(self._model.vis.global_.fovy))
-        return 2.0 * float(camera.distance) * math.tan(half) / view.height
-
-    def _shift(self, camera: Any, view: Area, free: Area) -> Array:
-        """Return the offset of the free area's centre from the picture's, at the target's depth [m], (3,)."""
-        across, up = directions(camera)
-        pixel = self._pixel(camera, view)
-        (x, y), (middle, level) = free.centre, view.centre
-        return pixel * ((x - middle) * across + (y - level) * up)
-
-
-def directions(camera: Any) -> tuple[Array, Array]:
-    """Return a camera's right and upward unit vectors, (3,) each."""
-    azimuth, lift = math.radians(camera.azimuth), math.radians(camera.elevation)
-    forward = np.array([math.cos(lift) * math.cos(azimuth), math.cos(lift) * math.sin(azimuth), math.sin(lift)])
-    across = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
-    return across, np.cross(across, forward)
-
-
-def _zoom(view: Area, free: Area) -> float:
-    """Return the factor of the camera's distance for the free area, relative to the full picture."""
-    return max(_HIGH * view.height / max(free.height, 1), _WIDE * view.height / max(free.width, 1))
-
 
 _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), 0.40, (*STOP, 0.40)
 _EDGE = 0.6  # brightness of a wall's edge; the face is faint, so that it does not tint what is behind

@@ -21,7 +21,7 @@ SECTIONS = {
     "cells": "cost of a sweep besides its cells, and sweeps killed at random moments",
     "bridge": "the host's share of a cycle, two processes in lockstep, latency in real time",
     "web": "cost of a browser to the control loop, and latency of a drag",
-    "window": "frames of the window, with and without shadows",
+    "window": "frames of the window",
 }
 """Titles of the sections by the name of their module."""
 
