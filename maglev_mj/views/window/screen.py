@@ -60,7 +60,7 @@ class Plots:
         return self.figures
 
 
-_TEXT = 0.95, 0.96, 0.98
+_TEXT, _PANEL = (0.95, 0.96, 0.98), (0.07, 0.08, 0.10)
 
 
 def light(colour: Colour) -> Colour:
@@ -71,8 +71,8 @@ def light(colour: Colour) -> Colour:
 def _new_figure() -> Any:
     figure: Any = mujoco.MjvFigure()
     mujoco.mjv_defaultFigure(figure)
-    figure.figurergba[:] = 0.07, 0.08, 0.10, 0.88
-    figure.panergba[:] = 0.13, 0.15, 0.18, 0.80
+    figure.figurergba[:] = *_PANEL, 1.0
+    figure.panergba[:] = 0.13, 0.15, 0.18, 1.0
     figure.textrgb[:] = _TEXT
     figure.gridrgb[:] = 0.34, 0.37, 0.42
     figure.linewidth, figure.gridwidth = 2.5, 1.0
@@ -142,7 +142,6 @@ def _tour(snapshot: Snapshot) -> list[Row]:
     return [(f"{step.number} of {step.total}", text), *([] if step.done else [("task", task)])]
 
 
-_PANEL: Colour = (0.07, 0.08, 0.10)
 _RED: Colour = (0.80, 0.05, 0.05)
 _STOP_LABEL = "ESC: EMERGENCY STOP"
 
