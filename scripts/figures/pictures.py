@@ -1,0 +1,244 @@
+"""Make the pictures of the documentation, from the product as it is.
+
+    python scripts/figures/pictures.py [NAME ...]     # all but those of benchmarks and long studies, or those named
+    python scripts/figures/pictures.py --check        # list renders and pages that are older than model and views
+
+Pages need Debian's chromium and the package playwright. `--all` includes the studies, which take hours; the pictures
+of benchmarks, speed_*.png, are those of `make bench`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.cli.declare import Parser
+from maglev_mj.scenes.interactive import Joystick
+from maglev_mj.session import Pacer, Session
+from maglev_mj.session.access import listen
+
+ROOT = Path(__file__).resolve().parents[2]
+IMAGES = ROOT / "docs/images"
+MADE = IMAGES / "made.json"
+"""Digest of the inputs of each render and page at the time it was made."""
+
+INPUTS = "model/**/*.xml", "maglev_mj/views/**/*.py", "maglev_mj/views/**/*.html", "maglev_mj/plants/shapes.py"
+"""What renders and pages show; also the colours, and this file."""
+
+_PATIENCE = 60.0
+
+
+def digest() -> str:
+    """Return the digest of model and views."""
+    files = sorted({path for pattern in INPUTS for path in ROOT.glob(pattern)})
+    files += [ROOT / "maglev_mj/colours.py", Path(__file__).resolve()]
+    parts = (path.read_bytes().replace(b"\r\n", b"\n") for path in files)
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
+
+
+def outdated() -> list[str]:
+    """Return the names of renders and pages that were made of other model or views."""
+    made = json.loads(MADE.read_text("utf-8")) if MADE.exists() else {}
+    return [name for name, picture in PICTURES.items() if picture.shows_views and made.get(name) != digest()]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """How a picture is made.
+
+    Attributes:
+        make: Called with the path of the file to write.
+        shows_views: True if it shows model or views.
+        long: True if it takes more than a minute.
+    """
+
+    make: Callable[[Path], object]
+    shows_views: bool = True
+    long: bool = False
+
+
+def render(scene: str, path: Path, *options: str) -> None:
+    """Render a scene."""
+    _maglev("render", scene, "--plain", "--out", str(path), *(options or ("--size", "560x350")))
+
+
+def chart(path: Path, *command: str, name: str = "", before: tuple[str, ...] = ()) -> None:
+    """Run a command that writes charts into a folder, and keep one of them."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = [word.replace("FOLDER", folder) for word in command]
+        if before:
+            _maglev(*(word.replace("FOLDER", folder) for word in before))
+        if words[0].endswith(".py"):
+            subprocess.run([sys.executable, ROOT / words[0], *words[1:], "--out", folder], check=True, cwd=folder)
+        else:
+            _maglev(*words, "--out", folder)
+        shutil.copyfile(Path(folder) / (name or path.name), path)
+
+
+def _maglev(*words: str) -> None:
+    subprocess.run([sys.executable, "-m", "maglev_mj", *words], check=True, stdout=subprocess.DEVNULL)
+
+
+@contextmanager
+def shown(session: Session, width: int, height: int) -> Iterator[tuple[Any, Callable[[float], bytes]]]:
+    """Yield a browser's page of a session, and a function that runs it for a time [s] and returns a screenshot."""
+    from playwright.sync_api import sync_playwright
+
+    from maglev_mj.views.page.page import Endpoint, Page, PageServer
+
+    listener = listen(0)
+    endpoint = Endpoint("127.0.0.1", listener.getsockname()[1])
+    server = PageServer(endpoint, listener)
+    page = Page(server, session)
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=flags)
+        view = browser.new_page(viewport={"width": width, "height": height})
+        view.goto(endpoint.url)
+        view.wait_for_selector("canvas", timeout=1e3 * _PATIENCE)
+
+        def run(seconds: float) -> bytes:
+            session.tick(seconds)
+            for _ in range(8):  # until the browser has drawn it
+                page._show()
+                page._plots.show(session.snapshot())
+                view.wait_for_timeout(60)
+            return bytes(view.screenshot())
+
+        end = time.monotonic() + 10.0
+        while time.monotonic() < end:  # the first look takes long
+            run(0.0)
+        yield view, run
+        browser.close()
+    server.stop()
+
+
+def _live(**parameters: Any) -> Session:
+    return Session(Joystick(**parameters), pacer=Pacer(budget=_PATIENCE, patience=3600.0))
+
+
+def page_home(path: Path) -> None:
+    """The page while the handle is pulled against a wall."""
+    session = _live()
+    with shown(session, 1280, 720) as (_, run):
+        session.hand.target = [0.016, 0.0, 0.004, 0.0, 0.0, 0.0]
+        run(0.5)
+        path.write_bytes(run(0.5))
+
+
+def page_buzz(path: Path) -> None:
+    """The page when a wall above its critical stiffness has been stopped."""
+    session = _live(stiffness=12_000.0)
+    session.change({"hand_stiffness": 1000.0})
+    with shown(session, 1280, 720) as (_, run):
+        session.hand.target = [0.016, 0.0, 0.0, 0.0, 0.0, 0.0]
+        for _ in range(60):
+            session.tick(0.05)
+            if session.snapshot().state == "stopped":
+                break
+        path.write_bytes(run(0.0))
+
+
+def joystick(path: Path, *, period: float = 1.0 / 12.0, size: tuple[int, int] = (640, 400)) -> None:
+    """Write a clip of the handle, close, pulled against three walls in turn."""
+    from PIL import Image
+
+    targets = np.array([[0, 0, 0], [15, 0, 0], [15, 0, 0], [0, 0, 0], [0, 0, -12], [0, 0, -12], [0, 0, 0], [-10, -10, 6]])
+    targets = 1e-3 * np.vstack([targets, [[-10, -10, 6], [0, 0, 0]]])
+    session, frames = _live(), list[Any]()
+    with shown(session, 1280, 720) as (view, run):
+        view.get_by_role("button", name="knob").click()
+        box = view.locator("canvas").last.bounding_box()
+        left, top = box["x"] + 0.5 * (box["width"] - size[0]), box["y"] + 0.5 * (box["height"] - size[1])
+        for moment in np.arange(0.0, 0.45 * (len(targets) - 1), period):
+            place = [float(np.interp(moment / 0.45, range(len(targets)), column)) for column in targets.T]
+            session.hand.target = [*place, 0.0, 0.0, 0.0] if any(place) else None
+            picture = Image.open(BytesIO(run(period))).convert("RGB")
+            frames.append(picture.crop((int(left), int(top), int(left) + size[0], int(top) + size[1])))
+    few = [frame.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE) for frame in frames]
+    few[0].save(path, save_all=True, append_images=few[1:], duration=1e3 * period, loop=0)
+
+
+_PAPER = {2: "stability", 3: "drop", 4: "phase_plane", 6: "press", 8: "stick_slip", 9: "six_axes"}
+_LAWS = "--law pd --law pulse --law half-sample --law observer --law hardening".split()
+_STUDIES = {
+    "stability_bounds": "stability_bounds stability_steps",
+    "nonlinear_walls": "stability_nonlinear",
+    "two_walls": "two_walls",
+    "friction_laws": "friction_laws",
+    "where_methods_fail": "where_methods_fail_timing where_methods_fail_pulse where_methods_fail_limits where_methods_fail_hands",
+}
+_DESIGN = "design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,fingertip --law observer".split()
+
+
+def _chart(*command: str, long: bool = False, **options: Any) -> Picture:
+    return Picture(lambda path: chart(path, *command, **options), shows_views=False, long=long)
+
+
+PICTURES: Mapping[str, Picture] = {
+    **{
+        f"scene_{name}.png": Picture(partial(render, name))
+        for name in ("joystick", "drop", "press", "table", "box", "corner")
+    },
+    "device.png": Picture(
+        lambda path: subprocess.run([sys.executable, ROOT / "scripts/figures/render_device.py", path], check=True)
+    ),
+    "joystick.gif": Picture(joystick),
+    "page_home.png": Picture(page_home),
+    "page_buzz.png": Picture(page_buzz),
+    **{
+        f"fig{number}_{name}.png": _chart("scripts/figures/paper.py", "--figure", str(number), long=number in (2, 9))
+        for number, name in _PAPER.items()
+    },
+    "compare_drop.png": _chart("compare", "drop", *_LAWS),
+    "design.png": _chart(*_DESIGN),
+    "gallery.png": _chart("scripts/examples/gallery.py"),
+    **{
+        f"{name}.png": _chart(f"scripts/studies/{study}.py", long=True)
+        for study, names in _STUDIES.items()
+        for name in names.split()
+    },
+}
+"""All pictures by file name, but those of benchmarks."""
+
+
+def main() -> int:
+    """Make pictures, or list those that are out of date."""
+    parser = Parser(description=__doc__, add_help=True)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="file names; default: all that take up to a minute")
+    parser.add_argument("--all", action="store_true", help="also those of long studies")
+    parser.add_argument("--check", action="store_true", help="list renders and pages that are out of date; status 1 if any")
+    options = parser.parse_args()
+    if options.check:
+        print("\n".join(old := outdated()))
+        return int(bool(old))
+    names = options.names or [name for name, picture in PICTURES.items() if options.all or not picture.long]
+    if unknown := [name for name in names if name not in PICTURES]:
+        parser.error(f"NAME must be one of {', '.join(PICTURES)} (got {unknown[0]})")
+    made = json.loads(MADE.read_text("utf-8")) if MADE.exists() else {}
+    for name in names:
+        print(name, flush=True)
+        PICTURES[name].make(IMAGES / name)
+        if PICTURES[name].shows_views:
+            made[name] = digest()
+            MADE.write_text(json.dumps(made, indent=1, sort_keys=True) + "\n", "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
