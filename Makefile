@@ -9,8 +9,6 @@ DOCS := $(VENV)/.docs# stamp: what the documentation needs is installed
 ALSO :=# `,docs` installs with the tests' packages those of the documentation: the gate needs both, and pip looks once
 BEFORE := 65016d1# revision that benchmarks compare with
 
-SCENES := joystick drop press table box corner
-
 .PHONY: demo test test-machine kernels floors studies bench pictures check lint types wheel firmware docs linkcheck clean
 
 demo: $(DEMO)  ## drop the flotor: a summary here, pictures in figures/
@@ -71,11 +69,8 @@ studies: $(READY)  ## run the sweeps behind the published figures in full: minut
 bench: $(PEERS)  ## all benchmarks, before against after, with others' simulators: ten minutes, figures/bench.json
 	$(BIN)/python scripts/benchmarks/bench.py --before $(BEFORE) --out figures
 
-# thumbnails, three in a row of a page 830 pixels wide, at twice their size for sharp screens, and the README's clip at its size;
-# words would be too small to read
-pictures: $(READY)  ## draw the pictures of the scenes anew
-	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --plain --out docs/images/scene_$$scene.png --size 560x350 || exit 1; done
-	$(BIN)/maglev-mj render joystick --plain --out docs/images/joystick.gif --size 640x400 --fps 12 --seconds 4.2
+pictures: $(READY)  ## draw the pictures of the documentation anew; PICTURES='--all' also those of long studies
+	$(BIN)/python scripts/figures/pictures.py $(PICTURES)
 
 lessons: $(DOCS)  ## run the notebooks and their students' versions, and store the outputs
 	$(BIN)/python scripts/lessons/store_outputs.py

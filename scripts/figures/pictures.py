@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.cli.declare import Parser
+from maglev_mj.recording import Recording
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.access import listen
@@ -76,17 +77,26 @@ def render(scene: str, path: Path, *options: str) -> None:
     _maglev("render", scene, "--plain", "--out", str(path), *(options or ("--size", "560x350")))
 
 
-def chart(path: Path, *command: str, name: str = "", before: tuple[str, ...] = ()) -> None:
-    """Run a command that writes charts into a folder, and keep one of them."""
+def chart(path: Path, *command: str) -> None:
+    """Run a command or script that writes charts into a folder, and keep one of them."""
     with tempfile.TemporaryDirectory() as folder:
-        words = [word.replace("FOLDER", folder) for word in command]
-        if before:
-            _maglev(*(word.replace("FOLDER", folder) for word in before))
-        if words[0].endswith(".py"):
-            subprocess.run([sys.executable, ROOT / words[0], *words[1:], "--out", folder], check=True, cwd=folder)
-        else:
-            _maglev(*words, "--out", folder)
-        shutil.copyfile(Path(folder) / (name or path.name), path)
+        program = [str(ROOT / command[0])] if command[0].endswith(".py") else ["-m", "maglev_mj", command[0]]
+        subprocess.run([sys.executable, *program, *command[1:], "--out", folder], check=True, stdout=subprocess.DEVNULL)
+        shutil.copyfile(Path(folder) / path.name, path)
+
+
+def analysed(path: Path, scene: str, *options: str, assumed_mass: float | None = None) -> None:
+    """Record a run, state another mass in its metadata if asked, and keep a chart of its analysis."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "run.maglev"
+        _maglev("run", scene, *options, "--record", str(file))
+        if assumed_mass is not None:
+            recording = Recording.load(file)
+            setup = recording.segments[0].setup
+            setup["parameters"]["mass"] = setup["plant"]["mass"] = assumed_mass
+            recording.save(file := Path(folder) / "assumed.maglev")
+        _maglev("analyse", str(file), "--out", folder)
+        shutil.copyfile(Path(folder) / path.name, path)
 
 
 def _maglev(*words: str) -> None:
@@ -158,7 +168,9 @@ def joystick(path: Path, *, period: float = 1.0 / 12.0, size: tuple[int, int] = 
     """Write a clip of the handle, close, pulled against three walls in turn."""
     from PIL import Image
 
-    targets = np.array([[0, 0, 0], [15, 0, 0], [15, 0, 0], [0, 0, 0], [0, 0, -12], [0, 0, -12], [0, 0, 0], [-10, -10, 6]])
+    targets = np.array(
+        [[0, 0, 0], [15, 0, 0], [15, 0, 0], [0, 0, 0], [0, 0, -12], [0, 0, -12], [0, 0, 0], [-10, -10, 6]]
+    )
     targets = 1e-3 * np.vstack([targets, [[-10, -10, 6], [0, 0, 0]]])
     session, frames = _live(), list[Any]()
     with shown(session, 1280, 720) as (view, run):
@@ -186,8 +198,12 @@ _STUDIES = {
 _DESIGN = "design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,fingertip --law observer".split()
 
 
-def _chart(*command: str, long: bool = False, **options: Any) -> Picture:
-    return Picture(lambda path: chart(path, *command, **options), shows_views=False, long=long)
+def _chart(*command: str, long: bool = False) -> Picture:
+    return Picture(lambda path: chart(path, *command), shows_views=False, long=long)
+
+
+def _analysis(*command: str, **options: Any) -> Picture:
+    return Picture(lambda path: analysed(path, *command, **options), shows_views=False)
 
 
 PICTURES: Mapping[str, Picture] = {
@@ -205,6 +221,9 @@ PICTURES: Mapping[str, Picture] = {
         f"fig{number}_{name}.png": _chart("scripts/figures/paper.py", "--figure", str(number), long=number in (2, 9))
         for number, name in _PAPER.items()
     },
+    "analysis_contact.png": _analysis("drop", "--mass", "0.75", "--quantize", "5e-6", assumed_mass=0.7),
+    "analysis_run.png": _analysis("press"),
+    "analysis_sticks.png": _analysis("box", "--friction"),
     "compare_drop.png": _chart("compare", "drop", *_LAWS),
     "design.png": _chart(*_DESIGN),
     "gallery.png": _chart("scripts/examples/gallery.py"),
@@ -222,7 +241,9 @@ def main() -> int:
     parser = Parser(description=__doc__, add_help=True)
     parser.add_argument("names", nargs="*", metavar="NAME", help="file names; default: all that take up to a minute")
     parser.add_argument("--all", action="store_true", help="also those of long studies")
-    parser.add_argument("--check", action="store_true", help="list renders and pages that are out of date; status 1 if any")
+    parser.add_argument(
+        "--check", action="store_true", help="list renders and pages that are out of date; status 1 if any"
+    )
     options = parser.parse_args()
     if options.check:
         print("\n".join(old := outdated()))
