@@ -143,7 +143,7 @@ def _live(**parameters: Any) -> Session:
 
 
 def page_home(path: Path) -> None:
-    """The page while the handle is pulled against a wall."""
+    """Write the page while the handle is pulled against a wall."""
     session = _live()
     with shown(session, 1280, 720) as (_, run):
         session.hand.target = [0.016, 0.0, 0.004, 0.0, 0.0, 0.0]
@@ -152,7 +152,7 @@ def page_home(path: Path) -> None:
 
 
 def page_buzz(path: Path) -> None:
-    """The page when a wall above its critical stiffness has been stopped."""
+    """Write the page when a wall above its critical stiffness has been stopped."""
     session = _live(stiffness=12_000.0)
     session.change({"hand_stiffness": 1000.0})
     with shown(session, 1280, 720) as (_, run):
@@ -168,10 +168,8 @@ def joystick(path: Path, *, period: float = 1.0 / 12.0, size: tuple[int, int] = 
     """Write a clip of the handle, close, pulled against three walls in turn."""
     from PIL import Image
 
-    targets = np.array(
-        [[0, 0, 0], [15, 0, 0], [15, 0, 0], [0, 0, 0], [0, 0, -12], [0, 0, -12], [0, 0, 0], [-10, -10, 6]]
-    )
-    targets = 1e-3 * np.vstack([targets, [[-10, -10, 6], [0, 0, 0]]])
+    along, down, across = [15, 0, 0], [0, 0, -12], [-10, -10, 6]
+    targets = 1e-3 * np.array([[0] * 3, along, along, [0] * 3, down, down, [0] * 3, across, across, [0] * 3])
     session, frames = _live(), list[Any]()
     with shown(session, 1280, 720) as (view, run):
         view.get_by_role("button", name="knob").click()
@@ -193,7 +191,7 @@ _STUDIES = {
     "nonlinear_walls": "stability_nonlinear",
     "two_walls": "two_walls",
     "friction_laws": "friction_laws",
-    "where_methods_fail": "where_methods_fail_timing where_methods_fail_pulse where_methods_fail_limits where_methods_fail_hands",
+    "where_methods_fail": " ".join(f"where_methods_fail_{name}" for name in ("timing", "pulse", "limits", "hands")),
 }
 _DESIGN = "design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,fingertip --law observer".split()
 
