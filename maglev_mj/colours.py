@@ -8,7 +8,7 @@ Colour: TypeAlias = tuple[float, float, float]
 """Red, green and blue, each from 0 to 1."""
 
 _VERMILLION, _GREEN = (0.835, 0.369, 0.0), (0.0, 0.62, 0.451)
-_SKY, _ORANGE, _PURPLE, _INK = (0.337, 0.706, 0.914), (0.902, 0.624, 0.0), (0.8, 0.475, 0.655), (0.12, 0.13, 0.15)
+_SKY, _YELLOW, _PURPLE, _INK = (0.337, 0.706, 0.914), (0.941, 0.894, 0.259), (0.8, 0.475, 0.655), (0.12, 0.13, 0.15)
 
 HAND: Colour = (0.0, 0.46, 0.72)
 """Hand force; the palette's blue, lightened for the window."""
@@ -25,8 +25,8 @@ PULL: Colour = (0.5, 0.52, 0.55)
 WALL: Colour = _SKY
 """Wall without contact."""
 
-TOUCHED: Colour = _ORANGE
-"""Wall or stop in contact."""
+TOUCHED: Colour = _YELLOW
+"""Wall or stop in contact; not orange, which is the device's force."""
 
 STUCK: Colour = _PURPLE
 """Stick position of friction."""

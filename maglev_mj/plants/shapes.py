@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from maglev_mj.plants.mujoco import MuJoCoPlant
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import GRAVITY, Spec
 
-ARROW = 0.003
+ARROW = 0.006
 """Length of a force arrow per newton [m/N]."""
 
 MIN_ARROW_FORCE = 0.05
@@ -37,7 +37,14 @@ KNOB = 0.0165, 0.0125
 KNOB_BOTTOM = 0.0676
 """Height of the knob's lower side in flotor axes [m]."""
 
+Face: TypeAlias = tuple[int, float, float]
+"""Wall: index into AXES, normal (1 or -1), edge [m, rad]."""
+
 _PLATE, _THIN = 0.024, 0.0002
+_DOWN, _BESIDE = -0.8, np.array([0.012, 0.0, -0.0086])
+"""Vertical component below which the stem would hide an arrow; start of such an arrow beside the stem [m]."""
+
+_WARM, _LIMIT = np.array([1.0, 0.89, 0.22]), (1.0, 0.05, 0.05)
 _KINDS = {
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
@@ -59,7 +66,7 @@ class Shape(NamedTuple):
         turn: Orientation, as a unit quaternion (w, x, y, z).
         colour: Red, green, blue, opacity, each from 0 to 1.
         material: Name of the material; empty for none.
-        part: "handle", or "coil0" to "coil5" for a winding; otherwise empty.
+        part: "handle" for the knob, "stem" for what carries it, "coil0" to "coil5" for a winding; otherwise empty.
     """
 
     moves: bool
@@ -82,7 +89,7 @@ def shapes(model: Model) -> list[Shape]:
     compiled, data = device.model, mujoco.MjData(device.model)
     mujoco.mj_kinematics(compiled, data)
     origin, turn, visible = data.xpos[device.flotor], np.zeros(4), []
-    moving, coils = {device.flotor}, data.site_xpos[compiled.actuator_trnid[: len(COILS), 0]]
+    moving, parts = {device.flotor}, geom_parts(compiled, data)
     for body in range(compiled.nbody):  # parents come first
         moving |= {body} if int(compiled.body_parentid[body]) in moving else set()
     for geom in range(compiled.ngeom):
@@ -94,10 +101,7 @@ def shapes(model: Model) -> list[Shape]:
         mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
         centre, (radius, half, third) = data.geom_xpos[geom] - origin, compiled.geom_size[geom]
         name = "" if material < 0 else compiled.material(material).name
-        part = "handle" if compiled.body(compiled.geom_bodyid[geom]).name == "handle" else ""
-        if name == "copper":
-            part = f"coil{np.linalg.norm(coils - data.geom_xpos[geom], axis=1).argmin()}"
-        about = turn.tolist(), colour.tolist(), name, part
+        about = turn.tolist(), colour.tolist(), name, parts.get(geom, "")
         if kind in ("cylinder", "capsule"):
             visible.append(Shape(moves, "cylinder", np.array([radius, radius, half]), centre, *about))
             along = half * data.geom_xmat[geom][2::3]
@@ -108,28 +112,73 @@ def shapes(model: Model) -> list[Shape]:
     return visible
 
 
-def wall_plate(face: tuple[int, float, float]) -> tuple[Array, Array] | None:
-    """Return centre and half lengths [m], (3,) each, of the plate that the knob touches at a wall; None for a rotation.
+def geom_parts(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, str]:
+    """Return the part of each geom that belongs to one, as in `Shape`.
 
     Args:
-        face: Index into AXES, normal (1 or -1), edge [m, rad].
+        model: Compiled model.
+        data: Its state, with the flotor centred.
     """
-    axis, normal, edge = face
-    if axis > 2:
-        return None
+    handle, copper = model.body("handle").id, model.material("copper").id
+    coils, parts = data.site_xpos[model.actuator_trnid[: len(COILS), 0]], {}
+    for geom, place in enumerate(data.geom_xpos):
+        tip = place[2] + model.geom_size[geom, 1] * (model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER)
+        if model.geom_matid[geom] == copper:
+            parts[geom] = f"coil{np.linalg.norm(coils - place, axis=1).argmin()}"
+        elif model.geom_bodyid[geom] == handle and tip > KNOB_BOTTOM:  # an upright cylinder from below is the stem
+            parts[geom] = "handle" if place[2] > KNOB_BOTTOM else "stem"
+    return parts
+
+
+def coil_colour(copper: Sequence[float], current: float) -> tuple[float, float, float]:
+    """Return the colour of a coil: copper without current, yellow, red at the peak current.
+
+    Args:
+        copper: Red, green and blue of the winding's material.
+        current: Current [A]; NaN as 0.
+    """
+    share = round(abs(current) / Spec.peak_current.value, 2) if math.isfinite(current) else 0.0
+    cold = np.asarray(copper[:3])
+    red, green, blue = (cold + share * (_WARM - cold)).tolist() if share < 1.0 else _LIMIT
+    return red, green, blue
+
+
+def wall_box(
+    faces: Iterable[Face], margin: float = 0.0
+) -> tuple[dict[Face, tuple[Array, Array]], list[tuple[Array, list[Face]]]]:
+    """Return the plates that the knob touches at walls, and their edges: together one box; rotations have none.
+
+    Args:
+        faces: Walls: index into AXES, normal (1 or -1), edge [m, rad].
+        margin: Added to each open side of the box [m].
+
+    Returns:
+        Centre and half lengths [m], (3,) each, of each plate; the ends [m], (2, 3), of each edge with its walls.
+    """
     radius, half_height = KNOB
-    centre, size = GRIP.copy(), np.array([_PLATE, _PLATE, half_height + 0.004])
-    size[axis] = _THIN
-    if axis < 2:
-        centre[axis] = edge - normal * (radius + _THIN)
-    else:
-        centre[2] = edge + (KNOB_BOTTOM - _THIN if normal > 0.0 else GRIP[2] + half_height + _THIN)
-    return centre, size
+    knob = np.array([[-radius, -radius, KNOB_BOTTOM - GRIP[2]], [radius, radius, half_height]])  # lower, upper sides
+    box = GRIP + np.array([[-1.0], [1.0]]) * ([_PLATE + margin, _PLATE + margin, half_height + 0.004 + margin])
+    places = {face: GRIP[face[0]] + knob[int(face[1] < 0.0), face[0]] + face[2] for face in faces if face[0] < 3}
+    for (axis, normal, _), place in places.items():
+        box[int(normal < 0.0), axis] = place
+    plates, edges = {}, dict[Any, tuple[Array, list[Face]]]()
+    for face, place in places.items():
+        axis, normal, _ = face
+        centre, half = box.mean(axis=0), 0.5 * np.abs(box[1] - box[0])
+        centre[axis], half[axis] = place - normal * _THIN, _THIN
+        plates[face] = centre, half
+        for across, side in itertools.product({0, 1, 2} - {axis}, (0, 1)):
+            ends = box.copy()
+            ends[:, axis], ends[:, across] = place, box[side, across]
+            edges.setdefault(tuple(ends.round(9).ravel()), (ends, []))[1].append(face)
+    return plates, list(edges.values())
 
 
 def arrow_start(knob: Array, force: Array) -> Array:
-    """Return the start of a force arrow on the surface of the knob [m], (3,)."""
+    """Return the start of a force arrow on the surface of the knob [m], (3,); of a downward one beside the stem."""
     radius, half_height = KNOB
+    if force[2] < _DOWN * np.linalg.norm(force):
+        return np.asarray(knob + _BESIDE)
     return np.asarray(knob + force / np.linalg.norm(force / [radius, radius, half_height]))
 
 

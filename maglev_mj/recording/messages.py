@@ -16,7 +16,7 @@ from foxglove.channels import FrameTransformsChannel, LogChannel, SceneUpdateCha
 
 from maglev_mj.colours import DEVICE, HAND, WALL
 from maglev_mj.frames import Array, quaternion, rotation_matrix
-from maglev_mj.plants.shapes import ARROW, GRIP, MIN_ARROW_FORCE, Shape, arrow_start, shapes, wall_plate
+from maglev_mj.plants.shapes import ARROW, GRIP, MIN_ARROW_FORCE, Shape, arrow_start, shapes, wall_box
 from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, SEGMENT, SEGMENT_NUMBER, descriptor, packed
 from maglev_mj.recording.sample import FIELDS, Field, Rows, RunMetadata, Setup, Totals, schema
 
@@ -116,7 +116,7 @@ class Messages:
         run = setup["run"]
         metadata = RunMetadata.from_json(run)
         self._totals = Totals(metadata)
-        plates = [plate for plate in map(wall_plate, metadata.faces) if plate]
+        plates = wall_box(metadata.faces)[0].values()
         walls = [Shape(False, "box", half, centre, _UPRIGHT, (*WALL, _WALL_OPACITY)) for centre, half in plates]
         self._stick = None
         construction = {name: part for name, part in setup.items() if name != "run"}

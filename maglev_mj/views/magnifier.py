@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, rotation_matrix
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.session import Snapshot
 
@@ -40,6 +40,24 @@ def magnified(snapshot: Snapshot, factor: float) -> Snapshot:
 def widening(factor: float) -> float:
     """Return the margin added to each side of a drawn wall for the magnified travel [m]."""
     return _TRAVEL * (factor - 1.0)
+
+
+def stretched(ends: Array, pose: Array, factor: float) -> tuple[Array, Array, float]:
+    """Return foot, orientation and length of the stem between the flotor's true pose and the knob's magnified one.
+
+    Args:
+        ends: Foot and top in flotor axes [m], (2, 3).
+        pose: True pose [m, rad], (6,).
+        factor: One of MAGNIFICATIONS.
+
+    Returns:
+        Foot [m], (3,); unit quaternion (w, x, y, z) that turns z along the stem; length [m].
+    """
+    foot, top = (each[:3] + rotation_matrix(each[3:]) @ end for each, end in zip((pose, factor * pose), ends))
+    length = float(np.linalg.norm(top - foot))
+    x, y, z = (top - foot) / length
+    turn = np.array([1.0 + z, -y, x, 0.0])
+    return foot, turn / np.linalg.norm(turn), length
 
 
 def true_pose(drawn: Array, factor: float) -> Array:

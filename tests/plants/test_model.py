@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -22,7 +23,7 @@ from maglev_mj.plants.shapes import (
     device_report,
     envelope,
     position_bandwidth,
-    wall_plate,
+    wall_box,
 )
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
 from maglev_mj.terminal import WIDTH
@@ -44,19 +45,20 @@ def coil_map(device: Device) -> CoilMap:
 # -- the drawn handle and walls --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("normal", [1.0, -1.0])
-@pytest.mark.parametrize("axis", range(3))
-def test_the_knob_of_a_flotor_on_a_wall_touches_its_plate(axis: int, normal: float) -> None:
-    edge, others = -2e-3 * normal, [index for index in range(3) if index != axis]
-    plate = wall_plate((axis, normal, edge))
-    assert plate is not None
-    centre, half = plate
-    height = KNOB[0] if axis < 2 else KNOB[1] if normal < 0.0 else GRIP[2] - KNOB_BOTTOM
-    touching = GRIP[axis] + edge - normal * height  # the side of the knob towards the wall
-    assert centre[axis] + normal * half[axis] == pytest.approx(touching, abs=1e-12)
-    assert 0.0 < half[axis] < 1e-3 and (half[others] > np.take([KNOB[0], KNOB[0], KNOB[1]], others)).all()
-    assert np.array_equal(centre[others], GRIP[others])
-    assert wall_plate((axis + 3, normal, 0.05)) is None  # of a rotation
+@pytest.mark.parametrize("count", range(7))
+def test_walls_are_one_box_of_plates_that_the_knob_touches(count: int) -> None:
+    six = [(axis, normal, -2e-3 * normal) for axis in range(3) for normal in (1.0, -1.0)]
+    for faces in itertools.combinations(six, count):
+        plates, edges = wall_box([*faces, (3, 1.0, -0.05)], 1e-3)  # the wall of a rotation has none
+        assert tuple(plates) == faces
+        for (axis, normal, edge), (centre, half) in plates.items():
+            height = KNOB[0] if axis < 2 else KNOB[1] if normal < 0.0 else GRIP[2] - KNOB_BOTTOM
+            touching = GRIP[axis] + edge - normal * height  # the side of the knob towards the wall
+            assert centre[axis] + normal * half[axis] == pytest.approx(touching, abs=1e-12)
+            assert 0.0 < half[axis] < 1e-3 and (np.delete(half, axis) > 0.012).all()
+            assert sum((axis, normal, edge) in walls for _, walls in edges) == 4
+        corners = [frozenset(tuple(end) for end in ends.round(9)) for ends, _ in edges]
+        assert len(corners) == len({*corners}) <= 12 and len(frozenset().union(*corners)) <= 8  # each once, of one box
 
 
 # -- Table 1, row by row ---------------------------------------------------------------------------------

@@ -1,12 +1,14 @@
-"""Magnified motion: the drawing alone, the same contact, and a drag divided by it."""
+"""Magnified motion: the drawing alone, the same contact, a drag divided by it. Force arrows: lengths and numbers."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from maglev_mj.plants.shapes import ARROW, GRIP
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Snapshot
+from maglev_mj.views.arrows import FORCES, ForceArrow, ForceArrows
 from maglev_mj.views.magnifier import MAGNIFICATIONS, magnified, motion_words, true_pose
 
 POSE = np.array([1e-3, -2e-3, 3.4e-3, 0.01, 0.02, -0.03])
@@ -27,3 +29,21 @@ def test_pose_stick_position_and_walls_are_magnified_and_a_drag_is_divided(facto
         assert met == [normal * (POSE[axis] - edge) <= 0.0]
     assert drawn.force is true.force and drawn.history is true.history and true.pose is POSE
     assert motion_words(factor) == {1: "", 3: "motion x3", 5: "motion x5"}[int(factor)]
+
+
+@pytest.mark.parametrize("name", FORCES)
+def test_a_force_arrow_is_to_scale_and_its_number_steady(name: str) -> None:
+    arrows, drawn = ForceArrows(), list[ForceArrow]()
+    sizes = [0.01, np.nan, 0.1, 0.5, 1.0, 7.0, 20.0, 1000.0, *np.random.default_rng(1).uniform(2.41, 2.49, 50)]
+    for size in sizes:
+        wrench = size * np.array([0.6, 0.0, 0.8, 0.0, 0.0, 0.0])
+        arrow = arrows.of(Snapshot(scene=Joystick(), **{{"device": "force"}.get(name, name): wrench})).get(name)
+        assert (arrow is None) is (not size >= 0.1)
+        if arrow is not None:
+            length = np.linalg.norm(arrow.end - arrow.start)
+            assert length == pytest.approx(min(ARROW * size, 0.12))
+            assert np.linalg.norm(arrow.place - GRIP) > 0.02 + length  # clear of tip and knob
+            drawn.append(arrow)
+    assert [arrow.text for arrow in drawn[:6]] == ["", "0.5 N", "1.0 N", "7.0 N", "20.0 N", "1000.0 N"]
+    assert drawn[1].size < drawn[2].size < drawn[3].size == drawn[5].size == 1.0  # of the head
+    assert len({arrow.text for arrow in drawn[6:]}) == 1

@@ -24,6 +24,7 @@ import msgspec
 import numpy as np
 import pytest
 import viser
+from trimesh.transformations import quaternion_matrix
 from viser._messages import ShareUrlDisconnect, ShareUrlRequest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -305,14 +306,13 @@ def test_magnified_motion_of_handle_walls_and_drag() -> None:
         page._panel._motion.value = "x5"
         asyncio.run(page._panel._set_motion(None))
         stage = shown(page, source)
-        assert stage._handle.position.tolist() == [5e-3, 0.0, 0.01] and stage._flotor.position.tolist() == [
-            1e-3,
-            0.0,
-            2e-3,
-        ]
-        touched = {plate.position[axis]: plate.color for (axis, _, _), (plate, _) in stage._walls.items()}
-        assert list(touched.values()).count(tuple(round(255 * part) for part in TOUCHED)) == 1  # that along z
-        assert 5.0 * 3.5e-3 in {round(place - KNOB[0] - 2e-4, 9) for place in touched}
+        assert np.allclose([stage._handle.position, stage._flotor.position], [5.0 * pose[:3], pose[:3]], atol=1e-9)
+        assert [plate.color == tuple(round(255 * part) for part in TOUCHED) for plate in stage._walls] == [False, True]
+        assert stage._walls[0].position[0] - KNOB[0] - 2e-4 == pytest.approx(5.0 * 3.5e-3)
+        ((stem, ends),) = stage._stems
+        assert stem.position == pytest.approx(ends[0] + pose[:3], abs=1e-6)  # in its collar, at the true pose
+        top = stem.position + quaternion_matrix(stem.wxyz)[:3, 2] * stem.scale[2] * np.ptp(ends[:, 2])
+        assert top == pytest.approx(ends[1] + 5.0 * pose[:3], abs=1e-5)  # in the knob
         source.shown = replace(source.shown, target=[0.0] * 6)
         page._show()
         assert page._grab is not None and page._grab.factor == 5

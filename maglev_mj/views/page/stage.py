@@ -14,22 +14,12 @@ from trimesh.transformations import quaternion_matrix
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from maglev_mj.colours import DEVICE, FIRST, HAND, STOP, STUCK, TOUCHED, WALL, Colour
+from maglev_mj.colours import FIRST, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import Array, quaternion, rotation_matrix
-from maglev_mj.plants.shapes import (
-    ARROW,
-    GRIP,
-    KNOB,
-    KNOB_BOTTOM,
-    MIN_ARROW_FORCE,
-    Shape,
-    arrow_start,
-    shapes,
-    wall_plate,
-)
+from maglev_mj.plants.shapes import GRIP, KNOB, KNOB_BOTTOM, Shape, coil_colour, shapes, wall_box
 from maglev_mj.session import Snapshot
-from maglev_mj.spec import Spec
-from maglev_mj.views.magnifier import dragged_pose, magnified, motion_words, widening
+from maglev_mj.views.arrows import FORCES, ForceArrow, ForceArrows
+from maglev_mj.views.magnifier import dragged_pose, magnified, motion_words, stretched, widening
 from maglev_mj.views.readings import banner
 from maglev_mj.views.viewer_process import SILENCE
 
@@ -37,7 +27,6 @@ _LOOKS = {"frame": (0.9, 0.38), "steel": (0.7, 0.4), "base": (0.25, 0.45), "psd"
 _LOOK = 0.5, 0.35
 """Metallic and roughness factors of the model's materials; default."""
 
-_TINT = 0.2  # saturation of the device, so that colours mark arrows, walls and currents
 _GAMMA = 2.2  # glTF colours are linear
 _MIN_SIDES, _SIDES_PER_METRE, _MAX_SIDES = 8, 2000.0, 48
 """Number of sides of round shapes: even, larger for larger shapes."""
@@ -48,7 +37,7 @@ def glb(shapes: Sequence[Shape]) -> bytes:
     scene, looks = trimesh.Scene(), [(shape.material, tuple(shape.colour)) for shape in shapes]
     for material, rgba in sorted(set(looks)):
         mesh = _joined([solid(shape) for shape, look in zip(shapes, looks) if look == (material, rgba)])
-        (metallic, roughness), colour = _LOOKS.get(material, _LOOK), _grey(rgba)
+        (metallic, roughness), colour = _LOOKS.get(material, _LOOK), rgba
         mesh.visual = TextureVisuals(
             material=PBRMaterial(
                 baseColorFactor=[*np.power(colour[:3], _GAMMA), colour[3]],
@@ -60,12 +49,6 @@ def glb(shapes: Sequence[Shape]) -> bytes:
         scene.add_geometry(mesh)
     data: bytes = scene.export(file_type="glb")
     return data
-
-
-def _grey(colour: Sequence[float]) -> list[float]:
-    """Return a desaturated colour with the same opacity."""
-    light = 0.3 * colour[0] + 0.59 * colour[1] + 0.11 * colour[2]
-    return [*(light + _TINT * (part - light) for part in colour[:3]), colour[3]]
 
 
 def solid(shape: Shape) -> trimesh.Trimesh:
@@ -180,15 +163,16 @@ VIEWS = {
 _WIDTH = 0.175  # of the device with a margin [m]
 FIELD = 0.62
 """Vertical field of view [rad]."""
-_FAINT, _LIT = 0.07, 0.22
-_COLD, _WARM, _LIMIT = np.array([0.66, 0.30, 0.10]), np.array([1.0, 0.88, 0.25]), (1.0, 0.05, 0.05)
+_FAINT, _LIT = 0.07, 0.36
 _SKY = (206.0, 213.0, 224.0), (247.0, 248.0, 250.0)
 """Background colours, top and bottom."""
 _FLOOR = -0.0552
 _REACH = 0.021  # radius of the invisible ball that can be grabbed [m]
-_MAX_ARROW = 0.12  # [m]
 _GHOST_SIZE = 1.06
-_EDGE = 0.0006  # thickness of a wall's edge [m]
+_EDGE, _SHADE = 0.001, 0.85
+"""Thickness [m] and brightness of a wall's edge."""
+_ARROW = {"shaft_radius": 0.0013, "head_radius": 0.0032, "head_length": 0.0065}
+"""Sizes of a long arrow [m]."""
 _RIM = 0.0118, 0.0012
 """Radius and half height of the ring under the knob, visible on contact with a wall of a rotation [m]."""
 
@@ -267,13 +251,14 @@ class Stage:
         self._rim = scene.add_cylinder(
             "/handle/rim", _RIM[0], 2.0 * _RIM[1], _bytes(TOUCHED), position=rim, visible=False, **_PLAIN
         )
-        self._arrows = [_Arrow(scene, name, colour) for name, colour in _FORCES.items()]
-        self._walls: dict[tuple[int, float, float], tuple[Any, Any]] = {}
-        self._touched: set[tuple[int, float, float]] = set()
+        self._arrows = ForceArrows()
+        self._forces = {name: _arrow(scene, name, colour) for name, colour in FORCES.items()}
+        self._walls: list[Any] = []
+        self._edges = scene.add_line_segments("/edges", np.zeros((1, 2, 3)), _bytes(WALL), thickness=_EDGE)
         self._label = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
         self._model: Any = None
         self._coils: dict[int, Any] = {}
-        self._shares: list[float] = []
+        self._stems: list[tuple[Any, Array]] = []
         self.factor, self.hint = 1.0, ""
         self.show(snapshot)
 
@@ -281,18 +266,18 @@ class Stage:
         """Show a snapshot."""
         if snapshot.scene.model != self._model:
             self._load(snapshot)
-        shares = np.round(np.nan_to_num(np.abs(snapshot.currents) / Spec.peak_current.value), 2).tolist()
         for coil, winding in self._coils.items():
-            if (share := shares[coil]) != self._shares[coil]:
-                winding.color = _bytes(_COLD + share * (_WARM - _COLD) if share < 1.0 else _LIMIT)
-        self._shares = shares
+            update(winding, color=_bytes(coil_colour(self._copper, snapshot.currents[coil])))
         self._set_pose(self._flotor, snapshot.pose)
+        for stem, ends in self._stems:
+            foot, turn, length = stretched(ends, snapshot.pose, self.factor)
+            scale = 1.0, 1.0, round(length / (ends[1, 2] - ends[0, 2]), 4)
+            update(stem, position=np.round(foot, 6), wxyz=np.round(turn, 6), scale=scale)
         snapshot = magnified(snapshot, self.factor)
-        pose = snapshot.pose
-        self._set_pose(self._handle, pose)
-        knob = pose[:3] + rotation_matrix(pose[3:]) @ GRIP
-        for arrow, wrench in zip(self._arrows, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
-            arrow.show(knob, wrench[:3])
+        self._set_pose(self._handle, snapshot.pose)
+        arrows = self._arrows.of(snapshot)
+        for name, (shaft, number) in self._forces.items():
+            _show_arrow(shaft, number, arrows.get(name))
         self._show_walls(snapshot)
         if (ghost := snapshot.ghost) is not None:
             self._set_pose(self._ghost, np.concatenate([ghost[:3] + rotation_matrix(ghost[3:]) @ GRIP, ghost[3:]]))
@@ -301,7 +286,7 @@ class Stage:
         content = banner(snapshot)
         text = self.hint if content is None else content.text.split(":")[0]
         text = ", ".join(filter(None, (text, motion_words(self.factor))))
-        update(self._label, visible=bool(text), text=text)
+        update(self._label, visible=bool(text), text=text or self._label.text)  # viser draws an empty one as a bar
 
     def _set_pose(self, node: Any, pose: Array) -> None:
         update(node, position=np.round(pose[:3], 6), wxyz=np.round(quaternion(pose[3:]), 6))
@@ -312,64 +297,61 @@ class Stage:
         nodes: dict[str, list[Shape]] = {}
         for shape in shapes(self._model):
             nodes.setdefault(shape.part or ("rest" if shape.moves else "device"), []).append(shape)
-        for winding in self._coils.values():
-            winding.remove()
-        self._coils, self._shares = {}, [-1.0] * 6
+        for node in (*self._coils.values(), *(stem for stem, _ in self._stems)):
+            node.remove()
+        self._coils, self._stems = {}, []
+        for index, shape in enumerate(nodes.pop("stem", [])):
+            along = shape.half * (0.0, 0.0, 1.0)
+            foot_at_node = glb([shape._replace(position=along)])
+            stem = scene.add_glb(f"/stem{index}", foot_at_node, **_PLAIN)
+            self._stems.append((stem, shape.position + np.array([-along, along])))
         for name, parts in nodes.items():
             if name.startswith("coil"):
                 mesh, coil = _joined([solid(shape) for shape in parts]), int(name[4:])
                 self._coils[coil] = scene.add_mesh_simple(f"/flotor/{name}", mesh.vertices, mesh.faces, **_PLAIN)
+                self._copper = parts[0].colour
             else:
                 node = {"rest": "/flotor/rest", "handle": "/handle/body"}.get(name, "/device")
                 scene.add_glb(node, glb(parts), **_PLAIN)
 
     def _show_walls(self, snapshot: Snapshot) -> None:
-        faces = {(axis, normal, round(edge, 6)) for axis, normal, edge in snapshot.faces}
-        for face in self._walls.keys() - faces:
-            self._walls.pop(face)[0].remove()  # and its edge
-        for face in faces - self._walls.keys():
-            if (plate := wall_plate(face)) is not None:
-                self._walls[face] = self._wall(face, *plate)
-        touched = {face for face in faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
-        update(self._rim, visible=any(axis > 2 for axis, _, _ in touched))
-        for face in (touched ^ self._touched) & self._walls.keys():
-            colour, opacity = (TOUCHED, _LIT) if face in touched else (WALL, _FAINT)
-            plate, edge = self._walls[face]
-            plate.color, plate.opacity, edge.colors = _bytes(colour), opacity, np.array(_bytes(colour), np.uint8)
-        self._touched = touched
-
-    def _wall(self, face: tuple[int, float, float], centre: Array, half: Array) -> tuple[Any, Any]:
-        """Add the face and edge of a wall, wider if the motion is magnified."""
-        scene, name, across = self._server.scene, "/walls/{}{:+.0f}{:g}".format(*face), np.delete(np.eye(3), face[0], 0)
-        half = half + widening(self.factor) * across.sum(axis=0)
-        corners = half * (np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) @ across)
-        plate = scene.add_box(
-            name, _bytes(WALL), tuple(2.0 * half), position=tuple(centre), side="double", opacity=_FAINT, **_PLAIN
-        )
-        lines = np.stack([corners, np.roll(corners, 1, axis=0)], axis=1).astype(np.float32)
-        return plate, scene.add_line_segments(f"{name}/edge", lines, _bytes(WALL), thickness=_EDGE)
+        """Show the walls as one box, wider if the motion is magnified; those in contact are lit."""
+        plates, edges = wall_box(snapshot.faces, widening(self.factor))
+        lit = {face for face in snapshot.faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
+        update(self._rim, visible=any(axis > 2 for axis, _, _ in lit))
+        while len(self._walls) < len(plates):
+            name = f"/walls/{len(self._walls)}"
+            self._walls.append(self._server.scene.add_box(name, side="double", opacity=_FAINT, **_PLAIN))
+        for wall in self._walls[len(plates) :]:
+            update(wall, visible=False)
+        for wall, (face, (centre, half)) in zip(self._walls, plates.items()):
+            colour, opacity = (TOUCHED, _LIT) if face in lit else (WALL, _FAINT)
+            place = {"position": np.round(centre, 6), "dimensions": tuple(np.round(2.0 * half, 6))}
+            update(wall, color=_bytes(colour), opacity=opacity, **place, visible=True)
+        edges = edges or [(np.zeros((2, 3)), [])]  # no walls: one point, since viser cannot draw an empty set
+        colours = [[_bytes(_SHADE * np.array(WALL if lit.isdisjoint(walls) else TOUCHED))] * 2 for _, walls in edges]
+        points = np.array([ends for ends, _ in edges], np.float32)
+        update(self._edges, points=points, colors=np.array(colours, np.uint8))
 
 
-class _Arrow:
-    """Arrow of a force."""
-
-    def __init__(self, scene: Any, name: str, colour: Colour) -> None:
-        sizes = {"shaft_radius": 0.0013, "head_radius": 0.0032, "head_length": 0.0065}
-        points = np.array([[GRIP, 2.0 * GRIP]], dtype=np.float32)
-        shade = tuple(part**_GAMMA for part in colour)  # viser expects linear colours for arrows
-        self._arrow = scene.add_arrows(f"/forces/{name}", points, _bytes(shade), visible=False, **sizes)
-
-    def show(self, knob: Array, force: Array) -> None:
-        """Show a force [N], (3,), at a position [m], (3,)."""
-        size = float(np.linalg.norm(force))
-        update(self._arrow, visible=size >= MIN_ARROW_FORCE)
-        if size >= MIN_ARROW_FORCE:
-            start = arrow_start(knob, force)
-            end = start + force * min(ARROW, _MAX_ARROW / size)
-            update(self._arrow, points=np.round([[start, end]], 5).astype(np.float32))
+def _arrow(scene: Any, name: str, colour: Colour) -> tuple[Any, Any]:
+    """Return the arrow of a force and its number, not yet visible."""
+    points = np.array([[GRIP, 1.001 * GRIP]], dtype=np.float32)  # inside the knob
+    shade = _bytes([part**_GAMMA for part in colour])  # viser expects linear colours for arrows
+    shaft = scene.add_arrows(f"/forces/{name}", points, shade, visible=False, **_ARROW)
+    return shaft, scene.add_label(f"/numbers/{name}", "0.0 N", anchor="center-center", visible=False)
 
 
-_FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
+def _show_arrow(shaft: Any, number: Any, arrow: ForceArrow | None) -> None:
+    """Show an arrow, or none; visibility last, since a busy browser applies it before the rest."""
+    if arrow is not None:
+        points = np.round([[arrow.start, arrow.end]], 5).astype(np.float32)
+        update(shaft, points=points, **{name: round(arrow.size * size, 6) for name, size in _ARROW.items()})
+        update(number, text=arrow.text or number.text, position=np.round(arrow.place, 4))
+    update(shaft, visible=arrow is not None)
+    update(number, visible=arrow is not None and bool(arrow.text))
+
+
 _PLAIN = {"cast_shadow": False, "receive_shadow": False}
 
 

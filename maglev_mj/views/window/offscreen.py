@@ -130,7 +130,9 @@ class OffscreenPainter:
     def __init__(self, scene: Scene, width: int, height: int, *, plots: bool = True, factor: int = 1) -> None:
         self._view, self._gl = Area(0, 0, width, height), _context(width, height, drawing_library())
         self._gl.make_current()
-        screen, scale = Screen(keys=False, factor=factor, plots=plots), 150 if height >= _LARGE else 100
+        screen = Screen(keys=False, factor=factor, plots=plots)
+        # without plots, only the numbers of the forces: larger
+        scale = (150 if height >= _LARGE else 100) if plots else min(max(50 * round(height / 250), 150), 300)
         self._painter = Painter(scene, screen, scale=scale, size=(width, height))
 
     def picture(self, snapshot: Snapshot) -> NDArray[np.uint8]:

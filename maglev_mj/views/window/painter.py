@@ -26,6 +26,7 @@ _AXES, _AXES_SCALE = np.array([0.075, -0.075, -0.05]), 4.5e-4
 """Origin of the coordinate axes, beside the base [m], and their scale."""
 
 _MAX_GEOMS = 2000
+_HALF_TEXT = 0.17  # half the width of a number such as "2.4 N" [pixels], at a font scale of 1 %
 
 
 class Painter:
@@ -85,6 +86,7 @@ class Painter:
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self.camera, everything, scene)
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self.shadows
+        scenery.half_text = _HALF_TEXT * self._scale * self.knob(snapshot, view)[1]
         scenery.decorate(scene, snapshot, factor)
         if self._screen.plots:
             scenery.draw_axes(scene, _AXES, _AXES_SCALE)
