@@ -52,6 +52,8 @@ REFERENCE: Colour = (0.35, 0.37, 0.40)
 GRID: Colour = (0.89, 0.90, 0.91)
 """Grid of a chart."""
 
+NIGHT: Colour = (0.18, 0.18, 0.18)
+"""Lightest ground of the page in its dark scheme."""
 
 _DARK = (0.0, 0.285, 0.456), (0.584, 0.249, 0.0), (0.0, 0.453, 0.326), (0.66, 0.388, 0.538)
 SERIES: tuple[Colour, ...] = (*_DARK, (0.776, 0.535, 0.0), (0.267, 0.57, 0.741), _INK)
@@ -67,10 +69,31 @@ def linear(colour: Colour) -> Colour:
 def on_white(colour: Colour, contrast: float = 4.5) -> Colour:
     """Return a colour, darkened if its WCAG 2 contrast ratio to white is too low: 4.5 for text, 3 for lines."""
     parts = linear(colour)
-    luminance = sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), parts))
-    share = min((1.05 / contrast - 0.05) / luminance, 1.0) * 0.99
-    red, green, blue = (max(1.055 * (share * part) ** (1.0 / 2.4) - 0.055, 0.0) for part in parts)
-    return (red, green, blue) if share < 0.99 else colour
+    share = min((1.05 / contrast - 0.05) / _luminance(parts), 1.0) * 0.99
+    return _encoded(tuple(share * part for part in parts)) if share < 0.99 else colour
+
+
+def on_dark(colour: Colour, contrast: float = 4.5) -> Colour:
+    """Return a colour, lightened if its WCAG 2 contrast ratio to `NIGHT` is too low: 4.5 for text, 3 for lines."""
+    parts = linear(colour)
+    luminance = _luminance(parts)
+    share = (1.01 * contrast * (_luminance(linear(NIGHT)) + 0.05) - 0.05 - luminance) / (1.0 - luminance)
+    return _encoded(tuple(part + share * (1.0 - part) for part in parts)) if share > 0.0 else colour
+
+
+def on_page(colour: Colour, contrast: float = 4.5) -> str:
+    """Return the CSS colour with a contrast ratio on the page, in its light and its dark scheme."""
+    return f"light-dark({hex_of(on_white(colour, contrast))}, {hex_of(on_dark(colour, contrast))})"
+
+
+def _luminance(parts: Colour) -> float:
+    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), parts))
+
+
+def _encoded(parts: tuple[float, ...]) -> Colour:
+    """Return the sRGB colour of linear RGB, without the linear segment near black."""
+    red, green, blue = (max(1.055 * part ** (1.0 / 2.4) - 0.055, 0.0) for part in parts)
+    return red, green, blue
 
 
 def hex_of(colour: Colour) -> str:

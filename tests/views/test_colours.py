@@ -69,6 +69,8 @@ def test_roles_and_series_are_distinguishable(vision: str) -> None:
 
 
 ROLES = {name: getattr(colours, name) for name in {*SHOWN, *itertools.chain(*PAIRS), "FIRST", "PULL", "REFERENCE"}}
+GROUNDS = (colours.on_white, PAPER), (colours.on_dark, colours.NIGHT)
+"""Grounds of the page, light and dark."""
 DARK = (0.13, 0.15, 0.18)
 """Background of the window's plots."""
 
@@ -76,8 +78,8 @@ DARK = (0.13, 0.15, 0.18)
 def test_texts_and_lines_are_visible_on_page_window_and_paper() -> None:
     # WCAG 2 asks for 4.5 of text, 3 of graphics
     for name, colour in ROLES.items():
-        assert contrast(colours.on_white(colour), PAPER) > 4.5, name
-        assert contrast(colours.on_white(colour, 3.0), PAPER) > 3.0, name
+        for least, (adapted, ground) in itertools.product((4.5, 3.0), GROUNDS):
+            assert contrast(adapted(colour, least), ground) > least, name
         if name not in ("STOP", "REFERENCE"):  # not in the window's plots
             assert contrast(colour, DARK) > 3.0, name
     assert min(contrast(colour, PAPER) for colour in (*colours.SERIES, colours.STUCK)) > 3.0

@@ -118,7 +118,6 @@ def opened(browser: Any, run: Run, **options: Any) -> Any:
     tab = blank(browser.new_context(**{"viewport": SIZE, "device_scale_factor": 0.25, **options}), UNDRAWN)
     tab.goto(run.url, wait_until="domcontentloaded")
     tab.wait_for_selector("text=joystick")
-    tab.add_style_tag(content=".mantine-Notifications-root{display:none}")  # that it draws by software is known
     return tab
 
 
@@ -148,23 +147,7 @@ def await_hold(run: Run) -> None:
 
 
 def press(tab: Any, run: Run) -> tuple[float, float]:
-    """Take hold of the knob at rest, seen from home; return where it was pressed [px].
-
-    An arrow key that moves a slider turns the view, too, by as much as its press lasts: far on a busy machine.
-    """
-    away, _ = placed("home", 1, 1)
-    right = np.array([-away[1], away[0]]) / np.hypot(*away[:2])
-    while True:
-        x, y, target = take_hold(tab, run)
-        if target @ right > 0.9 * np.linalg.norm(target):
-            return x, y
-        tab.mouse.up()
-        run.until(lambda shown: shown.target is None)
-        tab.get_by_role("button", name="home", exact=True).click()
-
-
-def take_hold(tab: Any, run: Run) -> tuple[float, float, Any]:
-    """Pull the knob a little; return where it was pressed [px] and the target on the table [m], (2,).
+    """Pull the knob a little, seen from home; return where it was pressed [px].
 
     It is pressed once the page shows by its cursor that the mouse came over it, for a drag that misses it would turn
     the view. A click alone does not take hold.
@@ -178,9 +161,8 @@ def take_hold(tab: Any, run: Run) -> tuple[float, float, Any]:
             tab.mouse.move(x + 2, y - above)
             tab.mouse.move(x, y - above)
     tab.mouse.down()
-    shown = pull(tab, run, x + 6, y, lambda shown: shown.target is not None and np.linalg.norm(shown.target[:2]) > 2e-3)
-    assert shown.target is not None
-    return x, y, np.array(shown.target[:2])
+    pull(tab, run, x + 6, y, lambda shown: shown.target is not None and np.linalg.norm(shown.target[:2]) > 2e-3)
+    return x, y
 
 
 def pull(tab: Any, run: Run, x: float, y: float, done: Callable[[Snapshot], Any]) -> Snapshot:
@@ -325,18 +307,92 @@ def test_a_page_without_its_program_says_so_and_reconnects(browser: Any) -> None
     try:
         check(False)
         tab.wait_for_selector("[aria-label='rewind [s]']")
-        nameless = "inputs => inputs.filter(input => !input.ariaLabel && !input.labels?.length).length"
-        assert tab.locator("[role=slider]:visible, input[type=text]:visible").evaluate_all(nameless) == 0
+        inputs = tab.locator("input:visible, button:visible, [role=slider], [role=tab], [role=button]:visible")
+        nameless = "all => all.filter(one => !(one.ariaLabel || one.labels?.length || one.innerText)).length"
+        assert inputs.count() > 30 and inputs.evaluate_all(nameless) == 0
+        assert tab.get_by_role("group", name="camera").get_by_role("button").count() > 3
         assert tab.locator("[tabindex='1']").all_text_contents() == ["emergency stop"]
         tab.keyboard.press("Escape")
         run.until(lambda shown: shown.state == "stopped")
         canvas = "loss = [...document.querySelectorAll('canvas')].pop().getContext('webgl2')"
         tab.evaluate(f"{canvas}.getExtension('WEBGL_lose_context'); loss.loseContext()")
-        tab.wait_for_selector("#flat:has-text('no WebGL')")
+        tab.wait_for_selector("#flat:has-text('3D view lost')")
+        assert tab.get_by_role("button", name="reload", exact=True).is_visible()
         tab.evaluate("loss.restoreContext()")
         tab.wait_for_selector("#flat", state="hidden")
     finally:
         run.close()
+
+
+def test_escape_stops_from_every_kind_of_input_and_during_a_drag(run: Run, tab: Any, browser: Any) -> None:
+    kinds = "[role=slider]", ".mantine-NumberInput-input", ".mantine-Select-input", "[type=checkbox]", "button[id]"
+    wide = opened(browser, run, viewport={"width": 1000, "height": 420})
+    wide.locator("[data-dock-region-collapse=right]").click()
+    wide.locator("button[id]").wait_for(state="hidden")
+    for kind in ("drag", "collapsed panel", *kinds):
+        if kind == "drag":
+            press(tab, run)
+        elif kind in kinds:
+            tab.locator(f"{kind}:visible").last.focus()
+        (wide if kind == "collapsed panel" else tab).keyboard.press("Escape")
+        run.until(lambda shown: shown.state == "stopped")
+        tab.mouse.up()
+        tab.get_by_role("button", name="centre", exact=True).click()
+        run.until(lambda shown: shown.state == "running" and shown.target is None)
+    wide.close()
+
+
+def test_arrow_keys_push_the_handle_of_one_browser_until_released(run: Run, tab: Any, browser: Any) -> None:
+    other = opened(browser, run)
+    keys = {"ArrowRight": (0, 1), "ArrowLeft": (0, -1), "ArrowUp": (1, 1), "ArrowDown": (1, -1)}
+    for key, (axis, sign) in {**keys, "PageUp": (2, 1), "PageDown": (2, -1)}.items():
+        tab.locator(".mantine-NumberInput-input").last.focus()
+        tab.keyboard.down(key)  # of the box
+        tab.keyboard.up(key)
+        tab.evaluate("document.activeElement.blur()")
+        assert run.shown.target is None
+        tab.keyboard.down(key)
+        run.until(lambda shown, axis=axis, sign=sign: sign * shown.hand[axis] > 1.0)  # type: ignore[misc]
+        other.keyboard.press("ArrowLeft" if axis else "ArrowUp")
+        if sign > 0:
+            tab.keyboard.up(key)
+        else:
+            tab.evaluate("dispatchEvent(new Event('blur'))")
+        shown = run.until(lambda shown: shown.target is None and not shown.hand.any())
+        assert abs(shown.pose[(axis + 1) % 3]) < 1e-3 and shown.state == "running"
+        tab.keyboard.up(key)
+    other.close()
+
+
+CONTRASTS = """() => {
+    const context = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+    const blend = (...colours) => {
+        for (const colour of colours) (context.fillStyle = colour), context.fillRect(0, 0, 1, 1);
+        const parts = [...context.getImageData(0, 0, 1, 1).data].slice(0, 3).map((part) => part / 255);
+        const light = parts.map((part) => (part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4));
+        return 0.2126 * light[0] + 0.7152 * light[1] + 0.0722 * light[2] + 0.05;
+    };
+    const style = (element) => getComputedStyle(element);
+    const found = {};
+    for (const element of document.querySelectorAll("#root *")) {
+        const text = [...element.childNodes].map((node) => (node.nodeType === 3 ? node.data.trim() : "")).join("");
+        if (!/\\w/.test(text) || !element.checkVisibility({ visibilityProperty: true })) continue;
+        const grounds = [];
+        for (let at = element; at; at = at.parentElement) grounds.unshift(style(at).backgroundColor);
+        const ground = ["#fff", ...grounds], ink = style(element)[element instanceof SVGElement ? "fill" : "color"];
+        const [low, high] = [blend(...ground), blend(...ground, ink)].sort((one, other) => one - other);
+        found[text] = Math.min(found[text] ?? 21, high / low);
+    }
+    return found;
+}"""
+
+
+def test_texts_have_contrast_in_the_light_and_the_dark_scheme_of_the_system(run: Run, tab: Any) -> None:
+    for scheme in ("dark", "light"):
+        tab.emulate_media(color_scheme=scheme)
+        tab.wait_for_selector(f"html[data-mantine-color-scheme={scheme}]")
+        found = tab.evaluate(CONTRASTS)
+        assert len(found) > 40 and {text: ratio for text, ratio in found.items() if ratio < 4.5} == {}
 
 
 def choose(tab: Any, scene: str) -> None:

@@ -188,6 +188,8 @@ class Page:
         gui.main_panel.dock_right()
         self._stage = Stage(server, snapshot)
         self._grab = Grab(server, self._stage.knob, partial(self._inbox.put, "hand")) if drag else None
+        if self._grab is not None:
+            gui.add_button_group("keys", ("",), visible=False).on_click(self._grab.push)
         self._stage.hint = "drag the knob" if drag else ""
         magnify = partial(setattr, self._stage, "factor")
         self._panel = Panel(server, snapshot, self._inbox.put, magnify, settings)

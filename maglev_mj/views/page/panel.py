@@ -9,7 +9,7 @@ from functools import partial
 from html import escape
 from typing import Any
 
-from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of, on_white
+from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of, on_page, on_white
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
@@ -346,8 +346,8 @@ def _tour(step: TourLine | None) -> str:
     if step is None:
         return ""
     text, task = (escape(part) for part in step.words(_input_name))
-    done = f' <b style="color:{hex_of(on_white(GOOD))}">done</b>' if step.done else ""
-    style = f"border-left:4px solid {hex_of(GOOD if step.done else HAND)};margin:.3em .5em;padding:.2em .6em"
+    done = f' <b style="color:{on_page(GOOD)}">done</b>' if step.done else ""
+    style = f"border-left:4px solid {on_page(GOOD if step.done else HAND, 3.0)};margin:.3em .5em;padding:.2em .6em"
     head = f"<small>step {step.number} of {step.total}</small>{done}"
     return f'<div style="{style}">{head}<br>{text}<br><b>{task}</b></div>'
 
@@ -374,9 +374,9 @@ def _line(row: Reading) -> str:
     if not row.name:
         return f"<i>{value}</i>"
     if row.colour is not None:
-        value = f'<b style="color:{hex_of(on_white(row.colour))}">{value}</b>'
+        value = f'<b style="color:{on_page(row.colour)}">{value}</b>'
     return f'<span style="opacity:.65">{row.name}</span> {value}'
 
 
 def _coloured(row: Reading) -> str:
-    return f'<span style="color:{hex_of(row.colour or STOP)}">&#9632;</span> {row.name} {row.value}'
+    return f'<span style="color:{on_page(row.colour or STOP, 3.0)}">&#9632;</span> {row.name} {row.value}'

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.colours import BOUNDARY, Colour, hex_of, on_white
+from maglev_mj.colours import BOUNDARY, Colour, on_page
 from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
@@ -48,15 +48,13 @@ def drawn(chart: Chart) -> str:
         x, y = _between(line.x, across, _LEFT, right), _between(line.y, up, bottom, _TOP)
         points = " ".join(f"{px:.1f},{py:.1f}" for px, py in zip(x, y) if np.isfinite(py))
         dash = ' stroke-dasharray="4 3"' if line.dashed else ""
-        style = f'fill="none" stroke="{hex_of(on_white(line.colour, 3.0))}" stroke-width="1.6"{dash}'
+        style = f'fill="none" stroke="{on_page(line.colour, 3.0)}" stroke-width="1.6"{dash}'
         parts.append(f'<polyline points="{points}" {style}/>')
         if line.dot and len(x) and _LEFT <= x[-1] <= right and _TOP <= y[-1] <= bottom:  # whole, above the frame
             labels.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="4"{_fill(line.colour, 3.0)}/>')
     labels.append(f'<text x="{(_LEFT + right) // 2}" y="{_HEIGHT - 5}" text-anchor="middle">{escape(foot)}</text>')
     frame = f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}"'
-    return "".join(
-        [*parts, "</svg>", f'{frame} fill="none" stroke="{hex_of(on_white(BOUNDARY, 3.0))}"/>', *labels, "</svg>"]
-    )
+    return "".join([*parts, "</svg>", f'{frame} fill="none" stroke="{on_page(BOUNDARY, 3.0)}"/>', *labels, "</svg>"])
 
 
 def ticks(low: float, high: float) -> list[float]:
@@ -67,7 +65,7 @@ def ticks(low: float, high: float) -> list[float]:
 
 
 def _fill(colour: Colour | None, contrast: float = 4.5) -> str:
-    return "" if colour is None else f' fill="{hex_of(on_white(colour, contrast))}"'
+    return "" if colour is None else f' fill="{on_page(colour, contrast)}"'
 
 
 def _between(value: ArrayLike, ends: Range, first: int, last: int) -> Any:

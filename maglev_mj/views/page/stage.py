@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -73,6 +74,9 @@ def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     return cast(trimesh.Trimesh, trimesh.util.concatenate(meshes))
 
 
+_PUSH = 3.0 * Spec.translation_range.value
+"""Displacement of the target by an arrow key [m], as by a gamepad's full deflection."""
+
 Aim = Callable[[list[float] | None], object]
 """Receives a target pose [m, rad], (6,); None on release."""
 
@@ -117,6 +121,14 @@ class Grab:
             moved = np.array(event.end_position) - self._start
             self._target = dragged_pose(self._start_pose, moved, self.factor, tilts=self._tilts).tolist()
             self._aim(self._target)
+
+    async def push(self, event: Any) -> None:
+        """Drag the knob by a browser's arrow keys: the value names signed axes, such as "+x-z"."""
+        signs = [(f"+{axis}" in event.target.value) - (f"-{axis}" in event.target.value) for axis in "xyz"]
+        phase = "end" if not any(signs) else "update" if self._holder == event.client_id else "start"
+        end = self._start + _PUSH * self.factor * np.array(signs)
+        at = {"modifier": None, "start_position": self._start, "end_position": end}
+        await self._dragged(SimpleNamespace(phase=phase, client_id=event.client_id, **at))
 
     def _release(self) -> None:
         self._holder, self._unresponsive = None, False
