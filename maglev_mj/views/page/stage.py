@@ -19,6 +19,7 @@ from maglev_mj.colours import FIRST, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import GRIP, KNOB, KNOB_BOTTOM, Shape, coil_colour, shapes, wall_box
 from maglev_mj.session import Snapshot
+from maglev_mj.spec import Spec
 from maglev_mj.views.arrows import FORCES, ForceArrow, ForceArrows
 from maglev_mj.views.magnifier import dragged_pose, magnified, motion_words, stretched, widening
 from maglev_mj.views.readings import banner
