@@ -1,31 +1,27 @@
-"""Readings, banner and charts of a session, shared by window and page.
-
-The stability margin is computed in a side process.
-"""
+"""Readings, banner and charts of a session, shared by window and page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, GOOD, HAND, MEASURED, STOP, Colour
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, GOOD, HAND, MEASURED, Colour
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.plants.shapes import MIN_ARROW_FORCE
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.stability_check import UNKNOWN, WallMargin, wall_margin
+from maglev_mj.scenes.stability_check import UNKNOWN
 from maglev_mj.session import DEVICE_PARAMETERS, SHOWN, Snapshot
 from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
 
-_DAMPINGS, _PROCESSES = 32, 3
-"""Points of a stability boundary, and processes that may be killed before there is no answer."""
+_DAMPINGS = 32  # points of a stability boundary
 _EMPTY = np.zeros(0)
 
 
@@ -40,7 +36,6 @@ class Margin(NamedTuple):
         damping: Total damping of the active laws on that axis [N s/m, N m s/rad].
         dampings: Dampings of the stability boundary, increasing, (N,).
         stiffnesses: Critical stiffness at each damping, (N,).
-        wall: Margin of the scene's wall alone; None without a wall.
     """
 
     words: str
@@ -50,25 +45,34 @@ class Margin(NamedTuple):
     damping: float = 0.0
     dampings: Array = _EMPTY
     stiffnesses: Array = _EMPTY
-    wall: WallMargin | None = None
+
+    @property
+    def colour(self) -> Colour | None:
+        """Colour of the verdict; None if not computed."""
+        return None if self.stable is None else GOOD if self.stable else BAD
 
 
-def margin(scene: Scene, delay: float | None = None, inertia: Sequence[float] | None = None) -> Margin:
+def margin(
+    scene: Scene, delay: float | None = None, inertia: Sequence[float] | None = None, *, linearised: bool = True
+) -> Margin:
     """Return the smallest stability margin of a scene, over all axes and combinations of laws, without a hand.
 
     Args:
         scene: The scene.
         delay: See `stability`.
         inertia: See `stability`.
+        linearised: False to skip laws that do not declare their gains.
     """
     body, lag = scene.body.inertia if inertia is None else np.array(inertia), scene.delay if delay is None else delay
     try:
         gains = stated_gains(scene.controller())
-        verdict, wall = stability(scene, inertia=body, delay=lag), wall_margin(scene, inertia=body, delay=lag)
+        if gains is None and not linearised:
+            return _COMPUTING
+        verdict = stability(scene, inertia=body, delay=lag)
         if gains is None:
-            return Margin(str(verdict), verdict.stable, wall=wall)
-        return _smallest(scene, verdict, list(gains.values()), body, lag)._replace(wall=wall)
-    except MaglevError as error:
+            return Margin(str(verdict), verdict.stable)
+        return _smallest(scene, verdict, list(gains.values()), body, lag)
+    except Exception as error:  # of a user's laws, too
         return _not_computed(error)
 
 
@@ -103,54 +107,59 @@ def _smallest(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]], 
 
 
 class StabilityMap:
-    """Stability margin of the newest scene, computed in a side process.
+    """Stability margin of the newest scene.
 
-    Attributes:
-        scene: Scene of the last margin; None before the first.
+    It is computed at once from declared gains, in milliseconds. Linearisation can take seconds: it runs in a side
+    process without a deadline.
     """
 
     def __init__(self) -> None:
-        self.scene: Scene | None = None
-        self._answers: SideAnswers | None = None
-        self._arguments: Any = None
-        self._margin, self._left = Margin("computing stability"), 0
+        self._answers: Any = None
+        self._arguments: tuple[Any, ...] = (None,)
+        self._margin, self._waiting, self._reused = _COMPUTING, False, False
 
-    def of(self, snapshot: Snapshot) -> Margin:
-        """Return the margin of a snapshot's scene, or the previous one for as long as it takes to compute."""
-        if not self._left and (arguments := _arguments(snapshot)) != self._arguments:
-            self._arguments, self._left = arguments, _PROCESSES
-            self._ask()
-        if self._left and self._answers is not None:
+    def of(self, snapshot: Snapshot, *, wait: bool = False) -> Margin:
+        """Return the margin of a snapshot's scene; that of the last delay while another one is computed.
+
+        Args:
+            snapshot: The snapshot.
+            wait: True to linearise in this process.
+        """
+        arguments = _arguments(snapshot)
+        if arguments != self._arguments or (wait and self._waiting):
+            computed = margin(*arguments, linearised=wait)
+            self._waiting = computed is _COMPUTING
+            if not self._waiting or arguments[0] != self._arguments[0]:
+                self._margin = computed
+            self._arguments = arguments
+            if self._waiting:
+                self._reused = self._answers is not None and not self._answers.ended
+                if not self._reused:
+                    self._answers = SideAnswers(margin, UNKNOWN)
+                self._answers.ask(*arguments)
+        if self._waiting:
+            answer: Margin | None = None
             try:
-                computed = self._answers.answer()
-            except Exception as error:  # no answer, or a scene that cannot be pickled
-                self._left = self._left - 1 if self._answers.ended else 0
-                computed = None if self._left else _not_computed(error)
-                if self._left:
-                    self._ask()
-            if computed is not None:
-                self.scene, self._margin, self._left = self._arguments[0], computed, 0
+                answer = self._answers.answer()
+            except Exception as error:  # the process has ended, or a scene that cannot be pickled
+                if self._answers.ended and self._reused:  # perhaps before the question: ask a new one
+                    self._arguments = (None,)
+                else:
+                    answer = _not_computed(error)
+            if answer is not None:
+                self._margin, self._waiting = answer, False
         return self._margin
 
-    def _ask(self) -> None:
-        if self._answers is None or self._answers.ended:
-            self._answers = SideAnswers(margin, UNKNOWN)
-        self._answers.ask(*self._arguments)
 
-    def wait(self, snapshot: Snapshot) -> None:
-        """Compute a missing margin in this process."""
-        if self.scene != snapshot.scene:
-            self.scene, self._arguments, self._left = snapshot.scene, _arguments(snapshot), 0
-            self._margin = margin(*self._arguments)
-
-
+_COMPUTING = Margin("computing stability")
 STABILITY = StabilityMap()
 """Shared by all viewers of this process."""
 
 
 def _arguments(snapshot: Snapshot) -> tuple[Scene, float | None, Sequence[float] | None]:
     """Return the arguments of `margin`; a measured delay is rounded to 0.1 ms, because it fluctuates."""
-    return snapshot.scene, round(snapshot.delay, 4) if snapshot.state == "flying" else None, snapshot.inertia
+    is_measured = snapshot.state == "flying" and not math.isnan(snapshot.delay)
+    return snapshot.scene, round(snapshot.delay, 4) if is_measured else None, snapshot.inertia
 
 
 @lru_cache
@@ -200,7 +209,8 @@ class Chart(NamedTuple):
         lines: Lines, the last one on top; empty for a title alone.
         across: Limits of the horizontal axis.
         up: Limits of the vertical axis.
-        foot: Label of the horizontal axis, of both axes of the stability map; empty for a title alone.
+        foot: Label of the horizontal axis; empty for a title alone.
+        side: Label of the vertical axis; empty if it is the title.
     """
 
     title: Sequence[tuple[str, Colour | None]]
@@ -208,6 +218,7 @@ class Chart(NamedTuple):
     across: Range
     up: Range
     foot: str = ""
+    side: str = ""
 
 
 class Charts:
@@ -241,8 +252,9 @@ class Charts:
         name, unit, across = AXES[axis], unit_of("mm", axis), (-round_up(min(max(past, _LEAST_TIME), SHOWN)), 0.0)
         first = snapshot.first
         positions, speeds = self._positions(position, walls, 1e3 * first[:, 1 + axis]), self._speeds(speed)
-        kind = f"{'torque' if axis > 2 else 'force'}, {name} [{unit_of('N', axis)}]"
-        title = [(f"{name} [{unit}]", MEASURED), *([("walls", None)] if walls else [])]
+        place = f"{'angle about' if axis > 2 else 'position along'} {name[-1]} [{unit}]"
+        kind = f"{'torque about' if axis > 2 else 'force along'} {name[-1]} [{unit_of('N', axis)}]"
+        title = [(place, MEASURED), *([("walls", None)] if walls else [])]
         title += [("first attempt", FIRST)] if len(first) else []
         return [
             Chart(
@@ -272,26 +284,26 @@ class Charts:
                 ],
                 positions,
                 speeds,
-                f"{name} [{unit}]",
+                place,
             ),
         ]
 
     def _gains(self, snapshot: Snapshot) -> Chart:
         """Return the stability map; the verdict alone if a law states no gains."""
         margin = STABILITY.of(snapshot)
-        colour = None if margin.stable is None else GOOD if margin.stable else BAD
+        title = [(margin.words, margin.colour)]
         if not (axis := margin.axis):
-            return Chart([(margin.words, colour)], [], (0.0, 1.0), (0.0, 1.0))
+            return Chart(title, [], (0.0, 1.0), (0.0, 1.0))
         factor, prefix = (1.0, "") if axis.startswith("r") else (1e-3, "k")
         boundary, stiffness = factor * margin.stiffnesses, factor * margin.stiffness
         width = max(float(margin.dampings.max(initial=0.0)), 1.1 * margin.damping, _LEAST_GAIN)
         height = max(float(boundary.max(initial=0.0)), 1.1 * stiffness, factor * _LEAST_GAIN)
         lines = [
             Line(BOUNDARY, margin.dampings, boundary),
-            Line(colour or BOUNDARY, [margin.damping], [stiffness], dot=True),
+            Line(margin.colour or BOUNDARY, [margin.damping], [stiffness], dot=True),
         ]
-        foot = f"stiffness [{prefix}{unit_of('N/m', axis)}] vs damping [{unit_of('N s/m', axis)}], {axis}"
-        return Chart([(margin.words, colour)], lines, (0.0, round_up(width)), (0.0, round_up(height)), foot)
+        foot, side = f"damping [{unit_of('N s/m', axis)}], {axis}", f"stiffness [{prefix}{unit_of('N/m', axis)}]"
+        return Chart(title, lines, (0.0, round_up(width)), (0.0, round_up(height)), foot, side)
 
 
 class SteadyRange:
@@ -427,8 +439,25 @@ def stop_contacts(snapshot: Snapshot) -> StopContacts:
 
 
 _LEAST_ENERGY = 5e-5
-FORCES = "hand", "device", "stops"
-"""Names of the force readings."""
+GROUPS: Mapping[str, Sequence[str]] = {
+    "felt": ("hand", "device", "margin", "speed"),
+    "scene": ("wall", "pulse", "stiffness", "damping"),
+    "friction": ("friction", "breakaway"),
+    "loop": ("period", "delay", "weightless"),
+    "numbers": ("stops", "gains", "active", "rate", "time", "position", "scene", "tick", "energy"),
+}
+"""Readings (first and last group) and live parameters by group, in the order of window and page.
+
+Energy is last, as its number of lines varies.
+"""
+
+
+def grouped(parameters: Iterable[Parameter]) -> dict[str, list[Parameter]]:
+    """Return live parameters by group in the order of GROUPS; "scene" contains those of other names."""
+    groups: dict[str, list[Parameter]] = {name: [] for name in [*GROUPS][1:-1]}
+    for item in filter(lambda item: item.live, parameters):
+        groups[next((name for name in groups if item.name in GROUPS[name]), "scene")].append(item)
+    return {name: items for name, items in groups.items() if items}
 
 
 class Reading(NamedTuple):
@@ -461,39 +490,34 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
     total = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
     digits = 3 if snapshot.time_scale < 1.0 else 1
     position = 1e3 * snapshot.pose[:3].round(5) + 0.0
+    margin, (_, delay, _) = STABILITY.of(snapshot), _arguments(snapshot)
+    delay = scene.delay if delay is None else delay  # the one of the margin
     rows = [
         Reading("scene", f"{scene.name}: {scene.describe()}"),
+        Reading("margin", margin.words, margin.colour),
         *(Reading("", note) for note in (stop_contacts(snapshot).words, *snapshot.notes, *notes)),
         Reading("gains", "  ".join(gains)),
-        _wall(snapshot),
         Reading("active", ", ".join(enabled) or "none" * any(item.kind is bool for item in live)),
-        Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {scene.delay * 1e3:.1f} ms"),
+        Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {1e3 * delay:.1f} ms"),
         Reading("time", f"{snapshot.time:.{digits}f}{total} s"),
         Reading("speed", pace(snapshot)),
         Reading("position", ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", position)) + " mm"),
-        _force("hand", snapshot.hand, HAND, " (estimated)" * snapshot.hand_estimated),
-        _force("device", snapshot.force, DEVICE),
-        _force("stops", snapshot.stops, STOP),
+        _force("hand", snapshot.hand, " (estimated)" * snapshot.hand_estimated),
+        _force("device", snapshot.force),
+        _force("stops", snapshot.stops),
         Reading("energy", _energy(snapshot), BAD if _is_active(snapshot) else None),
         Reading("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} skipped" if snapshot.cost else ""),
     ]
     return [row for row in rows if row.value]
 
 
-def _force(name: str, wrench: Array, colour: Colour, note: str = "") -> Reading:
-    available = np.isfinite(wrench).all()
-    return Reading(name, f"|F| {np.linalg.norm(wrench[:3]):.1f} N{note}" if available else "", colour)
+def magnitude(wrench: Array) -> float:
+    """Return the magnitude of a wrench's force [N]; NaN if it is not measured."""
+    return float(np.linalg.norm(wrench[:3])) if np.isfinite(wrench).all() else math.nan
 
 
-def _wall(snapshot: Snapshot) -> Reading:
-    """Return the stability margin of the wall alone; empty without a wall."""
-    margin = STABILITY.of(snapshot)
-    wall = margin.wall
-    if wall and margin.axis:  # the stability map states the fraction, of all laws
-        wall = wall._replace(margin=math.nan)
-    if STABILITY.scene != snapshot.scene:
-        return Reading("wall", "..." if snapshot.faces else "")
-    return Reading("wall", str(wall or ""), BAD if wall and wall.spectral_radius >= 1.0 else None)
+def _force(name: str, wrench: Array, note: str = "") -> Reading:
+    return Reading(name, "" if math.isnan(size := magnitude(wrench)) else f"|F| {size:.1f} N{note}")
 
 
 def _is_active(snapshot: Snapshot) -> bool:

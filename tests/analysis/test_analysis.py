@@ -440,7 +440,7 @@ def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(tmp_path: Path) 
     replay = Replay(recording)
     replay.tick(0.25)
     shown = replay.snapshot()
-    assert shown.hand_estimated and "N (estimated)" in panel._words(shown, False)
+    assert shown.hand_estimated and "hand, estimated |F|" in panel._gauge(shown)
     assert "hand, estimated" in plots.drawn(Charts(100).of(shown, 0)[1])
 
 
@@ -449,7 +449,7 @@ def test_a_hand_that_is_not_known_is_not_drawn() -> None:
     replay.tick(0.4)
     shown = replay.snapshot()
     assert np.isnan(shown.hand).all() and math.isnan(shown.work)
-    assert "hand" not in dict(status_rows(shown)).get("energy", "") and "hand" not in panel._words(shown, False)
+    assert "hand" not in dict(status_rows(shown)).get("energy", "") and "hand" not in panel._gauge(shown)
     force = Plots().update(shown)[1]
     assert force.linepnt[0] == 0 and force.linepnt[1] > 50 and np.isfinite(force.linedata).all()
     drawn = plots.drawn(Charts(100).of(shown, 0)[1])

@@ -235,7 +235,7 @@ class Slow(Drop):
         (lambda scene: run(scene, plant="exact").warnings, 40_000, "not computed"),
         (stability_warning, 40_000, "not computed"),
         (lambda scene: wall_margin(scene, held=True), 7_000, "spectral radius 0.877"),
-        (lambda scene: margin(scene).words, 47_000, "not computed"),
+        (lambda scene: margin(scene).words, 40_000, "not computed"),
         (lambda scene: judge_change(scene, [*INERTIA], [], report=GOOD, anyway=False)[1], 40_000, "not computed"),
         (lambda scene: unstable([scene]), 0, "False"),
     ],

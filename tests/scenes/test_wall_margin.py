@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
 from maglev_mj import analyse, rebuild, record_run, run
 from maglev_mj.analysis.pictures import _describe
-from maglev_mj.colours import BAD
 from maglev_mj.control import Law, Wall
 from maglev_mj.errors import MaglevError
-from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Joystick
@@ -24,7 +21,11 @@ from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.session import Snapshot
 from maglev_mj.theory import stability
-from maglev_mj.views.readings import Reading, StabilityMap, margin, readings
+from maglev_mj.views import readings as views
+from maglev_mj.views.page import panel
+from maglev_mj.views.readings import Charts, StabilityMap, margin, readings
+from maglev_mj.views.window.screen import status_rows
+from tests.all_of import SCENES
 from tests.bridge.test_flight_changes import Here
 from tests.sweeps import sweep
 from tests.theory.test_linearise import WEIGHTS, Echo
@@ -92,100 +93,117 @@ def test_it_is_that_of_the_hand_delay_and_flotor_in_question() -> None:
 # what a person reads
 
 
-@pytest.fixture(params=[Here, pytest.param(SideAnswers, marks=pytest.mark.machine)])
-def beside(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[StabilityMap]:
-    """Give viewers answers of their own: of this process, or of one beside it, with time for it on a busy machine."""
-    monkeypatch.setattr("maglev_mj.views.readings.SideAnswers", request.param)
-    own = StabilityMap()
-    monkeypatch.setattr("maglev_mj.views.readings.STABILITY", own)
-    yield own
-    if own._answers is not None:
-        own._answers.close(0.0)
+class Unstated(Wall):
+    """Wall that declares no gains."""
+
+    def gains(self) -> Any: ...
+
+
+class Undeclared(WallScene):
+    """Drop on a wall that declares no gains."""
+
+    def laws(self) -> list[Law]:
+        return [Unstated(axes="z", lower=0.0, stiffness=self.stiffness, damping=self.damping)]
+
+
+class Quick(NamedTuple):
+    """Verdict of a linearisation that takes no time."""
+
+    stiffness: float
+    delay: float
+    stable: bool = True
+
+
+@pytest.fixture
+def own(monkeypatch: pytest.MonkeyPatch) -> StabilityMap:
+    """Give viewers a stability map of their own, with answers of this process instead of another."""
+    monkeypatch.setattr("maglev_mj.views.readings.SideAnswers", Here)
+    monkeypatch.setattr("maglev_mj.views.readings.STABILITY", StabilityMap())
+    return views.STABILITY
 
 
 def shown(scene: Scene, **more: Any) -> Snapshot:
     return Snapshot(scene=scene, faces=scene.controller().faces, **more)
 
 
-def wall_of(snapshot: Snapshot) -> Reading | None:
-    return next((one for one in readings(snapshot) if one.name == "wall"), None)
+def verdict(snapshot: Snapshot) -> str:
+    """Return the verdict, which all elements of window and page must show alike."""
+    row = next(row for row in readings(snapshot) if row.name == "margin")
+    assert [(row.value, row.colour)] == list(Charts(9).of(snapshot, 0)[2].title)
+    assert f">{row.value}<" in panel._verdict(snapshot) and dict(status_rows(snapshot))["margin"] == row.value
+    return row.value
 
 
-def without_fraction(scene: Scene, **options: Any) -> str:
-    """Return the margin of a wall in words, without the fraction, which the stability map states."""
-    return str(wall_margin(scene, **options)).rpartition(", ")[0]
+@pytest.mark.parametrize("name", SCENES)
+def test_the_verdict_is_one_number_without_waiting(name: str, own: StabilityMap) -> None:
+    scene: Any = find_scene(name)()
+    scenes = [scene, *(scene.replace(stiffness=2.5 * scene.stiffness) for _ in range(hasattr(scene, "stiffness")))]
+    for changed in scenes:
+        assert verdict(shown(changed)) == margin(changed).words and own._answers is None
+    assert verdict(shown(Drop(stiffness=15_000.0))) == "unstable on z: 148 % of critical stiffness"
 
 
-def settled(snapshot: Snapshot, known: Callable[[], bool]) -> Reading | None:
-    """Return the reading once the process has answered."""
-    while not known():
-        wall_of(snapshot)
-        time.sleep(0.005)
-    return wall_of(snapshot)
-
-
-def test_a_reading_is_computed_beside_the_viewer(beside: StabilityMap) -> None:
-    for scene, colour in ((Drop(), None), (Drop(stiffness=15_000.0), BAD)):
-        meanwhile = wall_of(shown(scene))
-        assert meanwhile == Reading("wall", "...")
-        found = settled(shown(scene), lambda scene=scene: beside.scene == scene)  # type: ignore[misc]
-        assert found == Reading("wall", without_fraction(scene), colour)
-    table = find_scene("table")()
-    assert wall_of(shown(table)) is None and settled(shown(table), lambda: beside.scene == table) is None
-
-
-def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(beside: StabilityMap) -> None:
+def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(own: StabilityMap) -> None:
     flying: dict[str, Any] = {"state": "flying", "inertia": [0.75] * 3 + [1e-3] * 3}
-    shots = [shown(Joystick(), delay=delay, **flying) for delay in (0.0021, 0.00212, 0.0031)]
-    found = [settled(shots[0], lambda: beside.scene is not None), wall_of(shots[1])]
-    assert beside._arguments[1] == 0.0021 and wall_of(shots[2]) != Reading("wall", "...")  # of the same scene
-    found.append(settled(shots[2], lambda: not beside._left))
-    want = [without_fraction(Joystick(), delay=delay, inertia=flying["inertia"]) for delay in (0.0021, 0.0031)]
-    assert [one.value for one in found if one] == [want[0], *want]
+    texts = [verdict(shown(Joystick(), delay=delay, **flying)) for delay in (0.0021, 0.00212, 0.0031)]
+    want = [margin(Joystick(), delay, flying["inertia"]).words for delay in (0.0021, 0.0031)]
+    assert texts == [want[0], *want] and want[0] != want[1]
+    rows = {row.name: row.value for row in readings(shown(Joystick(), delay=0.0031, **flying))}
+    assert rows["rate"] == "200 Hz, delay 3.1 ms"
 
 
-@pytest.mark.parametrize("beside", [pytest.param(SideAnswers, marks=pytest.mark.machine)], indirect=True)
-def test_a_viewer_outlives_the_process(beside: StabilityMap) -> None:
-    settled(shown(Drop()), lambda: beside.scene is not None)
-    assert beside._answers is not None
-    beside._answers._process.kill()
-    beside._answers._process.join()
-    again = Drop(stiffness=2000.0)
-    assert settled(shown(again), lambda: beside.scene == again) == Reading("wall", without_fraction(again))
+def test_without_declared_gains_the_last_verdict_is_of_the_same_scene(
+    own: StabilityMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(views, "stability", lambda scene, *, inertia, delay: Quick(scene.stiffness, delay))
+    flying: dict[str, Any] = {"state": "flying"}
+    scenes = Undeclared(), Undeclared(stiffness=15_000.0)
+    asked = [shown(scenes[0], delay=0.0015, **flying), shown(scenes[0], delay=0.0031, **flying), shown(scenes[1])]
+    texts = [[own.of(snapshot).words for _ in range(2)] for snapshot in asked]
+    first, late, last = (str(Quick(*one)) for one in ((6000.0, 0.0015), (6000.0, 0.0031), (15_000.0, 0.0015)))
+    assert texts == [["computing stability", first], [first, late], ["computing stability", last]]
+    assert own.of(shown(scenes[0]), wait=True).words == first
+
+
+@pytest.mark.machine
+def test_a_viewer_outlives_the_process() -> None:
+    own = StabilityMap()
+    for scene in (Undeclared(), Undeclared(stiffness=2000.0)):
+        while (found := own.of(shown(scene)).words) == "computing stability":
+            time.sleep(0.005)
+        assert found == str(stability(scene))
+        own._answers._process.kill()
+        own._answers._process.join()
+
+
+ENDED = MaglevError("stability not computed: its process has ended")
 
 
 @pytest.mark.parametrize(
     ("answers", "words"),
     [
-        ([None] * 500, "stable: 59 % of critical stiffness"),
-        (["killed", None, "killed"], "stable: 59 % of critical stiffness"),
-        (["killed"] * 3, "stability not computed: its process has ended"),
+        ([None] * 500, str(Quick(6000.0, 0.0015))),
+        ([ENDED], "stability not computed: its process has ended"),
         ([TypeError("no pickle")], "stability not computed: no pickle"),
     ],
-    ids=["slow", "killed twice", "always killed", "raises"],
+    ids=["slow", "killed", "raises"],
 )
 def test_each_question_of_a_viewer_is_answered_in_the_end(
-    answers: list[Any], words: str, monkeypatch: pytest.MonkeyPatch
+    answers: list[Any], words: str, own: StabilityMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Faulty(Here):
         """Process with the next of the answers at each poll, then the right one."""
 
         def answer(self) -> Any:
-            fault = answers.pop() if answers else margin(*self.question)
-            if fault == "killed":
-                self.ended = True
-                fault = MaglevError("stability not computed: its process has ended")
+            fault = answers.pop() if answers else self._found[0]
             if isinstance(fault, Exception):
                 raise fault
             return fault
 
-        def ask(self, *question: Any) -> None:
-            self.question = question
-
     monkeypatch.setattr("maglev_mj.views.readings.SideAnswers", Faulty)
-    stability_map, polls = StabilityMap(), len(answers)
-    texts = [stability_map.of(shown(Drop())).words for _ in range(polls + 1)]
-    assert set(texts[:-1]) <= {"computing stability"} | {words} and texts[-1] == words
+    monkeypatch.setattr(views, "stability", lambda scene, *, inertia, delay: Quick(scene.stiffness, delay))
+    texts = [own.of(shown(Undeclared())).words for _ in range(len(answers) + 1)]
+    assert set(texts[:-1]) <= {"computing stability", words} and texts[-1] == words
 
 
 def test_charts_of_runs_and_recordings_say_it() -> None:

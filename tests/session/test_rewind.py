@@ -173,7 +173,7 @@ def test_the_first_try_is_shown_until_its_end_and_the_live_hand_follows() -> Non
     now, found = session.snapshot(), Charts(100).of(session.snapshot(), 2)[0]
     assert now.ghost is not None and now.ghost.tobytes() == first[149, 1:7].tobytes()
     assert (now.ghost != now.pose).any() and now.hand.tobytes() == first[149, 19:].tobytes()
-    assert [words for words, _ in found.title] == ["z [mm]", "walls", "first attempt"]
+    assert [words for words, _ in found.title] == ["position along z [mm]", "walls", "first attempt"]
     assert np.asarray(found.lines[-2].y)[-1] == pytest.approx(1e3 * now.ghost[2])
     session.hand.target = [-0.002, 0.0, 0.0, 0.0, 0.0, 0.0]
     run_to(session, end)

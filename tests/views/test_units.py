@@ -19,7 +19,7 @@ from maglev_mj.session import Snapshot
 from maglev_mj.theory.verdict import stability
 from maglev_mj.views.page import plots as page_plots
 from maglev_mj.views.page.panel import control
-from maglev_mj.views.readings import FORCES, STABILITY, Charts
+from maglev_mj.views.readings import STABILITY, Charts
 from maglev_mj.views.window import screen as window_plots
 from maglev_mj.views.window.screen import status_rows
 from tests.sweeps import sweep as cases
@@ -66,7 +66,7 @@ def page_curves(snapshot: Any) -> str:
     """Return the texts of the page's plots."""
     gui = PlotGui()
     shown = page_plots.Plots(gui, snapshot.scene)
-    STABILITY.wait(snapshot)
+    STABILITY.of(snapshot, wait=True)
     shown.show(snapshot)
     return "\n".join(re.sub("<[^>]*>", " ", plot.content) for plot in gui.plots)
 
@@ -74,7 +74,7 @@ def page_curves(snapshot: Any) -> str:
 def window_curves(snapshot: Any) -> str:
     """Return the texts of the window's plots."""
     shown = window_plots.Plots()
-    STABILITY.wait(snapshot)
+    STABILITY.of(snapshot, wait=True)
     return "\n".join(f"{one.title}\n{one.xlabel}" for one in shown.update(snapshot))
 
 
@@ -97,7 +97,7 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
     gui, session = Gui(), Session(scene)
     for one in scene.parameters():
         control(gui, one, scene, lambda *_: None)
-    arrows = "arrows", *FORCES  # along x, y and z in any scene
+    arrows = "arrows", "hand", "device", "stops"  # along x, y and z in any scene
     said = {
         "run": str(both.table()),
         "sweep": str(swept.table()),
@@ -115,7 +115,7 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
         "series": "\n".join(texts_of(series(both))),
     }
     plots = Charts(100).of(session.snapshot(), AXES.index(axis))
-    assert all(len(re.findall(r"\[.+?\]", title[0][0] + foot)) == 2 for title, *_, foot in plots), plots
+    assert all(len(re.findall(r"\[.+?\]", title[0][0] + foot + side)) == 2 for title, *_, foot, side in plots), plots
     session.close()
     assert {name: wrong(text, axis) for name, text in said.items() if wrong(text, axis)} == {}
     other = "x" if axis.startswith("r") else "rx"

@@ -255,7 +255,7 @@ def test_a_shape_is_closed_faces_outward_and_has_its_volume(kind: str) -> None:
 def test_a_chart_contains_its_points_and_escapes_markup() -> None:
     line = Line((1.0, 0.0, 0.0), [0.0, 1.0], [0.0, 2.0], dot=True)
     made = drawn(Chart([("a<b", None)], [line], (0.0, 1.0), (0.0, 2.0)))
-    assert "a&lt;b" in made and 'points="38.0,134.0 306.0,22.0"' in made and "#ff0000" in made
+    assert "a&lt;b" in made and 'points="44.0,126.0 308.0,20.0"' in made and "#ff0000" in made
     assert made.index("<circle") > made.index("</svg>")  # whole: the inner element clips
     assert "<circle" not in drawn(Chart([("a", None)], [line], (0.0, 0.9), (0.0, 2.0)))
     assert ticks(0.0, 20.0) == [0.0, 5.0, 10.0, 15.0, 20.0] and ticks(-3.7, 4.1) == [-2.0, 0.0, 2.0, 4.0]

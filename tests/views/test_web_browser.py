@@ -117,7 +117,7 @@ def opened(browser: Any, run: Run, **options: Any) -> Any:
     """Return a tab that shows the scene."""
     tab = blank(browser.new_context(**{"viewport": SIZE, "device_scale_factor": 0.25, **options}), UNDRAWN)
     tab.goto(run.url, wait_until="domcontentloaded")
-    tab.wait_for_selector("text=joystick")
+    tab.wait_for_selector(".gauge")
     return tab
 
 
@@ -263,6 +263,10 @@ def test_a_number_typed_key_by_key_takes_effect_as_typed_or_is_refused(
     try:
         tab = opened(browser, run)
         tab.wait_for_selector("[aria-label='rewind [s]']")
+        tab.wait_for_selector("#state:has-text('of critical stiffness')", state="attached")
+        for fold in tab.locator(".mantine-Paper-root[role=button]").all():
+            fold.press("Enter")
+        tab.wait_for_function("document.querySelectorAll('.mantine-Paper-root[aria-expanded=true]').length == 4")
         for box in tab.locator(".mantine-NumberInput-input").all():
             name, last = str(box.get_attribute("aria-label")), box.input_value()
             for text in ("12,5", "", "abc", "1e9", "-1", "1.25"):
@@ -456,7 +460,7 @@ def test_without_webgl_and_with_the_cookie_alone_the_controls_work(run: Run, tab
     other = blank(tab.context, NO_WEBGL)
     other.goto(address, wait_until="domcontentloaded")
     other.wait_for_selector("text=no WebGL")
-    other.wait_for_selector("text=joystick")
+    other.wait_for_selector(".gauge")
     assert other.url == address and other.title() == "maglev-mj"
     before = stiffness(run.shown)
     other.locator("[role=slider]").nth(1).focus()

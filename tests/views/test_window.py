@@ -96,7 +96,7 @@ def drawings(shot: Snapshot, view: Area, scale: int) -> Iterator[Any]:
         shown, screen = replace(shot, **state), Screen()
         if keys:
             screen.press(KEYS, shown.scene)
-        STABILITY.wait(shown)
+        STABILITY.of(shown, wait=True)
         yield shown, keys, notes, screen.draw(shown, view, scale, notes)
 
 

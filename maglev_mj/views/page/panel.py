@@ -1,24 +1,25 @@
-"""Panel of the page: banner, readings, actions, scene, parameters, cameras."""
+"""Panel of the page: banner, forces, verdict, actions, scene, parameters, cameras, readings."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from functools import partial
 from html import escape
+from operator import attrgetter
 from typing import Any
 
-from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of, on_page, on_white
+from maglev_mj.colours import BAD, DEVICE, GOOD, HAND, Colour, hex_of, on_page, on_white
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICE_PARAMETERS, EMERGENCY_STOP, MAX_REWIND, REWIND_ACTIONS, SCENE_PREFIX, Snapshot
-from maglev_mj.session.actions import actions
+from maglev_mj.session import EMERGENCY_STOP, MAX_REWIND, REWIND_ACTIONS, SCENE_PREFIX, Snapshot
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.magnifier import MAGNIFICATIONS
 from maglev_mj.views.page.stage import VIEWS, look, update
-from maglev_mj.views.readings import FORCES, RESUME, Banner, Reading, banner, readings, round_up
+from maglev_mj.views.readings import GROUPS, RESUME, Reading, banner, grouped, magnitude, readings, round_up
 
 Ask = Callable[[str, Any], object]
 """Request of a user: "act" and an action, or "change" and parameters."""
@@ -168,17 +169,9 @@ def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None
         handle = gui.add_dropdown(item.live.word or label, tuple(choices), initial_value=text(value), hint=hint)
         return Choice(item.name, handle, ask, text, choices)
     scale, unit = (1e3, "ms") if item.unit == "s" else (1.0, unit_of(item.unit, scene.axis, item.along))
-    return Slider(
-        gui,
-        item.name,
-        f"{label} [{unit}]" if unit else label,
-        hint,
-        value,
-        _limits(item),
-        ask,
-        scale,
-        abs(item.default) if isinstance(item.default, float | int) else 0.0,
-    )
+    label = f"{label} [{unit}]" if unit else label
+    reference = abs(item.default) if isinstance(item.default, float | int) else 0.0
+    return Slider(gui, item.name, label, hint, value, _limits(item), ask, scale, reference)
 
 
 def _limits(item: Parameter) -> tuple[float, float]:
@@ -205,13 +198,15 @@ _ROWS = {
     "tour": ("back", "next"),
 }
 _MAX_STIFFNESS = 5000.0  # of the hand [N/m]
-_INPUTS = "gains", "active"
+_INPUTS = "gains", "active", "rate"
+_FULL = 10.0
+"""Force of a full bar [N], above that of the mouse's hand."""
 _MOTIONS = {f"x{factor}": factor for factor in MAGNIFICATIONS}
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 
 
 class Panel:
-    """Panel beside the scene: banner, readings, buttons and controls.
+    """Panel beside the scene: what is felt, buttons and controls; folders for all other controls and readings.
 
     Args:
         server: viser's server.
@@ -226,111 +221,102 @@ class Panel:
     ) -> None:
         self._ask, self._magnify, self._settings = ask, magnify, settings
         gui = self._gui = server.gui
-        self._actions: tuple[str, ...] | None = None
         self._scene: Any = None
-        self._banner, self._words = gui.add_html("", order=0.0), gui.add_html("", order=0.1)
-        self._buttons, self._parameters = gui.add_folder(None), gui.add_folder(None)
+        self._banner, self._gauge, self._verdict = (gui.add_html("", order=0.1 * index) for index in range(3))
+        self._buttons, self._parameters = gui.add_folder(None, order=1.0), gui.add_folder(None)
+        self._rows: dict[str, Any] = {}
         self._controls: list[tuple[Control, Callable[[Snapshot], Any]]] = []
         self._time: Slider | None = None
-        if snapshot.duration is not None:
-            hint, bounds = "time in the recording", (0.0, snapshot.duration)
-            self._time = Slider(gui, "time", "time [s]", hint, snapshot.time, bounds, ask, reference=snapshot.duration)
-        elif snapshot.rewound is not None and settings:
-            hint, bounds = "time before now; pauses the scene", (0.0, MAX_REWIND)
-            self._time = Slider(gui, "rewind", "rewind [s]", hint, 0.0, bounds, ask, reference=MAX_REWIND)
+        name, hint, end = "time", "time in the recording", snapshot.duration
+        if settings and snapshot.rewound is not None:
+            name, hint, end = "rewind", "time before now; pauses the scene", MAX_REWIND
+        if end is not None:
+            self._time = Slider(gui, name, f"{name} [s]", hint, 0.0, (0.0, end), ask, reference=end)
             self._time.handle.order = 1.1
-        self._add_views()
-        self.show(snapshot)
-
-    def show(self, snapshot: Snapshot) -> None:
-        """Show a snapshot."""
-        available = tuple(name for name in snapshot.actions if snapshot.rewound or name not in REWIND_ACTIONS[1:])
-        if available != self._actions:
-            self._actions = available
-            self._make_buttons(snapshot, available)
-        if type(snapshot.scene) is not self._scene:
-            self._scene = type(snapshot.scene)
-            self._make_controls(snapshot)
-        update(self._banner, content=_banner(banner(snapshot), snapshot))
-        update(self._words, content=_tour(snapshot.tour) + _words(snapshot, self._settings))
-        for control, value in self._controls:
-            control.show(value(snapshot))
-        if self._time is not None:
-            self._time.show(round(snapshot.time if snapshot.rewound is None else snapshot.rewound, 2))
-
-    def _make_buttons(self, snapshot: Snapshot, available: Sequence[str]) -> None:
-        """Add a button for each action without another control."""
-        self._buttons.remove()
-        self._buttons = self._gui.add_folder(None, order=1.0)
-        placed = {name for row in _ROWS.values() for name in row} | {
-            EMERGENCY_STOP,
-            "next scene",
-            REWIND_ACTIONS[0],
-            *actions(type(snapshot.scene)),
-        }
-        others = tuple(name for name in available if name not in placed and not name.startswith(SCENE_PREFIX))
-        with self._buttons:
-            for label, row in (_ROWS | {"more": others}).items():
-                if names := tuple(name for name in row if name in available):
-                    self._add_row(label, names)
-            if EMERGENCY_STOP in available:
-                stop = self._gui.add_button(EMERGENCY_STOP, color=tuple(round(255 * part) for part in on_white(BAD)))
-                stop.on_click(partial(self._act, lambda: EMERGENCY_STOP))
-
-    def _add_row(self, label: str, names: tuple[str, ...]) -> None:
-        row = self._gui.add_button_group(label, names)
-        row.on_click(partial(self._act, lambda: row.value))
-
-    async def _act(self, name: Callable[[], str], _: Any) -> None:
-        self._ask("act", name())
-
-    def _add_views(self) -> None:
-        views = self._gui.add_button_group("camera", tuple(VIEWS), order=4.0)
+        if EMERGENCY_STOP in snapshot.actions:
+            colour = tuple(round(255 * part) for part in on_white(BAD))
+            stop = gui.add_button(EMERGENCY_STOP, color=colour, order=1.05)
+            stop.on_click(partial(self._act, lambda: EMERGENCY_STOP))
+        views = gui.add_button_group("camera", tuple(VIEWS), order=3.0)
 
         async def chosen(event: Any) -> None:
             look(event.client, views.value)
 
         views.on_click(chosen)
-        self._motion = self._gui.add_button_group(
-            "motion", tuple(_MOTIONS), order=4.1, hint="magnification of the displayed motion"
-        )
-        self._motion.on_click(self._set_motion)
+        self.show(snapshot)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show a snapshot."""
+        self._show_buttons(snapshot)
+        if type(snapshot.scene) is not self._scene:
+            self._scene = type(snapshot.scene)
+            self._make_controls(snapshot)
+        update(self._banner, content=_banner(snapshot))
+        update(self._gauge, content=_gauge(snapshot))
+        update(self._verdict, content=_verdict(snapshot))
+        update(self._words, content=_words(snapshot, self._settings))
+        for control, value in self._controls:
+            control.show(value(snapshot))
+        if self._time is not None:
+            self._time.show(round(snapshot.time if snapshot.rewound is None else snapshot.rewound, 2))
+
+    def _show_buttons(self, snapshot: Snapshot) -> None:
+        """Show a button for each action without another control; rows are changed in place, which keeps the focus."""
+        hidden = set() if snapshot.rewound else {*REWIND_ACTIONS[1:]}
+        hidden |= {"step"} if snapshot.state == "running" and snapshot.duration is None else set()
+        for order, (label, row) in enumerate(_ROWS.items()):
+            names = tuple(name for name in row if name in snapshot.actions and name not in hidden)
+            if names and label not in self._rows:
+                self._add_row(label, names, order)
+            elif label in self._rows:
+                update(self._rows[label], options=names, visible=bool(names))
+
+    def _add_row(self, label: str, names: tuple[str, ...], order: float) -> None:
+        with self._buttons:
+            row = self._rows[label] = self._gui.add_button_group(label, names, order=order)
+        row.on_click(partial(self._act, lambda: row.value))
+
+    async def _act(self, name: Callable[[], str], _: Any) -> None:
+        self._ask("act", name())
 
     async def _set_motion(self, _: Any) -> None:
         self._magnify(_MOTIONS.get(self._motion.value, 1))  # untrusted input
 
     def _make_controls(self, snapshot: Snapshot) -> None:
-        """Add the controls of scene, live parameters and hand."""
+        """Add the controls of scene, live parameters, hand and display."""
         self._parameters.remove()
         self._controls, scene, gui = [], snapshot.scene, self._gui
         self._parameters = gui.add_folder(None, order=2.0)
-        if not self._settings:
-            return
+        names = [name.removeprefix(SCENE_PREFIX) for name in snapshot.actions if name.startswith(SCENE_PREFIX)]
         with self._parameters:
-            names = [name.removeprefix(SCENE_PREFIX) for name in snapshot.actions if name.startswith(SCENE_PREFIX)]
-            if scene.name in names:
+            if self._settings and scene.name in names:
                 handle = gui.add_dropdown("scene", names, initial_value=scene.name, hint="scene to start")
                 choose = Choice("scene", handle, self._choose, str, {name: name for name in names})
                 self._controls.append((choose, lambda snapshot: snapshot.scene.name))
-            for item in sorted(scene.parameters(), key=lambda item: item.name in DEVICE_PARAMETERS):
-                if item.live and (added := control(gui, item, scene, self._ask)) is not None:
-                    self._controls.append((added, partial(_value, item.name)))
-            hint, bounds = "stiffness of the spring between pointer and knob", (0.0, _MAX_STIFFNESS)
-            hand, usual = snapshot.hand_stiffness, Snapshot.hand_stiffness
-            spring = Slider(gui, "hand_stiffness", "hand [N/m]", hint, hand, bounds, self._ask, reference=usual)
-            self._controls.append((spring, lambda snapshot: snapshot.hand_stiffness))
+            for group, items in (grouped(scene.parameters()) if self._settings else {}).items():
+                with nullcontext() if group == "scene" else gui.add_folder(group, expand_by_default=False):
+                    for item in items:
+                        if (added := control(gui, item, scene, self._ask)) is not None:
+                            self._controls.append((added, attrgetter(f"scene.{item.name}")))
+            with gui.add_folder("more", expand_by_default=False):
+                if self._settings:
+                    hint, bounds = "stiffness of the spring between pointer and knob", (0.0, _MAX_STIFFNESS)
+                    hand, usual = snapshot.hand_stiffness, Snapshot.hand_stiffness
+                    spring = Slider(gui, "hand_stiffness", "hand [N/m]", hint, hand, bounds, self._ask, reference=usual)
+                    self._controls.append((spring, lambda snapshot: snapshot.hand_stiffness))
+                hint = "magnification of the displayed motion"
+                self._motion = gui.add_button_group("motion", tuple(_MOTIONS), hint=hint)
+                self._motion.on_click(self._set_motion)
+            with gui.add_folder("numbers", expand_by_default=False):
+                self._words = gui.add_html("")
 
     def _choose(self, _: str, values: Any) -> None:
         self._ask("act", SCENE_PREFIX + values["scene"])
 
 
-def _value(name: str, snapshot: Snapshot) -> Any:
-    return getattr(snapshot.scene, name)
-
-
-def _banner(content: Banner | None, snapshot: Snapshot) -> str:
+def _banner(snapshot: Snapshot) -> str:
     """Return the banner as HTML."""
-    if content is None:
+    if (content := banner(snapshot)) is None:
         return ""
     action = content.resume_action
     advice = f"press {action} {RESUME[action]}" if action in snapshot.actions else snapshot.remedy
@@ -360,23 +346,41 @@ def _input_name(name: str) -> str:
     return f"the slider {parameter}" if parameter != name else f"the button {name}"
 
 
+def _gauge(snapshot: Snapshot) -> str:
+    """Return the measured forces of hand and device as bars with numbers."""
+    hand, bars = "hand, estimated" if snapshot.hand_estimated else "hand", ""
+    for name, wrench, colour in ((hand, snapshot.hand, HAND), ("device", snapshot.force, DEVICE)):
+        if math.isnan(force := magnitude(wrench)):
+            continue
+        filled = f"width:{min(force / _FULL, 1.0):.1%};background:{on_page(colour, 3.0)};height:100%"
+        number = f"min-width:4.2em;text-align:right;font:600 20px system-ui,sans-serif;color:{on_page(colour)}"
+        bars += (
+            f'<div role="meter" aria-label="{name}, force [N]" aria-valuemin="0" aria-valuemax="{_FULL:g}" '
+            f'aria-valuenow="{min(force, _FULL):.0f}" style="display:flex;align-items:center;gap:.5em">'
+            f'<span style="min-width:5.2em;max-width:7em;line-height:1.1">{name} |F|</span>'
+            f'<div style="flex:1;height:12px;border-radius:4px;overflow:hidden;background:rgba(128,128,128,.22)">'
+            f'<div style="{filled}"></div></div><span style="{number}">{force:.1f} N</span></div>'
+        )
+    return f'<div class="gauge" style="padding:.2em .75em 0">{bars}</div>'
+
+
+def _verdict(snapshot: Snapshot) -> str:
+    """Return stability, notes, speed and the step of a tour as HTML, which the page's script has announced."""
+    lines = "".join(_line(row) for row in readings(snapshot) if row.name in ("margin", "", "speed"))
+    style = "padding:.1em .75em .4em;min-height:3em"  # for a note that comes and goes
+    return f'<div class="verdict" style="{style}">{lines}{_tour(snapshot.tour)}</div>'
+
+
 def _words(snapshot: Snapshot, inputs: bool) -> str:
-    """Return the readings as HTML, without those that inputs show."""
-    rows = [row for row in readings(snapshot) if not (inputs and row.name in _INPUTS)]
-    forces = " ".join(_coloured(row) for row in rows if row.name in FORCES)
-    lines = dict.fromkeys(forces if row.name in FORCES else _line(row) for row in rows)
-    style = "font-size:.85em;line-height:1.45;padding:.2em .5em"
-    return f'<div style="{style}">{"".join(f"<div>{line}</div>" for line in lines)}</div>'
+    """Return the other readings as HTML, without those that inputs show."""
+    rows = {row.name: row for row in readings(snapshot) if not (inputs and row.name in _INPUTS)}
+    lines = "".join(_line(rows[name]) for name in GROUPS["numbers"] if name in rows)
+    return f'<div style="font-size:.85em;line-height:1.45;padding:.2em .5em">{lines}</div>'
 
 
 def _line(row: Reading) -> str:
     value = escape(row.value)
-    if not row.name:
-        return f"<i>{value}</i>"
     if row.colour is not None:
         value = f'<b style="color:{on_page(row.colour)}">{value}</b>'
-    return f'<span style="opacity:.65">{row.name}</span> {value}'
-
-
-def _coloured(row: Reading) -> str:
-    return f'<span style="color:{on_page(row.colour or STOP, 3.0)}">&#9632;</span> {row.name} {row.value}'
+    name = "" if row.name in ("margin", "") else f'<span style="opacity:.65">{row.name}</span> '
+    return f"<div>{name}{value}</div>"

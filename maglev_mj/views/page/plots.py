@@ -16,20 +16,20 @@ from maglev_mj.session import Snapshot
 from maglev_mj.views.page.stage import update
 from maglev_mj.views.readings import Chart, Charts, Range
 
-_WIDTH, _HEIGHT = 320, 168
-_LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 34
+_WIDTH, _HEIGHT = 320, 160
+_LEFT, _RIGHT, _TOP, _BOTTOM = 44, 12, 20, 34
 _TICKS = 4
 _GRID, _TEXT = "rgba(128,128,128,.28)", "currentColor"
 
 
 def drawn(chart: Chart) -> str:
     """Return a chart as SVG; only its title if it has no lines."""
-    title, lines, across, up, foot = chart
+    title, lines, across, up, foot, side = chart
     if not lines:
-        return f'<p style="margin:.5em">{escape(textwrap.shorten(title[0][0], 300))}</p>'
+        return f'<p class="chart" style="margin:.5em">{escape(textwrap.shorten(title[0][0], 300))}</p>'
     right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
     parts = [
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" style="width:100%;display:block" font-size="11" '
+        f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" style="width:100%;display:block" font-size="11" '
         f'font-family="system-ui,sans-serif" fill="{_TEXT}"><text x="4" y="13">',
         *(f'<tspan{_fill(colour)} font-weight="600">{escape(text)} </tspan>' for text, colour in title),
         f'</text><svg x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" '
@@ -52,7 +52,9 @@ def drawn(chart: Chart) -> str:
         parts.append(f'<polyline points="{points}" {style}/>')
         if line.dot and len(x) and _LEFT <= x[-1] <= right and _TOP <= y[-1] <= bottom:  # whole, above the frame
             labels.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="4"{_fill(line.colour, 3.0)}/>')
-    labels.append(f'<text x="{(_LEFT + right) // 2}" y="{_HEIGHT - 5}" text-anchor="middle">{escape(foot)}</text>')
+    turned = f"translate(11 {(_TOP + bottom) // 2}) rotate(-90)"
+    for text, place in ((foot, f"translate({(_LEFT + right) // 2} {_HEIGHT - 5})"), (side, turned)):
+        labels.append(f'<text transform="{place}" text-anchor="middle">{escape(text)}</text>')
     frame = f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}"'
     return "".join([*parts, "</svg>", f'{frame} fill="none" stroke="{on_page(BOUNDARY, 3.0)}"/>', *labels, "</svg>"])
 

@@ -137,7 +137,7 @@ class OffscreenPainter:
 
     def picture(self, snapshot: Snapshot) -> NDArray[np.uint8]:
         """Return a picture, (height, width, 3)."""
-        STABILITY.wait(snapshot)
+        STABILITY.of(snapshot, wait=True)
         self._gl.make_current()
         self._painter.draw(snapshot, self._view)
         return self._painter.pixels(self._view)

@@ -16,7 +16,7 @@ from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
 from maglev_mj.views.magnifier import MAGNIFICATIONS, motion_words
-from maglev_mj.views.readings import RESUME, Banner, Charts, Line, Range, banner, readings
+from maglev_mj.views.readings import GROUPS, RESUME, Banner, Charts, Line, Range, banner, readings
 from maglev_mj.views.window.keys import AXIS, HAND, KEYS, MAGNIFY, help_rows, key_of
 from maglev_mj.views.window.layout import Area, Layout, Row, arranged, letters, wrapped
 
@@ -46,16 +46,15 @@ class Plots:
             width: Width of a figure [pixels], to which titles are fitted.
             scale: Font scale [%].
         """
-        charts, room = (
-            self._charts.of(snapshot, snapshot.scene.axis_index if axis is None else axis),
-            letters(width, scale),
-        )
-        for figure, (title, lines, across, up, foot) in zip(self.figures, charts, strict=True):
+        axis = snapshot.scene.axis_index if axis is None else axis
+        charts, room = self._charts.of(snapshot, axis), letters(width, scale)
+        for figure, (title, lines, across, up, foot, side) in zip(self.figures, charts, strict=True):
             (words, colour), *series = title
             shapes = [shape for line in reversed(lines) for shape in _shapes(line, across, up)]  # the first is on top
             titles = f"{words}: {', '.join(name for name, _ in series)}" if series else words, words
             _draw(figure, next((text for text in titles if len(text) <= room), words[:room]), shapes, across, up)
             figure.textrgb[:] = light(colour) if colour in (GOOD, BAD) else _TEXT
+            foot = f"{side} vs {foot}" if side else foot
             figure.xlabel = foot[:room]
         return self.figures
 
@@ -112,7 +111,7 @@ def _shapes(line: Line, across: Range, up: Range) -> list[_Line]:
     return shapes
 
 
-_STATUS = "hand", "device", "stops", "gains", "active", "rate", "time", "scene", "arrows", "tick", "energy", "wall"
+_STATUS = *GROUPS["felt"][:2], "arrows", *(name for name in GROUPS["numbers"] if name != "position"), "margin"
 """Readings from top to bottom, last those with a variable number of lines; the plots show the position."""
 _ARROWS = "arrows", f"blue: hand, orange: device, black: stop; {1e3 * ARROW:.0f} mm/N"
 _HINTS = [("mouse", "drag the knob to pull it"), ("F11", "keys")]

@@ -47,7 +47,7 @@ def drive(url: str, seconds: float, size: str) -> None:
         tab = browser.new_context(viewport={"width": width, "height": height}).new_page()
         tab.add_init_script(WATCH)
         tab.goto(url, wait_until="domcontentloaded")
-        tab.wait_for_selector("text=joystick", timeout=60_000)
+        tab.wait_for_selector(".gauge", timeout=60_000)
         tab.add_style_tag(content=".mantine-Notifications-root{display:none}")
         time.sleep(5.0)
         box = tab.locator("canvas").last.bounding_box()
