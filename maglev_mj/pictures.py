@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,14 +21,13 @@ FIRST, SECOND = SERIES[:2]
 SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
 """Style of shaded areas, e.g. inside a wall."""
 
+_LIMIT: dict[str, Any] = {"color": "black", "linestyle": (0, (6, 3)), "linewidth": 1.0}
+
 BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False, "fontsize": 9.0}
 """Style of a legend to the right of its panel."""
 
 TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10.0}
 """Style of a panel title."""
-
-HEAD: dict[str, Any] = {"x": 0.01, "ha": "left", "fontsize": 10.0}
-"""Style of a figure title."""
 
 WIDTH = 8.0
 """Width of every chart [inch]; pages show up to 8.6 (830 px) without scaling."""
@@ -48,7 +48,7 @@ _COLUMNS = 3  # per row of a grid
 _LARGE, _MANY = 300_000, 1000  # SVG size [bytes] above which curves of this many points are rasterised
 _NOTEBOOK_DPI = 100.0
 _LEGEND_SIZE = 9.0  # [pt]
-_TITLE_LENGTH = 104  # letters of a title across a chart
+_HEADLINE, _DETAIL = (11.0, 84), (9.0, 108)  # size [pt] and letters across a chart
 _UNDER = 36.0  # gap between a panel and its legend, for ticks, tick labels and axis label [pt]
 
 
@@ -90,8 +90,16 @@ def require() -> None:
     errors.require(("matplotlib",), "charts", "charts require matplotlib")
 
 
-def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
-    """Return a figure, `WIDTH` by `height` inches, and its panels, row by row."""
+def new_figure(head: Sequence[str], rows: int, columns: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
+    """Return a figure and its panels, row by row.
+
+    Args:
+        head: Headline, the finding in one sentence; then smaller lines: scene, timing and constant parameters.
+        rows: Rows of panels.
+        columns: Columns of panels.
+        height: Height without the head [inch].
+        options: Options of matplotlib's `Figure.subplots`.
+    """
     require()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -114,10 +122,28 @@ def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[
         panel.locator_params(axis="x", nbins=max(12 // columns, 4))  # avoid overlapping tick labels
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
+    _add_head(figure, *head)
     return figure, axes
 
 
+def _add_head(figure: Any, headline: str, *details: str) -> None:
+    """Write the headline in bold, and the details below it; both are wrapped, and the figure grows by their height."""
+    from matplotlib.text import Annotation
+
+    (large, wide), (small, narrow) = _HEADLINE, _DETAIL
+    lines = textwrap.wrap(headline, wide)
+    below = [line for text in details for line in textwrap.wrap(_unbroken(text), narrow)]
+    down = -1.2 * large * len(lines) - 2.0
+    lines += [""] * math.ceil(len(below) * small / large)  # room for the details
+    title = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=large, fontweight="bold")
+    place: dict[str, Any] = {"xytext": (0.0, down), "textcoords": "offset points", "va": "top"}
+    style: dict[str, Any] = {"fontsize": small, "color": REFERENCE, "annotation_clip": False}
+    figure.add_artist(Annotation("\n".join(below), (0.0, 1.0), xycoords=title, **place, **style))
+    figure.set_figheight(figure.get_figheight() + len(lines) * 1.3 * large / 72.0)
+
+
 def new_grid(
+    head: Sequence[str],
     quantities: Quantities,
     along: str,
     *,
@@ -125,19 +151,18 @@ def new_grid(
     row: float = 2.8,
     more: float = 0.6,
     always: str = "",
-    head: str = "",
     **options: Any,
 ) -> tuple[Any, dict[str, Any]]:
-    """Return a figure with a panel, by name, for each quantity that varies; its title also names the constant ones.
+    """Return a figure with a panel, by name, for each quantity that varies; its head also names the constant ones.
 
     Args:
+        head: See `new_figure`.
         quantities: One or more; if all are constant, the first has a panel.
         along: Label of the shared x axis.
         high: Maximum number of panels in a column, with y labels; 0 for titled panels, three in a row.
         row: Height of a row [inch].
         more: Additional height [inch].
         always: Name of a quantity that has a panel in any case.
-        head: Title, broken into lines that fit.
         options: Options of matplotlib's `Figure.subplots`.
     """
     ranges = {name: _range(values) for name, (values, _) in quantities.items()}
@@ -145,11 +170,9 @@ def new_grid(
     names = [name for name in quantities if ranges[name][1] > least[name] or name == always] or list(quantities)[:1]
     columns = -(-len(names) // (high or -(-len(names) // _COLUMNS)))
     rows = -(-len(names) // columns)
-    lines = textwrap.wrap(_unbroken(head), _TITLE_LENGTH)
-    if others := ", ".join(name.replace("_", " ") for name in quantities if name not in names):
-        lines += textwrap.wrap(f"not shown (constant): {others}", _TITLE_LENGTH)
-    figure, panels = new_figure(rows, columns, more + row * rows + 0.17 * len(lines), sharex=True, **options)
-    figure.suptitle("\n".join(lines), **HEAD)
+    others = ", ".join(name.replace("_", " ") for name in quantities if name not in names)
+    head = [*head, *[f"not shown (constant): {others}"] * bool(others)]
+    figure, panels = new_figure(head, rows, columns, more + row * rows, sharex=True, **options)
     if high:  # column by column
         panels = [panel for column in range(columns) for panel in panels[column::columns]]
     lowest = {}
@@ -198,6 +221,13 @@ def broken(x: Any, y: Any) -> tuple[Any, Any]:
     jumps = (steps > 0.1 * np.ptp(y, axis=0)) & (steps > 10.0 * np.minimum(padded[:-2], padded[2:]))
     after = np.flatnonzero(jumps.any(axis=1)) + 1
     return np.insert(x, after, 0.5 * (x[after - 1] + x[after])), np.insert(y, after, np.nan, axis=0)
+
+
+def draw_limit(panel: Any, scene: Any) -> None:
+    """Draw the vertical force limit of a scene's device, if a third of it is reached."""
+    limit, peak = scene.body.force_limit, np.nanmax(np.abs(panel.dataLim.intervaly))
+    if scene.axis == "z" and limit < 3.0 * peak:
+        panel.axhline(limit, label=f"force limit, {limit:.4g} N", **_LIMIT)
 
 
 def axis_label(name: str, unit: str | None) -> str:
@@ -316,10 +346,11 @@ class Panel:
     outside: Sequence[Any] = ()
 
 
-def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
+def small_multiples(head: Sequence[str], panels: Sequence[Panel], path: Path) -> Path:
     """Draw panels of curves in two columns.
 
     Args:
+        head: See `new_figure`.
         panels: The panels, row by row.
         path: File to write.
 
@@ -329,7 +360,7 @@ def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
     rows = -(-len(panels) // 2)
     names = [[label for label, _, _ in panel.curves] for panel in panels]
     lines = max(-(-len(labels) // _columns(labels, _width(2))) for labels in names)
-    figure, axes = new_figure(rows, 2, rows * (3.3 + 0.19 * lines))
+    figure, axes = new_figure(head, rows, 2, rows * (3.3 + 0.19 * lines))
     for axis, panel in zip(axes, panels):
         for index, (label, x, y) in enumerate(panel.curves):
             style = line_style(index) | {"marker": "o" if panel.marked else None, "markersize": 4}

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import wraps
 from html import escape
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
 from maglev_mj.errors import MaglevError, require
+from maglev_mj.lazy import loaded
 from maglev_mj.terminal import WIDTH, printable, wrapped
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 _MAX_ROWS, _MAX_COLUMNS = 8, 9
 _MAX_REPR = 2000  # [bytes]
 _INDENT, _GAPS, _NARROWEST = "  ", ("  ", " "), 24
+_Method = TypeVar("_Method", bound=Callable[..., Any])
 _IN_NUMBERS = re.compile(r"\bto\b|(?<=\d)e(?=[-+]?\d)")
 
 
@@ -51,6 +54,7 @@ class Table(NamedTuple):
         note: Notes below the rows, one per line; empty for none.
         below: Tables to append.
         warnings: Warnings, printed first.
+        headline: Finding, printed above the title; empty for none.
     """
 
     title: str
@@ -59,6 +63,7 @@ class Table(NamedTuple):
     note: str = ""
     below: Sequence[Table] = ()
     warnings: Sequence[str] = ()
+    headline: str = ""
 
     def __str__(self) -> str:
         """Return the table for a terminal, at most 80 characters wide.
@@ -67,7 +72,8 @@ class Table(NamedTuple):
         wrapped.
         """
         warnings = [line for text in self._warning_lines() for line in wrapped(printable(text), further=2 * _INDENT)]
-        title = wrapped(printable(self.title), "", _INDENT) if self.title else []
+        heads = filter(None, (self.headline, self.title))
+        title = [line for text in heads for line in wrapped(printable(text), "", _INDENT)]
         columns = [list(map(_text, column)) for column in zip(self.head, *self.rows)] if self.rows else []
         left = [any(map(_has_words, column[1:])) for column in columns]
         columns = _narrowed(columns, bool(left and left[-1]))
@@ -88,8 +94,9 @@ class Table(NamedTuple):
 
     def _repr_html_(self) -> str:
         rows = "".join(f"<tr>{_cells('td', row)}</tr>" for row in self.rows)
+        headline = f"<strong>{escape(self.headline)}</strong><br>" if self.headline else ""
         return (
-            f"<table><caption>{escape(self.title)}</caption><thead><tr>{_cells('th', self.head)}</tr></thead>"
+            f"<table><caption>{headline}{escape(self.title)}</caption><thead><tr>{_cells('th', self.head)}</tr></thead>"
             f"<tbody>{rows}</tbody></table>"
             + "".join(f"<p>{escape(remark)}</p>" for remark in [*self._warning_lines(), *self.note.splitlines()])
             + "".join(table._repr_html_() for table in self.below)
@@ -99,16 +106,40 @@ class Table(NamedTuple):
         return [f"Warning: {text}" for text in self.warnings]
 
 
+def _with_headline(method: _Method) -> _Method:
+    """Add the headline to a method that returns a table or a mapping for JSON."""
+
+    @wraps(method)
+    def with_headline(self: Result, *args: Any, **keywords: Any) -> Any:
+        content = method(self, *args, **keywords)
+        if isinstance(content, Table):
+            return content._replace(headline=self.headline)
+        return {"headline": self.headline, **content}
+
+    return cast(_Method, with_headline)
+
+
 class Result:
     """Base class of result dataclasses.
 
-    A subclass defines `columns` and `units`, optionally `table` (default: first rows of the columns) and `plot`.
+    A subclass defines `columns` and `units`, optionally `headline`, `table` (default: first rows of the columns), and
+    `picture` or `plot`.
 
     Class attributes:
         derived: Names of properties to include in the JSON.
+        picture: Function that draws the result, as "module:function"; empty for no chart.
     """
 
     derived: ClassVar[Sequence[str]] = ()
+    picture: ClassVar[str] = ""
+
+    @property
+    def headline(self) -> str:
+        """Finding in one sentence, shown by table, JSON, notebook and charts; empty for none."""
+        return self._headline()
+
+    def _headline(self) -> str:
+        return ""
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return the columns by name, (N,) each."""
@@ -124,6 +155,7 @@ class Result:
         """Verdicts printed above the table: an unstable wall, and force or motion above the limits of the device."""
         return ()
 
+    @_with_headline
     def table(self) -> Table:
         """Return the table displayed in a terminal and a notebook."""
         columns, units = self.columns(), self.units
@@ -132,8 +164,9 @@ class Result:
         head = [with_unit(name, units.get(name)) for name in shown]
         hidden = {"rows": len(columns[shown[0]]) - len(rows), "columns": len(columns) - len(shown)}
         note = " and ".join(f"{count} more {name}" for name, count in hidden.items() if count)
-        return Table(type(self).__name__.lower(), head, rows, note)
+        return Table("" if self.headline else type(self).__name__.lower(), head, rows, note)
 
+    @_with_headline
     def as_json(self) -> dict[str, Any]:
         """Return all fields with `repr`, ready for JSON."""
         names = [item.name for item in fields(self) if item.repr]  # type: ignore[arg-type]
@@ -162,7 +195,11 @@ class Result:
             MissingPackageError: If matplotlib is not installed.
             NotImplementedError: If the result has no chart.
         """
-        raise NotImplementedError(f"{type(self).__name__} has no chart")
+        if not self.picture:
+            raise NotImplementedError(f"{type(self).__name__} has no chart")
+        from maglev_mj.pictures import save  # imported here: slow
+
+        return save(loaded(self.picture)(self), path)
 
     def __repr__(self) -> str:
         try:
@@ -179,6 +216,8 @@ class Result:
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]  # replaces the repr generated by dataclass
+        for name in {"table", "as_json"} & vars(cls).keys():
+            setattr(cls, name, _with_headline(vars(cls)[name]))
 
 
 def plain(value: Any) -> Any:

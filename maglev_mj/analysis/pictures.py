@@ -5,7 +5,7 @@ Figures 5, 6 and 9 of the paper.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,26 +54,29 @@ def whole_run(report: SegmentReport, axis: int) -> Any:
     return _over_time(report, axis, (float(trace.time[0]), float(trace.time[-1])), marks=True)
 
 
-def sticks(run: Run) -> Any:
+def sticks(report: SegmentReport) -> Any:
     """Draw position and stick position by axis (figure 9).
 
     Args:
-        run: A recording with friction.
+        report: A recording with friction.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
+    run = report.recorded
     positions = run.motion.trace.pose[run.motion.starts]
     anchors = np.full_like(positions, np.nan) if run.anchors is None else run.anchors
     slips = {axis: friction.slips for axis, friction in run.figures.friction.items()}
     titles = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
-    return staircases(run.motion.time, positions, anchors, titles or {0: "no friction"})
+    head = f"Slips in {np.ptp(run.motion.time):.3g} s: {sum(slips.values())}", report.run_title
+    return staircases(head, run.motion.time, positions, anchors, titles or {0: "no friction"})
 
 
-def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int, str]) -> Any:
+def staircases(head: Sequence[str], time: Array, position: Array, anchors: Array, titles: Mapping[int, str]) -> Any:
     """Draw position and stick position over time, by axis.
 
     Args:
+        head: See `new_figure`.
         time: Of the samples [s], (K,).
         position: Positions [m, rad], (K, 6).
         anchors: Stick positions [m, rad], (K, 6); NaN where an axis does not stick.
@@ -83,7 +86,7 @@ def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int
         MissingPackageError: If matplotlib is not installed.
     """
     curves = {AXES[axis]: ([1e3 * position[:, axis]], unit_of("mm", axis)) for axis in titles}
-    figure, panels = new_grid(curves, "time (s)", high=3, row=2.1, more=1.1)
+    figure, panels = new_grid(head, curves, "time (s)", high=3, row=2.1, more=1.1)
     for name, panel in panels.items():
         panel.plot(time, *curves[name][0], color=FIRST, linewidth=1.0, label="position")
         panel.step(
@@ -104,7 +107,8 @@ def _over_time(report: SegmentReport, axis: int, window: tuple[float, float], *,
         coordinate: ([1e3 * one.pose[rows, axis] for one, rows in inside], unit_of("mm", axis)),
         f"actuator {effort}": ([one.wrench[rows, axis] for one, rows in inside], unit_of("N", axis)),
     }
-    figure, panels = new_grid(curves, "time (s)", high=2, more=0.8, always=coordinate)
+    wall = f"{report.run_title}{'' if report.wall is None else f', wall: {report.wall}'}"
+    figure, panels = new_grid((report.headline, wall), curves, "time (s)", high=2, more=0.8, always=coordinate)
     upper, *lower = panels.values()
     sides = [("recording", report.recorded, FIRST, "-", 3), ("simulation", report.simulated, SECOND, "--", 4)]
     for label, run, color, dashes, order in sides:
@@ -128,14 +132,7 @@ def _over_time(report: SegmentReport, axis: int, window: tuple[float, float], *,
     _walls(upper, report, axis)
     upper.set_xlim(window)
     name_curves(figure, [upper])
-    upper.set_title(_describe(report), **TITLE)
     return figure
-
-
-def _describe(report: SegmentReport) -> str:
-    wall = "" if report.wall is None else f"; wall: {report.wall}"
-    compared = "" if report.comparison is None else f"\n{report.comparison.sentence}"
-    return f"{report.run_title}{wall}{compared}"
 
 
 def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:

@@ -157,6 +157,11 @@ class SegmentReport(Result):
                 columns |= {f"{name}.{axis}": poses[:, index] for index, axis in enumerate(AXES)}
         return columns
 
+    def _headline(self) -> str:
+        axis, compared = self.axis(), "" if self.comparison is None else f"; {self.comparison.sentence}"
+        travel = f"{1e3 * self.recorded.figures.travel[axis]:.3g} {unit_of('mm', axis)} of travel on {AXES[axis]}"
+        return f"{self.metadata.name.capitalize()}: {travel}{compared}"
+
     @property
     def run_title(self) -> str:
         """Name, rate and delay of the run in a few words."""

@@ -21,7 +21,6 @@ from maglev_mj.errors import ParameterError, PlantError, file_path
 from maglev_mj.files import errors_named
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import flag, whole
-from maglev_mj.pictures import save
 from maglev_mj.recording.journal import (
     CYCLE,
     PACK_CYCLE,
@@ -211,16 +210,14 @@ class FaultRecord(Result):
     period: float
     values: Mapping[str, Array]
     units: ClassVar = _UNITS
+    picture: ClassVar = "maglev_mj.bridge.pictures:last_cycles"
+
+    def _headline(self) -> str:
+        return f"{self.message} ({len(self.time)} cycles at {1.0 / self.period:g} Hz)"
 
     def columns(self) -> Mapping[str, Array]:
         """Return the values by name, (N,) each."""
         return self.values
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw the last cycles; see `Result.plot`."""
-        from maglev_mj.bridge.pictures import last_cycles
-
-        return save(last_cycles(self), path)
 
     def table(self, *, whole: bool = False) -> Table:
         """Return the last cycles; below, the faults and their meanings.
@@ -259,7 +256,7 @@ class FaultRecord(Result):
             f"faults {self.faults}; first {self.first}{when}",
             *fault_meanings(self.faults),
         ]
-        return Table(self.message, _HEAD, rows, "\n".join(printable(remark) for remark in remarks if remark))
+        return Table("", _HEAD, rows, "\n".join(printable(remark) for remark in remarks if remark))
 
     @property
     def time(self) -> Array:

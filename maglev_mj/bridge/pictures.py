@@ -9,7 +9,7 @@ import numpy as np
 from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.frames import AXES, Array
-from maglev_mj.pictures import BESIDE, TITLE, new_figure
+from maglev_mj.pictures import BESIDE, new_figure
 from maglev_mj.terminal import printable
 
 
@@ -24,7 +24,8 @@ def last_cycles(record: FaultRecord) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure, axes = new_figure(4, 1, 8.6, sharex=True, height_ratios=[2, 2, 3, 2])
+    head = _shortened(record.headline), f"{_shortened(record.faults)}, {1.0 / record.period:g} Hz"
+    figure, axes = new_figure(head, 4, 1, 8.6, sharex=True, height_ratios=[2, 2, 3, 2])
     time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.values
     _curves(axes[0], time, pose[:, :3], AXES[:3], "position (mm)")
     _curves(axes[1], time, pose[:, 3:], AXES[3:], "angle (mrad)")
@@ -39,7 +40,6 @@ def last_cycles(record: FaultRecord) -> Any:
         if len(time) and time[0] <= first <= time[-1]:
             axis.axvline(first, color=REFERENCE, linewidth=1.0, linestyle="--")
     axes[3].set_xlabel("time relative to the last cycle (ms)")
-    axes[0].set_title(f"{_shortened(record.faults)}\n{_shortened(record.message)}", **TITLE)
     return figure
 
 

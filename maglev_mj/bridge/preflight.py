@@ -121,6 +121,13 @@ class LinkReport(Result):
     lockstep: bool
     units: ClassVar = {"delay": "s", "answer": "s"}
 
+    def _headline(self) -> str:
+        return (
+            f"Loop delay {1e3 * self.delay_95:.3g} ms (95th percentile); {self.success:.1%} answered in time".replace(
+                "%", " %"
+            )
+        )
+
     @property
     def delay_95(self) -> float:
         """95th percentile of the loop delay [s]; the device's own delay without any answer.
@@ -163,10 +170,10 @@ class LinkReport(Result):
             if times.size
         ]
         note = (
-            f"{self.success:.1%} of {self.samples} samples answered in time; {self.lost} lost, {self.skipped} skipped, "
-            f"{self.late} answers late; device clock {self.clock - 1.0:+.2%}"
+            f"{self.lost} samples lost, {self.skipped} skipped, {self.late} answers late; device clock "
+            f"{100.0 * (self.clock - 1.0):+.2f} %"
         )
-        return Table("", ("latency [ms]", "median", "95 %", "99 %", "max"), rows, note.replace("%", " %"))
+        return Table("", ("latency [ms]", "median", "95 %", "99 %", "max"), rows, note)
 
 
 def measure_link(plant: RemotePlant, duration: float = 1.0) -> LinkReport:

@@ -236,7 +236,7 @@ def _draw(analysed: SegmentReport, axis: int, pictures: PictureFolder, stem: str
     else:
         lines.append(f"no wall contact on {AXES[axis]}: contact chart omitted")
     if analysed.recorded.anchors is not None:
-        lines.append(f"wrote {save(sticks(analysed.recorded), pictures.path(f'{stem}sticks'))}")
+        lines.append(f"wrote {save(sticks(analysed), pictures.path(f'{stem}sticks'))}")
     else:
         lines.append("no friction: chart of stick positions omitted")
     return lines

@@ -13,10 +13,11 @@ from maglev_mj.pictures import name_curves, new_grid
 _STILL = 1e-6
 
 
-def moving_axes(time: Array, position: Array, force: Array) -> Any:
+def moving_axes(headline: str, time: Array, position: Array, force: Array) -> Any:
     """Plot position and force of the moving axes, translations and rotations side by side; z if none moves.
 
     Args:
+        headline: Headline.
         time: Times [s], (N,).
         position: Positions [m, rad], (N, 6).
         force: Wrench from each time on [N, N m], (N, 6).
@@ -33,7 +34,7 @@ def moving_axes(time: Array, position: Array, force: Array) -> Any:
         curves[motion] = 1e3 * position.T[axes], unit_of("mm", first)
         curves[effort] = force.T[axes], unit_of("N", first)
         styles |= {motion: (axes, "default"), effort: (axes, "steps-post")}
-    figure, panels = new_grid(curves, "time (s)", high=2, always=next(iter(curves)))
+    figure, panels = new_grid([headline], curves, "time (s)", high=2, always=next(iter(curves)))
     for name, panel in panels.items():
         axes, step = styles[name]
         for axis, curve in zip(axes, curves[name][0], strict=True):

@@ -219,6 +219,11 @@ class DeviceReport(Result):
     derived: ClassVar = ("contradictions",)
     units: ClassVar[Mapping[str, str]] = {}  # a unit per row
 
+    def _headline(self) -> str:
+        figures = self.figures
+        lift = f"{figures['largest_at_peak_current'][2]:.3g} N vertically at {figures['peak_current']:g} A"
+        return f"The model lifts {lift} and hovers at {figures['hover_current']:.2f} A per coil"
+
     def columns(self) -> dict[str, Any]:
         """Return the figures of Table 1 and of the model."""
         return dict(zip(_HEAD, map(np.array, zip(*_rows(self.figures)))))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Interval, Timing
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, distances, unit_of
 from maglev_mj.parameters import numbers
 from maglev_mj.pictures import save
 from maglev_mj.result import Result
@@ -75,6 +75,9 @@ class Trace(Result):
         for axis in AXES
     }
 
+    def _headline(self) -> str:
+        return f"{np.ptp(self.time):.4g} s of motion, up to {distances(self.furthest())} from the centre"
+
     def columns(self) -> dict[str, Array]:
         """Return the knots as columns such as `pose.z`, (K,) each.
 
@@ -94,7 +97,7 @@ class Trace(Result):
         from maglev_mj.plants.pictures import moving_axes
 
         self.columns()
-        return save(moving_axes(self.time, self.pose, self.wrench), path)
+        return save(moving_axes(self.headline, self.time, self.pose, self.wrench), path)
 
     def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
         """Interpolate the motion.

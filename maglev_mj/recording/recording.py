@@ -159,6 +159,11 @@ class Recording(Result):
         indices = np.repeat(np.arange(len(sizes)), sizes)
         return Samples(arrays={name: joined(name) for name in fields}, segment=indices, recording=self)
 
+    def _headline(self) -> str:
+        events = f", {len(self.events)} events" if self.events else ""
+        duration = sum(float(np.ptp(part.time)) for part in self.segments)
+        return f"Recording of {self.ticks} samples in {duration:.4g} s{events}"
+
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of all samples, (N,) each; see `Samples.columns`."""
         return self.samples().columns()
@@ -170,8 +175,7 @@ class Recording(Result):
             (index, part.setup["kind"], len(part), *map(float, part.time[[0, -1]]))
             for index, part in enumerate(self.segments)
         ]
-        events = f", {len(self.events)} events" if self.events else ""
-        return Table(f"recording of {self.ticks} samples{events}", head, rows)
+        return Table("", head, rows)
 
     def plot(self, path: Path | str | None = None) -> Any:
         """Draw position and command of the moving axes over time; see `Result.plot`."""
@@ -335,6 +339,9 @@ class Samples(_Fields, Result):
     def __len__(self) -> int:
         return len(self.segment)
 
+    def _headline(self) -> str:
+        return self.recording.headline
+
     @property
     def units(self) -> Mapping[str, str]:
         """Unit of each column."""
@@ -361,7 +368,7 @@ class Samples(_Fields, Result):
         """
         from maglev_mj.plants.pictures import moving_axes
 
-        return save(moving_axes(self.time, self.position, self.command), path)
+        return save(moving_axes(self.headline, self.time, self.position, self.command), path)
 
     def to_pandas(self) -> Any:
         """Return a data frame with one row per sample, units and events in `attrs`.

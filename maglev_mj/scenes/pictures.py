@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from maglev_mj.colours import REFERENCE, STUCK
-from maglev_mj.control import Wall
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, unit_of
-from maglev_mj.pictures import HEAD, SHADE, TITLE, broken, line_style, name_curves, new_figure, new_grid
+from maglev_mj.pictures import SHADE, TITLE, broken, draw_limit, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.results import RunResult, Variants, figure_head, parameter_texts, rank_text
+from maglev_mj.scenes.results import Variants, figure_head, parameter_texts, rank_text
 from maglev_mj.scenes.stability_check import wall_margin
 
-_FINE, _POINTS = 1e-4, 2001
+_FINE, _POINTS, _TICK = 1e-4, 2001, 0.05
 _MOST_PANELS = 4
 _NAMES = {"z": "height"}
 
@@ -31,8 +31,8 @@ def series(variants: Variants) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, _ = _series(variants)
-    if len(variants.runs) > 1:
-        name_curves(figure, figure.axes[:1])
+    if len({line.get_label() for panel in figure.axes for line in panel.lines}) > 1:
+        name_curves(figure, figure.axes)
     return figure
 
 
@@ -41,41 +41,44 @@ def _series(variants: Variants) -> tuple[Any, dict[str, Any]]:
     result = variants.first
     first = result.series(_FINE)
     names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
-    phase = f"sampling phase {result.phase:g}, " if result.scene.takes_phase else ""
-    labels = {_NAMES.get(name, name): name for name in names}
-    figure, panels = _over_time(variants.runs, labels, row=2.2, head=_head(variants, phase))
-    return figure, panels
+    return _over_time(variants, {_NAMES.get(name, name): name for name in names}, row=2.2)
 
 
-def _head(variants: Variants, phase: str) -> str:
-    """Return scene, timing and the parameters that all runs share."""
+def _head(variants: Variants, *details: str) -> tuple[str, ...]:
+    """Return the headline, then scene, timing and the parameters that all runs share, and further details."""
     scenes = [result.scene for result in variants.runs.values()] or [variants.first.scene]
     scene = scenes[0]
     names = [one.name for one in scene.parameters()]
     differing = [name for name in names if any(getattr(one, name, None) != getattr(scene, name) for one in scenes[1:])]
     texts = ", ".join(parameter_texts(scene, without=differing))
-    return f"{scene.name} along {scene.axis}, {phase}plant {variants.first.plant}: {texts}"
+    common = f"{scene.name} along {scene.axis}, plant {variants.first.plant}: {texts}"
+    walls = {"" if (wall := wall_margin(one, held=True)) is None else f"wall: {wall}" for one in scenes}
+    return variants.headline, common, *(walls if len(walls) == 1 else ()), *details
 
 
-def _over_time(runs: Mapping[str, RunResult], named: Mapping[str, str], **options: Any) -> tuple[Any, dict[str, Any]]:
+def _over_time(variants: Variants, named: Mapping[str, str], **options: Any) -> tuple[Any, dict[str, Any]]:
     """Return a figure of series over time, one line per run, and its panels; in mm and mrad.
 
     Args:
-        runs: The runs.
+        variants: The runs.
         named: Names of the series by label.
         options: See `new_grid`.
     """
+    runs, first = variants.runs, variants.first
+    head = _head(variants, *[f"sampling phase {first.phase:g}"] * first.scene.takes_phase)
     motions = [result.series(_FINE) for result in runs.values()]
     quantities = {}
     for label, name in named.items():
         unit = next(iter(runs.values())).units.get(name, "")
         scale, prefix = (1e3, "m") if unit in ("m", "rad", "m/s", "rad/s") else (1.0, "")
         quantities[label] = [scale * motion[name] for motion in motions], prefix + unit
-    figure, panels = new_grid(quantities, "time (s)", high=_MOST_PANELS, more=1.2, **options)
+    figure, panels = new_grid(head, quantities, "time (s)", high=_MOST_PANELS, more=1.0, **options)
     for name, panel in panels.items():
         for index, (label, motion, values) in enumerate(zip(runs, motions, quantities[name][0], strict=True)):
             style = line_style(index) | {"label": label, "zorder": 4.0 - 0.01 * index}
             panel.plot(motion["time"], values, drawstyle="steps-post" if "force" in name else "default", **style)
+        if "force" in name:
+            draw_limit(panel, first.scene)
     panel.set_xlim(0.0, max(float(motions[0]["time"][-1]), _FINE))
     return figure, panels
 
@@ -92,13 +95,11 @@ def first_contact(variants: Variants) -> Any:
     figure, panels = _series(variants)
     lines = [result.line for result in variants.runs.values()]
     begin = min(float(line.time[np.argmax(line.pose[:, 0] <= 0.0)]) for line in lines)
-    figure.axes[0].set_xlim(max(begin - 0.01, 0.0), begin + 0.15)
+    start = math.floor(max(begin - 0.01, 0.0) / _TICK) * _TICK
+    figure.axes[0].set_xlim(start, begin + 0.15)
     if "position" in panels:
-        bottom = panels["position"].get_ylim()[0]
-        panels["position"].axhspan(bottom, 0.0, **SHADE)
-        panels["position"].set(ylabel="height above the wall (mm)", ylim=(bottom, None))
-    if "force" in panels:
-        _draw_limit(panels["force"], variants.first.scene)
+        panels["position"].set_ylabel("height above the wall (mm)")
+        _draw_wall(panels["position"])
     name_curves(figure, figure.axes)
     return figure
 
@@ -123,13 +124,14 @@ def spread(variants: Variants) -> Any:
     for name, definition in scene.figures.items():
         values = [definition.scale * np.asarray(each.figures[name], dtype=np.float64) for each in swept.values()]
         quantities[figure_head(name)] = values, unit_of(definition.unit, scene.axis, definition.along)
-    figure, panels = new_grid(quantities, "sampling phase", head=_head(variants, ""))
+    phases = len(next(iter(swept.values())).phases)
+    figure, panels = new_grid(_head(variants, f"{phases} sampling phases"), quantities, "sampling phase")
     for name, panel in panels.items():
         for index, (label, each, values) in enumerate(zip(swept, swept.values(), quantities[name][0])):
             lines = panel.plot(*broken(each.phases, values.reshape(len(each.phases), -1)), **line_style(index))
             lines[0].set_label(label if len(swept) > 1 else None)
-        if name == figure_head("peak_force") and scene.axis == "z":
-            _draw_limit(panel, scene)
+        if name == figure_head("peak_force"):
+            draw_limit(panel, scene)
         panel.set_xlim(0.0, 1.0)
     name_curves(figure, figure.axes)
     return figure
@@ -148,14 +150,13 @@ def time_series(variants: Variants) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, (heights, forces) = _draw_drops(variants, [(_TIME, _HEIGHT), (_TIME, _FORCE)], 6.4)
-    bottom = min(heights[0].get_ylim()[0], -0.5)
     for upper, lower in zip(heights, forces, strict=True):
-        upper.axhspan(bottom, 0.0, **SHADE)
-        _draw_limit(lower, variants.first.scene)
+        _draw_wall(upper)
+        draw_limit(lower, variants.first.scene)
         lower.set_xlabel("time after release (s)")
-    heights[0].set(ylim=(bottom, None), ylabel="height above the wall (mm)")
+    heights[0].set_ylabel("height above the wall (mm)")
     forces[0].set_ylabel("actuator force (N)")
-    name_curves(figure, forces)
+    name_curves(figure, figure.axes)
     return figure
 
 
@@ -174,7 +175,7 @@ def phase_plane(variants: Variants) -> Any:
     figure, (panels,) = _draw_drops(variants, [(_HEIGHT, _VELOCITY)], 5.0)
     left = min(panels[0].get_xlim()[0], -0.5)
     for panel in panels:
-        panel.axvspan(left, 0.0, **SHADE)
+        panel.axvspan(left, 0.0, label="wall", **SHADE)
         panel.set_xlabel("height above the wall (mm)")
     panels[0].set(xlim=(left, None), ylabel="velocity (m/s)")
     name_curves(figure, panels)
@@ -185,7 +186,8 @@ def _draw_drops(variants: Variants, pairs: Sequence[tuple[int, int]], height: fl
     """Draw drops and bands, one row for each abscissa and ordinate, and return the rows."""
     time = _times(variants)
     columns = _columns(variants, time)
-    figure, panels = new_figure(len(pairs), len(columns), height, sharex=True, sharey="row")
+    head = _head(variants, _lines_of(variants, columns[0][0].style["label"]))
+    figure, panels = new_figure(head, len(pairs), len(columns), height - 0.6, sharex=True, sharey="row")
     rows = [panels[first : first + len(columns)] for first in range(0, len(panels), len(columns))]
     analog = _analog(columns[0][0].scene, time)
     for row, (x, y) in zip(rows, pairs, strict=True):
@@ -203,7 +205,9 @@ def _draw_drops(variants: Variants, pairs: Sequence[tuple[int, int]], height: fl
                 panel.plot(analog[x], analog[y], **_ANALOG)
             if x == _TIME:
                 panel.set_xlim(0.0, time[-1])
-    _explain(figure, rows[0], columns, variants)
+    for panel, (drop, *others) in zip(rows[0], columns, strict=True):
+        if drop.scene.pulse > 0.0 or not others:  # otherwise the legend is enough
+            panel.set_title(drop.style["label"], fontweight="bold", **TITLE)
     return figure, rows
 
 
@@ -213,23 +217,13 @@ _AS_PIXELS = {"rasterized": True}
 
 _IDEAL: dict[str, Any] = {"color": REFERENCE, "linestyle": ":", "linewidth": 1.8}
 _ANALOG: dict[str, Any] = _IDEAL | {"label": "analog wall, 10 kHz low-pass"}
-_LIMIT: dict[str, Any] = {"color": "black", "linestyle": (0, (6, 3)), "linewidth": 1.0}
 
 
-def _draw_limit(panel: Any, scene: Any) -> None:
-    """Draw the force limit of the device in use."""
-    limit = scene.body.force_limit
-    if np.isfinite(limit):
-        panel.axhline(limit, label=f"force limit, {limit:.4g} N", **_LIMIT)
-
-
-def _published(scene: Any) -> tuple[float, float, float] | None:
-    """Return stiffness, damping and pulse of the PD wall; None without one."""
-    for law in scene.laws():
-        if isinstance(law, Wall) and not any(map(np.ndim, gains := (law.stiffness, law.damping, law.pulse))):
-            stiffness, damping, pulse = np.array(gains, dtype=np.float64).tolist()
-            return stiffness, damping, pulse
-    return None
+def _draw_wall(panel: Any) -> None:
+    """Shade the wall, from 0 downwards."""
+    bottom = min(panel.get_ylim()[0], -0.5)
+    panel.axhspan(bottom, 0.0, label="wall", **SHADE)
+    panel.set_ylim(bottom, None)
 
 
 def _times(variants: Variants) -> Array:
@@ -260,8 +254,7 @@ def _columns(variants: Variants, time: Array) -> list[list[_Drop]]:
         style = line_style(index) | {"label": label, "linewidth": 1.8, "zorder": 4.0 - 0.01 * index}
         band = _in_mm(time, *variants.bands[label].motion(time)) if label in variants.bands else None
         drop = _Drop(result.scene, style, _in_mm(time, *result.motion(time)), band)
-        has_pulse = (_published(result.scene) or (0.0,))[-1] > 0.0
-        (pulsed if has_pulse else plain).append(drop)
+        (pulsed if result.scene.pulse > 0.0 else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
 
 
@@ -274,30 +267,13 @@ def _analog(scene: Drop, time: Array) -> _Motion | None:
     return _in_mm(time, *scene.analog(time)) if scene.stiffness else None
 
 
-def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]], variants: Variants) -> None:
-    """Add the titles."""
-    for panel, (drop, *others) in zip(tops, columns, strict=True):
-        wall = _published(drop.scene)
-        if wall is not None and (wall[2] > 0.0 or not others):  # otherwise the legend is enough
-            panel.set_title(drop.style["label"], fontweight="bold", **TITLE)
-    p, label = columns[0][0].scene, columns[0][0].style["label"]
+def _lines_of(variants: Variants, label: str) -> str:
+    """Return the sampling phase of the lines, and the number of those in the band."""
     result, shaded = variants.runs[label], ""
     if (band := variants.bands.get(label)) is not None:
         rank = rank_text(band.figures["penetration"], result.figures["penetration"])
         shaded = f" (depth {rank} of the phases); band: {len(band.phase)} phases"
-    lines = f"lines: sampling phase {result.phase:g}{shaded}"
-    figure.suptitle(f"{p.height * 1e3:g} mm drop, {_loop_of(variants)}\n{lines}", **HEAD)
-
-
-def _loop_of(variants: Variants) -> str:
-    """Return gains and stability of the wall if common to all scenes, then timing, force limit and plant."""
-    scenes, wall = [result.scene for result in variants.runs.values()], ""
-    p, gains = scenes[0], {(_published(scene) or ())[:2] for scene in scenes}
-    if len(gains) == 1 and (common := gains.pop()):
-        margin = wall_margin(p, held=True)
-        wall = "wall {:g} N/m, {:g} N s/m".format(*common) + (f" ({margin})\n" if margin else "\n")
-    limit = "" if p.force_limit is None else f", force limit {p.force_limit:g} N"
-    return f"{wall}{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit}, plant {variants.first.plant}"
+    return f"lines: sampling phase {result.phase:g}{shaded}"
 
 
 def figure_6(variants: Variants) -> Any:
@@ -310,18 +286,14 @@ def figure_6(variants: Variants) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     height = "height above the wall"
-    figure, panels = _over_time(variants.runs, {height: "z", "actuator force": "force"}, row=2.6, always=height)
+    figure, panels = _over_time(variants, {height: "z", "actuator force": "force"}, row=2.6, always=height)
     upper, first = panels[height], variants.first
-    bottom, top = upper.get_ylim()
-    bottom = min(bottom, -0.5)
-    p, pulled = first.scene, first.series(_FINE)
-    label = f"target of the hand, down to {p.resting_point * 1e3:.1f} mm"
+    _draw_wall(upper)
+    top, pulled = upper.get_ylim(), first.series(_FINE)
+    label = f"target of the hand, down to {first.scene.resting_point * 1e3:.1f} mm"
     upper.plot(pulled["time"], pulled["target"] * 1e3, color=REFERENCE, linewidth=0.8, label=label)
-    upper.axhspan(bottom, 0.0, **SHADE)
-    upper.set_ylim(bottom, top)
-    upper.text(0.008, 0.02, "wall", transform=upper.transAxes, color=REFERENCE, fontsize=9.0)
-    name_curves(figure, [upper])
-    upper.set_title(f"hand: {p.hand}, final press {p.press:g} N\n{_loop_of(variants)}", **TITLE)
+    upper.set_ylim(top)
+    name_curves(figure, figure.axes)
     return figure
 
 
@@ -338,7 +310,7 @@ def stick_slip(variants: Variants) -> Any:
     p, motion = result.scene, result.series(_FINE)
     time, position = motion["time"], f"position along {p.axis}"
     exact, named = p.exact(time), {position: "position", "velocity": "velocity"}
-    figure, panels = _over_time({f"{p.law}, {1.0 / p.period:g} Hz": result}, named, row=2.6, always=position)
+    figure, panels = _over_time(Variants({p.law: result}), named, row=2.6, always=position)
     upper = panels[position]
     anchor = np.where(motion["state"] == "stuck", motion["stick_position"], np.nan)
     upper.plot(time, anchor * 1e3, color=STUCK, linewidth=1.6, linestyle="--", label="stick position")
@@ -346,10 +318,4 @@ def stick_slip(variants: Variants) -> Any:
     if "velocity" in panels:
         panels["velocity"].plot(time, exact.velocity * 1e3, **_IDEAL)
     name_curves(figure, [upper])
-    stiff, damp, force = (unit_of(unit, p.axis) for unit in ("N/m", "N s/m", "N"))
-    upper.set_title(
-        f"spring {p.spring:.4g} {stiff}, breakaway {p.breakaway:.4g} {force}, delay {p.delay * 1e3:g} ms\n"
-        f"friction law {p.stiffness:.4g} {stiff}, {p.damping:.4g} {damp}, plant {result.plant}",
-        **TITLE,
-    )
     return figure

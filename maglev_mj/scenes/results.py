@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.errors import ParameterError, check_instance, check_one_of
-from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.frames import AXES, Array, distances, unit_of
 from maglev_mj.lazy import loaded
 from maglev_mj.parameters import flag, number
 from maglev_mj.pictures import save
@@ -42,6 +42,7 @@ class Figure:
         batched: True if the function accepts a batch of devices, with results equal to the last bit.
         nan_is_largest: True if NaN counts as the largest value in percentiles; otherwise it is ignored.
         along: True for a figure along the scene's axis: the unit is that of a translation; see `unit_of`.
+        missing: Meaning of NaN, for charts.
 
     Example:
         >>> from maglev_mj import find_scene, run
@@ -59,6 +60,7 @@ class Figure:
     batched: bool = True
     nan_is_largest: bool = False
     along: bool = False
+    missing: str = "no value"
 
     def __post_init__(self) -> None:
         flag("batched", self.batched)
@@ -226,6 +228,9 @@ class RunResult(Result):
         """Return the figures; for a batch, the table of its `Phases`."""
         return self._shown.table()
 
+    def _headline(self) -> str:
+        return self._shown.headline
+
     @property
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
@@ -325,6 +330,9 @@ class Phases(Result):
         """Return median, 5th and 95th percentile of each figure."""
         return Variants({}, {self.scene.name: self}).table()
 
+    def _headline(self) -> str:
+        return Variants({}, {self.scene.name: self}).headline
+
     @property
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
@@ -391,6 +399,22 @@ class Variants(Result):
     def first(self) -> Any:
         """Run of the scene itself, or its phases without a single run."""
         return next(iter((self.runs or self.phases).values()))
+
+    def _headline(self) -> str:
+        scene, texts = self.first.scene, list[str]()
+        subject = scene.name.capitalize() + (f" on {scene.stiffness:g} N/m" if hasattr(type(scene), "wall") else "")
+        each = self.phases or {label: result.over_phases() for label, result in self.runs.items()}
+        over = f", median of {len(next(iter(each.values())).phases)} phases" if self.phases else ""
+        for name, one in scene.figures.items():
+            medians = [(float(one.percentile(np.ravel(x.figures[name]), 50.0)), label) for label, x in each.items()]
+            ranked = [median for median in sorted(medians) if math.isfinite(median[0])]
+            values = [f"{one.text(x)} {unit_of(one.unit, scene.axis, one.along)}".rstrip() for x, _ in ranked]
+            texts += [f"{figure_head(name)} {value}" for value in values[:1]]
+            if len(ranked) > 1:
+                least, most = (label.partition(" (")[0] for _, label in (ranked[0], ranked[-1]))
+                return f"{subject}: {texts[-1]} ({least}) to {values[-1]} ({most}){over}"
+        reach = distances(np.vstack([phases.furthest for phases in each.values()]).max(axis=0))
+        return f"{subject}: {', '.join(texts[:3]) or f'up to {reach} from the centre'}{over}"
 
     @property
     def pictures(self) -> Mapping[str, str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,7 +14,6 @@ from maglev_mj.control import Hold, LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array
-from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.result import Result, Table, with_unit
@@ -67,16 +65,15 @@ class DeviceCard(Result):
     force_resolution: float
     passive_damping: float
     units: ClassVar = {"frequency": "Hz", "target": "N s/m", "rendered": "N s/m", "simulated": "N s/m"}
+    picture: ClassVar = "maglev_mj.studies.pictures:device_card"
+
+    def _headline(self) -> str:
+        walls = [f"{wall.stiffness[1]:.0f} N/m (hand {hand})" for hand, wall in zip(self.hands, self.walls)]
+        return f"Stiffest stable wall: {', '.join(walls[:2])}; transparent up to {self.transparent:.3g} Hz"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the impedances over frequency."""
         return dict(zip(self.units, self.impedance))
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw stable walls by hand, and impedances over frequency; see `Result.plot`."""
-        from maglev_mj.studies.pictures import device_card
-
-        return save(device_card(self), path)
 
     @property
     def warnings(self) -> Sequence[str]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -21,7 +20,6 @@ from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import Parameters, numbers, param
-from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.limits import LIMITS, excess_of
@@ -102,17 +100,18 @@ class DesignResult(Result):
     map: Array
     derived: ClassVar = ("pulse", "gate")
     units: ClassVar = {"mass": "kg", "delay": "s"}
+    picture: ClassVar = "maglev_mj.studies.pictures:design_map"
+
+    def _headline(self) -> str:
+        wall = self.wall
+        gains = f"{wall.stiffness:.0f} N/m and {wall.damping:.1f} N s/m"
+        law = "PD" if wall.pole is None else wall.law.capitalize()
+        return f"{law} wall of {gains}: spectral radius {wall.spectral_radius:.3g} in the worst case"
 
     def columns(self) -> dict[str, Array]:
         """Return mass, delay and spectral radius of each cell."""
         mass, delay = np.meshgrid(self.masses, self.delays, indexing="ij")
         return {"mass": mass.ravel(), "delay": delay.ravel(), "spectral_radius": self.map.ravel()}
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw the spectral radius over mass and delay; see `Result.plot`."""
-        from maglev_mj.studies.pictures import design_map
-
-        return save(design_map(self), path)
 
     @property
     def warnings(self) -> Sequence[str]:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +17,6 @@ from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import param
-from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.result import Table
@@ -102,7 +100,12 @@ class DropMap(GainMap):
     swing: Array
     ending: Array
     derived: ClassVar = ("endings", "settles_up_to")
+    picture: ClassVar = "maglev_mj.studies.pictures:drop_map"
     endings: ClassVar = tuple(one.name.lower() for one in Ending)
+
+    def _headline(self) -> str:
+        stiffest = f"all drops settle up to {self.settles_up_to.max():.0f} N/m"
+        return f"{super()._headline()} (theory); {stiffest}" if self.wall is None else super()._headline()
 
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return swing and ending of each drop."""
@@ -131,12 +134,6 @@ class DropMap(GainMap):
     def stable_by_theory(self) -> Mask:
         """Cells below theory's boundary, (K, B)."""
         return np.asarray(self.stiffness[:, None] <= self.boundary)
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw the final swing over the gains; see `Result.plot`."""
-        from maglev_mj.studies.pictures import drop_map
-
-        return save(drop_map(self), path)
 
     def table(self) -> Table:
         """Return the stiffest walls, the endings of the drops, and their differences from theory."""

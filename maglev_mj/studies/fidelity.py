@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
-from maglev_mj.pictures import save
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import get_scene
@@ -238,17 +236,16 @@ class FidelityResult(Result):
     unscreened: str = ""
 
     units: ClassVar = {**dict.fromkeys(("changes", "worst", "missing"), "m"), "force": "N", "cost": "s"}
+    picture: ClassVar = "maglev_mj.studies.pictures:fidelity"
+
+    def _headline(self) -> str:
+        level = "no level" if self.level is None else f"level {self.level.level}"
+        return f"{self.preset.name.capitalize()}: {level} meets the tolerance of {_micro(self.tolerance):g} µm"
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return the figures of each level."""
         rows = [row._asdict() for row in self.levels]
         return {name: np.array([row[name] for row in rows]) for name in LevelResult._fields if name != "adds"}
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw each level's distance from those above; see `Result.plot`."""
-        from maglev_mj.studies.pictures import fidelity
-
-        return save(fidelity(self), path)
 
     def table(self) -> Table:
         """Return the levels, their additions, and the integrators and steps on the chosen level."""

@@ -13,24 +13,24 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.pictures import (
     FIRST,
-    HEAD,
     SECOND,
     TITLE,
     Quantities,
     axis_label,
+    draw_limit,
     line_style,
     name_curves,
     new_figure,
     new_grid,
 )
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.results import figure_head
+from maglev_mj.scenes.results import figure_head, parameter_texts
 from maglev_mj.studies.card import DeviceCard
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.drop_map import DropMap
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
 from maglev_mj.studies.stability_map import StabilityMap
-from maglev_mj.studies.sweep import Sweep
+from maglev_mj.studies.sweep import Sweep, chosen_text
 
 _STAR: dict[str, Any] = {
     "color": SECOND,
@@ -91,7 +91,7 @@ def stability_map(result: StabilityMap) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     p = result.parameters
-    figure, (panel,) = new_figure(1, 1, 6.0)
+    figure, (panel,) = new_figure((result.headline, p.loop_title), 1, 1, 5.6)
     x, y, spectral_radius = result.level_sets()
     level_sets(panel, x, y, spectral_radius)
     used = Drop()
@@ -116,12 +116,6 @@ def stability_map(result: StabilityMap) -> Any:
     (low, high), (soft, stiff) = ((axis.min(), axis.max()) for axis in (result.damping, result.stiffness))
     panel.set(**_GAINS, xlim=(low, high), ylim=(soft, stiff))
     name_curves(figure, [panel])
-    hand = "" if p.hand == "none" else f", hand {p.hand}"
-    panel.set_title(
-        f"spectral radius: {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, {p.mass:g} kg{hand}\n"
-        f"stiffest wall: {best.describe()}",
-        **TITLE,
-    )
     return figure
 
 
@@ -137,9 +131,8 @@ def drop_map(result: DropMap) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     p = result.parameters
-    figure, panels = new_figure(1, 1, 5.6)
+    figure, panels = new_figure((result.headline, p.loop_title, p.described), 1, 1, 5.3)
     drop_panels(figure, panels, [result])
-    panels[0].set_title(f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, {p.described}", **TITLE)
     return figure
 
 
@@ -201,7 +194,8 @@ def design_map(result: DesignResult) -> Any:
     sizes = result.masses.size, result.delays.size
     if sizes == (1, 1):
         raise ParameterError("mass or delay must be a range to draw a chart")
-    figure, (panel,) = new_figure(1, 1, 5.6)
+    details = f"{1.0 / needs.period:g} Hz, {needs.description}"
+    figure, (panel,) = new_figure((result.headline, details), 1, 1, 5.3)
     marked = f"worst case: {wall.spectral_radius:.4g}, hand {worst.hand}"
     if min(sizes) > 1:
         low, high = float(result.map.min()), float(result.map.max())
@@ -224,12 +218,6 @@ def design_map(result: DesignResult) -> Any:
         panel.axhline(needs.spectral_radius, color=REFERENCE, linestyle=":", label=f"limit: {needs.spectral_radius:g}")
         panel.set(xlabel="mass (kg)" if along_mass else "delay (ms)", ylabel="spectral radius")
     name_curves(figure, [panel])
-    law = "PD wall" if wall.pole is None else "Observer wall"
-    panel.set_title(
-        f"{law}: {wall.stiffness:.0f} N/m, {wall.damping:.1f} N s/m, {1.0 / needs.period:g} Hz\n"
-        f"spectral radius, worst of hands {', '.join(needs.hands)}",
-        **TITLE,
-    )
     return figure
 
 
@@ -247,30 +235,38 @@ def sweep(result: Sweep) -> Any:
         figure_head(name): (one.scale * result.figure(name), result.unit_along(one.unit, one.along))
         for name, one in figures.items()
     }
+    failed = len(result.results.failed)
+    words = {
+        figure_head(name): "failed" if np.isnan(result.figure(name)).sum() == failed else one.missing
+        for name, one in figures.items()
+    }
     if not found:
         raise ParameterError(f"figures must include a scalar to draw a chart: {result.scene.name} has none")
     varied = {name: values for name, values in result.varied.items() if len(values) > 1} or result.varied
     (first, along), *others = varied.items()
     label = axis_label(first, result.units.get(first))
     if len(others) == 1 and _even(along) and _even(others[0][1]):
-        return _heat_maps(result, varied, found, label)
+        return _heat_maps(result, varied, found, label, words)
     lines = list(itertools.product(*(values for _, values in others)))
     units = [result.units.get(name, "") for name, _ in others]
     numbers = all(map(_is_number, along))
-    figure, panels = new_grid(found, label, more=0.9, head=result.held)
+    figure, panels = new_grid((result.headline, result.held), found, label, more=0.9)
     for name, panel in panels.items():
         for index, values in enumerate(found[name][0].reshape(len(along), -1).T):
             style = line_style(index) | ({} if numbers else {"linestyle": "none"})
-            named = ", ".join(map(_chosen, dict(others), lines[index], units))
-            panel.plot(along if numbers else range(len(along)), values, marker="o", label=named, **style)
+            named = ", ".join(map(chosen_text, dict(others), lines[index], units))
+            panel.plot(along if numbers else range(len(along)), values, marker="o", label=named or None, **style)
         empty = [np.isnan(row).all() for row in found[name][0].reshape(len(along), -1)]
         for x in (value if numbers else index for index, value in enumerate(along) if empty[index]):
             where = panel.get_xaxis_transform()
-            panel.text(x, 0.03, "no value", transform=where, rotation=90, ha="center", color=REFERENCE, fontsize=9.0)
+            panel.text(x, 0.03, words[name], transform=where, rotation=90, ha="center", color=REFERENCE, fontsize=9.0)
+        if name == figure_head("peak_force"):
+            draw_limit(panel, result.cells.scene)
         if not numbers:
+            panel.update_datalim([(0.0, 0.0)], updatex=False)
             panel.set_xticks(range(len(along)), map(str, along), rotation=90)
-    if others:
-        name_curves(figure, figure.axes[:1])
+            panel.locator_params(axis="y", integer=bool(np.all(found[name][0] % 1.0 == 0.0)))
+    name_curves(figure, figure.axes)
     return figure
 
 
@@ -286,10 +282,12 @@ def _even(values: Sequence[Any]) -> bool:
     return bool(steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6))
 
 
-def _heat_maps(result: Sweep, varied: Mapping[str, Sequence[Any]], found: Quantities, label: str) -> Any:
+def _heat_maps(
+    result: Sweep, varied: Mapping[str, Sequence[Any]], found: Quantities, label: str, words: Mapping[str, str]
+) -> Any:
     """Draw each figure as a heat map over two parameters; cells without a value are grey."""
     (_, x), (second, y) = varied.items()
-    figure, panels = new_grid(found, label, more=0.5, head=result.held, sharey=True)
+    figure, panels = new_grid((result.headline, result.held), found, label, more=0.5, sharey=True)
     edges = (*_outer(np.array(x)), *_outer(np.array(y)))
     for name, panel in panels.items():
         panel.grid(visible=False)
@@ -299,10 +297,10 @@ def _heat_maps(result: Sweep, varied: Mapping[str, Sequence[Any]], found: Quanti
         panel.set(xlim=edges[:2], ylim=edges[2:])
         if panel.get_subplotspec().is_first_col():
             panel.set_ylabel(axis_label(second, result.units.get(second)))
-    if any(np.isnan(values).any() for values, _ in found.values()):
-        first = figure.axes[0]
-        first.plot([], [], "s", color=GRID, markersize=9, label="no value, for example not settled")
-        name_curves(figure, [first])
+    missing = {words[name] for name, (values, _) in found.items() if name in panels and np.isnan(values).any()}
+    if missing:
+        figure.axes[0].plot([], [], "s", color=GRID, markersize=9, label=" or ".join(sorted(missing)))
+        name_curves(figure, figure.axes[:1])
     return figure
 
 
@@ -312,20 +310,17 @@ def fidelity(result: FidelityResult) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure, (panel,) = new_figure(1, 1, 4.2)
+    scene = result.preset.scene
+    details = ", ".join([scene.describe(), *parameter_texts(scene)])
+    figure, (panel,) = new_figure((result.headline, details), 1, 1, 4.0)
     names, missing = result.columns()["level"], 1e6 * result.columns()["missing"]
     panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="max. deviation")
     allowed = 1e6 * result.tolerance / MARGIN
     panel.axvline(allowed, color=REFERENCE, linestyle="--", zorder=1, label=f"tolerance / margin, {allowed:g} µm")
     panel.set_yticks(range(len(names)), names)
     panel.set(ylim=(len(names) - 0.5, -0.5), xscale="log", xlabel="deviation from all higher levels (µm)")
-    panel.set_title(result.preset.name, **TITLE)
     name_curves(panel)
     return figure
-
-
-def _chosen(name: str, value: Any, unit: str) -> str:
-    return f"{name} {value:g} {unit}".rstrip() if _is_number(value) else f"{name} {value}"
 
 
 def device_card(result: DeviceCard) -> Any:
@@ -334,7 +329,7 @@ def device_card(result: DeviceCard) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure, (width, size) = new_figure(1, 2, 4.6)
+    figure, (width, size) = new_figure((result.headline, result.title), 1, 2, 4.4)
     for index, (hand, limit) in enumerate(zip(result.hands, result.limits)):
         width.plot(result.damping, limit / 1e3, label=f"hand {hand}", linewidth=1.8, **line_style(index))
     width.set(xlabel="damping (N s/m)", ylabel="stiffness (N/mm)", ylim=(0.0, None))
@@ -348,5 +343,4 @@ def device_card(result: DeviceCard) -> Any:
     size.set_title("impedance at the handle", **TITLE)
     for panel in (width, size):
         name_curves(panel)
-    figure.suptitle(result.title, **HEAD)
     return figure

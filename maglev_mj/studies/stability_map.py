@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -23,7 +22,6 @@ from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import Parameters, param, param_range, transport_delay
-from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HANDS, Hand, get_hand
 from maglev_mj.plants.model import body_of
@@ -400,6 +398,9 @@ class GainMap(Result):
     maximum: theory.StiffestWall
     units: ClassVar = {"stiffness": "N/m", "damping": "N s/m", "swing": "m"}
 
+    def _headline(self) -> str:
+        return f"Stiffest stable wall: {self.maximum.describe()}" if self.wall is None else f"Wall: {self.wall}"
+
     @cached_property
     def wall(self) -> SingleWall | None:
         """Verdict on a map of one wall; None for several."""
@@ -448,6 +449,7 @@ class StabilityMap(GainMap):
     spectral_radius: Array
     simulated: Mask | None
     near: Mask
+    picture: ClassVar = "maglev_mj.studies.pictures:stability_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return spectral radius, and `settles` if walls were simulated."""
@@ -469,12 +471,6 @@ class StabilityMap(GainMap):
         return (
             None if self.simulated is None else (theory.is_stable(self.spectral_radius) != self.simulated) & ~self.near
         )
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw level sets by theory and simulated verdicts; see `Result.plot`."""
-        from maglev_mj.studies.pictures import stability_map
-
-        return save(stability_map(self), path)
 
     def table(self) -> Table:
         """Return the stiffest wall beside published bounds, and the numbers of stable cells."""

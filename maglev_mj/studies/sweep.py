@@ -16,7 +16,7 @@ from functools import cached_property, partial
 from importlib.util import find_spec
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, SupportsIndex, TypeAlias
+from typing import Any, ClassVar, SupportsIndex, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,6 @@ from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, c
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.keywords import with_period
 from maglev_mj.parameters import parsed_number
-from maglev_mj.pictures import save
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, reference_of, scene_from_reference, text_of
@@ -75,6 +74,19 @@ class Sweep(Result):
     resumed: int = field(repr=False)  # JSON must not depend on the record
     record: str | None = field(repr=False)
     chaos: str = field(default="", repr=False)
+    picture: ClassVar = "maglev_mj.studies.pictures:sweep"
+
+    def _headline(self) -> str:
+        subject, columns, units = self.scene.name.capitalize(), self.columns(), self.units
+        for name in filter(self.is_number, self.names):
+            one, values = self.shown(name), columns[name]
+            least, most = (one.text(end.reduce(values)) for end in (np.fmin, np.fmax))
+            if least != most:
+                cell = int(np.nanargmin(values))
+                at = ", ".join(chosen_text(key, columns[key][cell], units.get(key, "")) for key in self.varied)
+                spread = f"{figure_head(name)} {least} to {most} {self.unit_along(one.unit, one.along)}".rstrip()
+                return f"{subject}: {spread}, least at {at}"
+        return f"{subject}: all figures equal in {_count(len(self.results))}"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return varied values and figures, a row for each cell.
@@ -138,12 +150,6 @@ class Sweep(Result):
         )
         plant = [] if "plant" in several else [f"plant {self.cells.axes['plant'][0]}"]
         return f"{self.scene.name}: {', '.join([*plant, *parameter_texts(scene, without=several)])}"
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw each figure over the first varied parameter; see `Result.plot`."""
-        from maglev_mj.studies.pictures import sweep
-
-        return save(sweep(self), path)
 
     def table(self) -> Table:
         """Return the spread of each figure over the cells."""
@@ -270,6 +276,12 @@ def _chaos(cells: Grid, text: str | None) -> str:
         return ""
     moved, index, result = max(checked, key=itemgetter(0))
     return chaos_warning(f"{count} of {_count(len(checked))} checked, most in row {index}", result, moved)
+
+
+def chosen_text(name: str, value: Any, unit: str) -> str:
+    """Return a parameter with its value and unit."""
+    text = f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+    return f"{name.replace('_', ' ')} {text} {unit}".rstrip()
 
 
 def _count(cells: int) -> str:

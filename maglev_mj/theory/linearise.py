@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from time import perf_counter as _clock
 from typing import Any, ClassVar
 
@@ -17,7 +16,6 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, TooManyCallsError, named, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers
-from maglev_mj.pictures import save
 from maglev_mj.plants.hand import Hand
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
@@ -61,6 +59,11 @@ class Linearised(Result):
     units: ClassVar = {"time": "s"} | {
         f"{to}.{source}": f"{unit_of('N', to)}/{unit_of('m', source)}" for to in AXES for source in AXES
     }
+    picture: ClassVar = "maglev_mj.theory.pictures:impulse_response"
+
+    def _headline(self) -> str:
+        axis = int(np.argmax(np.abs(np.diag(self.stiffness)[:3])))
+        return f"Stiffest translation: {AXES[axis]}, {self.stiffness[axis, axis]:.4g} N/m"
 
     def columns(self) -> dict[str, Array]:
         """Return time and each nonzero response, (M,) each; `z.x` is the force along z per displacement along x."""
@@ -69,12 +72,6 @@ class Linearised(Result):
         for to, source in zip(*np.nonzero(self.response.any(axis=0))):
             columns[f"{AXES[to]}.{AXES[source]}"] = self.response[:, to, source]
         return columns
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw the wrench after a unit displacement at one sample; see `Result.plot`."""
-        from maglev_mj.theory.pictures import impulse_response
-
-        return save(impulse_response(self), path)
 
     def table(self) -> Table:
         """Return stiffness and damping of each axis."""
@@ -150,6 +147,11 @@ class ClosedLoop(Result):
     seen: Array
     period: float
     units: ClassVar = {"frequency": "Hz"}
+    picture: ClassVar = "maglev_mj.theory.pictures:pole_map"
+
+    def _headline(self) -> str:
+        word = "stable" if self.spectral_radius < 1.0 else "unstable"
+        return f"Closed loop at {1.0 / self.period:g} Hz: {word}, spectral radius {self.spectral_radius:.3f}"
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
@@ -167,17 +169,6 @@ class ClosedLoop(Result):
         poles = self.eigenvalues
         frequency = np.abs(np.angle(poles)) / (2.0 * np.pi * self.period)
         return {"real": poles.real, "imaginary": poles.imag, "magnitude": np.abs(poles), "frequency": frequency}
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw the poles and the unit circle; see `Result.plot`."""
-        from maglev_mj.theory.pictures import pole_map
-
-        return save(pole_map(self), path)
-
-    def table(self) -> Table:
-        """Return the first poles."""
-        word = "stable" if self.spectral_radius < 1.0 else "unstable"
-        return super().table()._replace(title=f"closed loop: {word}, spectral radius {self.spectral_radius:.3f}")
 
     def to_statespace(self) -> Any:
         """Return python-control's StateSpace, from an external wrench to the position.

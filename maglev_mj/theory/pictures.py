@@ -19,7 +19,7 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure, (panel,) = new_figure(1, 1, 5.4)
+    figure, (panel,) = new_figure([loop.headline], 1, 1, 5.2)
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     panel.plot(np.cos(turn), np.sin(turn), color=REFERENCE, linewidth=1.2, label="unit circle (stability boundary)")
     outside = np.abs(loop.eigenvalues) > 1.0 + _FREE
@@ -31,7 +31,6 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
         if poles.size:
             panel.plot(poles.real, poles.imag, "x", color=color, markersize=9, markeredgewidth=2.0, label=label)
     panel.set(aspect="equal", xlabel="real part", ylabel="imaginary part")
-    panel.set_title(f"spectral radius {loop.spectral_radius:.4g}", **TITLE)
     name_curves(figure, [panel])
     return figure
 
@@ -47,7 +46,7 @@ def impulse_response(near: Linearised) -> Any:
     groups = {"force per displacement": ("N/m", "N/rad"), "torque per displacement": ("N m/m", "N m/rad")}
     groups_drawn = {title: [name for name in columns if near.units[name] in units] for title, units in groups.items()}
     groups_drawn = {title: names for title, names in groups_drawn.items() if names} or groups_drawn
-    figure, panels = new_figure(1, len(groups_drawn), 4.0)
+    figure, panels = new_figure((near.headline, f"{1.0 / near.period:g} Hz"), 1, len(groups_drawn), 4.0)
     for panel, (title, names) in zip(panels, groups_drawn.items()):
         for index, name in enumerate(names):
             color = SERIES[index % len(SERIES)]

@@ -11,7 +11,6 @@ from copy import copy
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import compress, pairwise, product
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -19,9 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, TooManyCallsError
-from maglev_mj.frames import AXES, ZERO, Array, Sample
+from maglev_mj.frames import AXES, ZERO, Array, Sample, unit_of
 from maglev_mj.parameters import number, numbers, transport_delay
-from maglev_mj.pictures import save
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import Body
 from maglev_mj.result import Result, Table, plain
@@ -117,33 +115,27 @@ class Verdict(Result):
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
     states: tuple[LoopState, ...] = ()
     units: ClassVar = {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
+    picture: ClassVar = "maglev_mj.theory.pictures:pole_map"
+
+    def _headline(self) -> str:
+        parts = [f"{axis} = {1e3 * x:.3g} {unit_of('mm', axis)}" for axis, x in zip(AXES, self.pose) if x]
+        pose = f"at {', '.join(parts) or 'the centre'}" if self.axes else ""
+        worst = f"in {' and '.join(self.acting)}" * bool(self.acting) if self.stated else pose
+        return f"{self} (worst {worst})" if worst else str(self)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return pose, stiffness and damping of each axis."""
         gains = {"stiffness": np.diag(self.stiffness), "damping": np.diag(self.damping)}
         return {"axis": np.array(AXES), "pose": self.pose, **gains}
 
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw the eigenvalues in the unit circle; see `Result.plot`."""
-        from maglev_mj.theory.pictures import pole_map
-
-        return save(pole_map(self), path)
-
     def table(self) -> Table:
         """Return a row for each combination of law states; without declared gains, the worst pose."""
         rows = [state.row() for state in self.states]
-        if self.stated:
-            worst = f" (worst in {' and '.join(self.acting)})" if self.acting else ""
-            method = "from the gains declared by the laws"
-        else:
-            units = ["mm"] * 3 + ["mrad"] * 3
-            parts = [f"{axis} = {1e3 * x:.3g} {unit}" for axis, x, unit in zip(AXES, self.pose, units) if x]
-            worst = f" (worst at {', '.join(parts) or 'the centre'})" if self.axes else ""
-            method = "by numerical linearisation"
+        method = "from the gains declared by the laws" if self.stated else "by numerical linearisation"
         remarks = "\n".join(
             [f"line above the table: worst axis; margin = 1 - spectral radius; computed {method}", *self.remarks]
         )
-        return Table(f"{self}{worst}", ("axes", "state", "spectral radius", "margin", "verdict"), rows, remarks)
+        return Table("", ("axes", "state", "spectral radius", "margin", "verdict"), rows, remarks)
 
     def __str__(self) -> str:
         if self.stable is None:

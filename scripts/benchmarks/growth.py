@@ -254,4 +254,6 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
             log="xy",
         ),
     ]
-    return [small_multiples(panels, pictures.path("speed_growth"))]
+    name, devices, costs = min(panels[0].curves, key=lambda curve: min(curve[2]))
+    head = f"{name}: {min(costs):.2g} µs per tick and device, up to {max(devices):g} devices at once"
+    return [small_multiples([head], panels, pictures.path("speed_growth"))]

@@ -99,7 +99,8 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
     """Draw cost beside change, the cheapest on top; return the file."""
     costs, changes = found["cost over plain"], found["change (µm)"]
     names = sorted(costs, key=lambda name: -costs[name])
-    figure, axes = new_figure(1, 2, 0.24 * len(names) + 1.0, sharey=True)
+    head = f"Dearest option: {names[0]}, {costs[names[0]]:.2g} times the cost of the plain loop"
+    figure, axes = new_figure([head], 1, 2, 0.24 * len(names) + 1.0, sharey=True)
     kinds = {EXACT: ("o", HAND), ENGINE: ("s", DEVICE)}
     titles = "cost, times the plain loop", "greatest displacement of a coil by it (µm)"
     columns = costs, {name: max(value, _NOTHING) for name, value in changes.items()}

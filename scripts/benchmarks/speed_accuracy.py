@@ -461,7 +461,11 @@ def draw(pictures: PictureFolder, data: Mapping[str, Any]) -> list[Path]:
     everyone = peer_points(data["peers"]["methods"])
     title = "a drop on the wall, six axes, with what else one might take"
     drawn.append(work_precision(title, everyone, pictures.path("speed_accuracy_peers")))
-    return [*drawn, small_multiples(step_panels(data), pictures.path("speed_accuracy_steps"))]
+    shift = max(np.abs(shifts).max() for shifts in data["boundary"]["shifts"].values())
+    head = [
+        f"Time steps up to {1e3 * max(data['boundary']['steps']):g} ms shift the boundary by up to {100 * shift:.2g} %"
+    ]
+    return [*drawn, small_multiples(head, step_panels(data), pictures.path("speed_accuracy_steps"))]
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import numpy as np
 
 from maglev_mj.colours import GRID, REFERENCE, SERIES
 from maglev_mj.parameters import flag
-from maglev_mj.pictures import TITLE, new_figure, save
+from maglev_mj.pictures import new_figure, save
 
 EXACT_ENOUGH = 1e-9
 """Error below which methods differ only in cost [m]."""
@@ -83,7 +83,9 @@ def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
     front = {id(point) for many in (False, True) for point in pareto([one for one in points if one.many is many])}
     top = math.ceil(max([_decade(point) for point in off], default=1.0) + 0.3)
     bottom = -_ROW * (len(rows) + 0.2)
-    figure, (axis,) = new_figure(1, 1, _INCH * (top - bottom) + 1.0)
+    best = f": {rows[0].group}, {1e3 * rows[0].cost:.2g} µs per simulated ms" if rows else ""
+    head = f"Cheapest within 1 nm{best}", title, "ringed and bold: nothing is both cheaper and nearer"
+    figure, (axis,) = new_figure(head, 1, 1, _INCH * (top - bottom) + 1.0)
     chains = []
     for group in groups:
         mine = [point for point in off if point.group == group]
@@ -95,7 +97,7 @@ def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
         _draw(axis, [(point, height)], styles[point.group], front)
         place = (1e3 * point.cost, height)
         axis.annotate(f"{float(f'{place[0]:.2g}'):g}", place, va="center", **_words(9, 0))
-    _furnish(axis, title, rows, front, (bottom, float(top)))
+    _furnish(axis, rows, front, (bottom, float(top)))
     _name(figure, axis, off, chains)
     return save(figure, path)
 
@@ -164,7 +166,7 @@ def _name(figure: Any, axis: Any, points: Sequence[WorkPoint], chains: Sequence[
                 words.remove()
 
 
-def _furnish(axis: Any, title: str, rows: Sequence[WorkPoint], front: set[int], span: tuple[float, float]) -> None:
+def _furnish(axis: Any, rows: Sequence[WorkPoint], front: set[int], span: tuple[float, float]) -> None:
     """Scale and label the panel."""
     axis.set_xscale("log")
     axis.set_ylim(*span)
@@ -180,7 +182,6 @@ def _furnish(axis: Any, title: str, rows: Sequence[WorkPoint], front: set[int], 
     for label, point in zip(axis.get_yticklabels()[len(decades) :], rows, strict=True):
         label.set_fontweight("bold" if id(point) in front else "normal")
     axis.minorticks_off()
-    axis.set_title(f"{title}\nringed and bold: nothing is both cheaper and nearer", **TITLE)
     told = {"ha": "right", "va": "top", "fontsize": _SMALL, "color": REFERENCE, "transform": axis.get_yaxis_transform()}
     axis.text(0.995, -0.2, "within 1 nm: the cheapest of each", **told)
     axis.set_xlabel("cost (µs a simulated ms and device)")

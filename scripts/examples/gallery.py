@@ -45,4 +45,6 @@ panels = [
     Panel(title="phases: depth of 100 drops", labels=("sampling phase", "depth (mm)"), curves=depths),
     Panel(title="gym_environment: PD, constant disturbance", labels=("time (s)", "height (mm)"), curves=episode),
 ]
-print("wrote", small_multiples(panels, pictures.path("gallery")))
+pulsed, plain = (np.median(values) for _, _, values in depths)
+head = f"A braking pulse makes the median drop {pulsed:.2f} mm deep instead of {plain:.2f} mm", "four examples"
+print("wrote", small_multiples(head, panels, pictures.path("gallery")))

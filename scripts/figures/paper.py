@@ -33,7 +33,9 @@ from six_axes import run_six_axes
 def figure_2(pictures: PictureFolder, quick: bool) -> Path:
     """Print and mark the maximum of c_p, as in figure 2."""
     period, mass, count = 1.0 / Spec.control_rate.value, Spec.moving_mass.value, 41 if quick else 401
-    figure, panels = new_figure(1, 2, 4.6, sharex=True, sharey=True)
+    stiffest = stiffest_wall(period=period, delay=Spec.transport_delay.value, mass=mass).describe()
+    head = f"Stiffest stable wall: {stiffest} with the device's delay", f"200 Hz, {mass:g} kg, no hand"
+    figure, panels = new_figure(head, 1, 2, 4.2, sharex=True, sharey=True)
     cases = ("one sample of delay, eq. (6)", period), ("delay 1.5 ms, the device", Spec.transport_delay.value)
     for panel, (name, delay) in zip(panels, cases, strict=True):
         best = stiffest_wall(period=period, delay=delay, mass=mass)
@@ -47,7 +49,7 @@ def figure_2(pictures: PictureFolder, quick: bool) -> Path:
         words = {"textcoords": "offset points", "xytext": (0, 9), "ha": "center", "fontsize": 9.0}
         panel.annotate(f"$c_p$ = {top[1]:.4f}, $c_v$ = {top[0]:.4f}", top, **words)
         panel.set_xlabel("$c_v = T k_v / 2m$")
-        title = f"{name}, 200 Hz, 0.7 kg\nat most {float(best.stiffness):.0f} N/m, at {float(best.damping):.1f} N s/m"
+        title = f"{name}\nat most {float(best.stiffness):.0f} N/m, at {float(best.damping):.1f} N s/m"
         panel.set_title(title, **TITLE)
         print(title.replace("\n", ": "))
     print("the paper reads off figure 2: about 3900 N/m at about 60 N s/m")
@@ -137,7 +139,9 @@ def figure_9(pictures: PictureFolder, quick: bool) -> Path:
         between = f", resting places {span} apart" if span else ""
         labels[index] = f"{int(result.slips[index])} slips{between}"
     anchors = np.where(result.stuck, result.anchor, np.nan)
-    return save(staircases(result.time, result.position, anchors, labels), pictures.path("fig9_six_axes"))
+    least = min(steps.min() for steps in result.steps()[:3] if steps.size) * 1e3
+    head = [f"{result.slips.sum()} slips in {duration:g} s; resting places at least {least:.2g} mm apart"]
+    return save(staircases(head, result.time, result.position, anchors, labels), pictures.path("fig9_six_axes"))
 
 
 FIGURES = {"2": figure_2, "3": figure_3, "4": figure_4, "6": figure_6, "8": figure_8, "9": figure_9}

@@ -66,7 +66,9 @@ if __name__ == "__main__":
     path = options.pictures.path("stability_nonlinear", "json")
     path.write_text(json.dumps({"grid": grid, "cases": data, "versions": versions()}, indent=1) + "\n")
     print("wrote", path)
-    figure, panels = new_figure(3, 2, 8.2, sharex=True, sharey=True)
+    medians = [row["settles_up_to_over_theory"]["median"] for row in data.values()]
+    head = f"Drops settle up to {100.0 * min(medians):.0f} to {100.0 * max(medians):.0f} % of the stability boundary"
+    figure, panels = new_figure([head], 3, 2, 8.2, sharex=True, sharey=True)
     drop_panels(figure, panels, list(results.values()))
     for panel, name in zip(panels, results, strict=True):
         panel.set_title(name, **TITLE)

@@ -58,7 +58,9 @@ def draw(
     """
     rows, columns = axes
     deep = -(-len(maps) // 2)
-    figure, panels = new_figure(deep, 2, deep * (0.25 * len(rows) + 0.8) + 0.4, sharex=True, sharey=True)
+    most = max(share.max() for _, share, _ in maps)
+    head = f"Up to {100.0 * most:.0f} % of the starts rattle", "two walls of 6000 N/m and 80 N s/m, 200 Hz, 60 N"
+    figure, panels = new_figure(head, deep, 2, deep * (0.25 * len(rows) + 0.8) + 0.4, sharex=True, sharey=True)
     for panel, (title, share, outside) in zip(panels, maps):
         panel.grid(visible=False)
         panel.imshow(np.ma.masked_equal(share, 0.0), cmap="GnBu", vmin=-0.1, vmax=1.4, aspect="auto", origin="lower")

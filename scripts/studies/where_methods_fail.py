@@ -231,4 +231,5 @@ pictures.path("where_methods_fail", "json").write_text(
 )
 print("wrote", pictures.path("where_methods_fail", "json"))
 for name, panels in drawn.items():
-    print("wrote", small_multiples(panels, pictures.path(f"where_methods_fail_{name}")))
+    head = f"Where methods fail at {1.0 / T:g} Hz and {DELAY * 1e3:g} ms of delay: {name}"
+    print("wrote", small_multiples([head], panels, pictures.path(f"where_methods_fail_{name}")))

@@ -384,7 +384,7 @@ def test_a_session_is_analysed_segment_by_segment(session: Path, tmp_path: Path,
     arguments = ["analyse", str(session), "--segment", "2", "--from", "0.4", "--axis", "y", "--no-compare"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "segment 2 of 2\nscene joystick, " in said and " 100 samples, " in said and "simulation" not in said
+    assert "segment 2 of 2\nScene joystick: " in said and " 100 samples, " in said and "simulation" not in said
     assert {path.name for path in tmp_path.glob("*.png")} == {
         f"segment_2_{name}.png" for name in ("contact", "run", "sticks")
     }

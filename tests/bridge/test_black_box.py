@@ -131,7 +131,7 @@ def test_a_file_without_a_cycle_is_read_and_drawn(tmp_path: Path) -> None:
     record = load_fault(boxed(tmp_path, "at\x1b[2J once"))
     assert record.time.shape == (0,) and record.six("pose").shape == (0, 6)
     said = str(record.table())
-    assert "\x1b" not in said and said.startswith("at\\x1b[2J once\n") and not record.table().rows
+    assert "\x1b" not in said and said.startswith("at\\x1b[2J once (") and not record.table().rows
     record.plot(tmp_path / "empty.png")
 
 
@@ -201,7 +201,11 @@ def test_the_table_says_what_when_and_the_last_cycles(failed: Failed) -> None:
     table = record.table(whole=True)
     first = f"first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s (device clock)"
     assert f"faults COIL_NOT_FOLLOWING; {first}" in table.note.splitlines()
-    assert table.title == record.message and "COIL_NOT_FOLLOWING: a measured current" in table.note
+    assert (
+        table.headline == record.headline
+        and record.message in table.headline
+        and "COIL_NOT_FOLLOWING: a measured current" in table.note
+    )
     number = rig.plant.samples.tick
     assert f", fault from {number}, last {number}" in table.note and "device's sample numbers: active at " in table.note
     assert "200 Hz; since the handshake, with the preflight check: 0 samples lost, 0 skipped" in table.note

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from functools import cache
+from html import escape
 from typing import Any
 
 import numpy as np
 import pytest
 
 from maglev_mj import Range, find_scene, linearise, measure_fidelity, run, run_phases, stability, sweep
+from maglev_mj.bridge.fault import _NAMES, FaultRecord
+from maglev_mj.bridge.preflight import LinkReport
 from maglev_mj.errors import MissingPackageError, ParameterError
+from maglev_mj.plants.shapes import device_report
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.results import Figure
+from maglev_mj.scenes.results import Figure, Variants
 from maglev_mj.session.replay import record_run
 from maglev_mj.studies import levels
+from maglev_mj.studies.card import device_card
+from maglev_mj.studies.compare import Comparison
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import MARGIN
-from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+from maglev_mj.studies.stability_map import GainMap, StabilityParameters, run_stability
 from maglev_mj.terminal import WIDTH
 from maglev_mj.theory import WallRequirements, design_wall
 from tests.analysis.test_analysis import analysed, recorded
@@ -38,6 +45,11 @@ def results() -> dict[str, Result]:
     near = linearise(STIFF.controller(), [[0.0, 0.0, -1e-3, 0.0, 0.0, 0.0]])[0]
     recording = record_run(Drop(), plant="exact", phase=0.0)
     wall = design_wall(WallRequirements(mass=(0.6, 0.8)))
+    phases = {"pd": run_phases(Drop(), 8, plant="exact")}
+    rest = dict.fromkeys(("stiffness", "noise", "spectral_radius", "critical_stiffness", "margin"), 0.5)
+    names = [name for kind in _NAMES.values() for name in kind]
+    cycles = dict.fromkeys([*names, "time", "width", "delay", "latency"], np.arange(3.0))
+    cycles |= dict.fromkeys(["sample", "state", "faults", *_NAMES["temperatures"]], np.arange(3))
     one = run(Drop(), plant="exact", phase=0.56)
     with pytest.MonkeyPatch.context() as few:  # no figure of it is looked at
         for name, value in {"_POINTS": 16, "_SEEDS": 2, "_LONG": 0.0, "_SHORT": 1e-9}.items():
@@ -47,7 +59,7 @@ def results() -> dict[str, Result]:
     return {
         "result": one,
         "trace": one.trace,
-        "phases": run_phases(Drop(), 8, plant="exact"),
+        "phases": phases["pd"],
         "sweep": sweep(Drop(), {"stiffness": [4000.0, 6000.0], "damping": [60.0, 70.0, 80.0]}, plant="exact"),
         "verdict": stability(STIFF),
         "linearised": near,
@@ -59,6 +71,20 @@ def results() -> dict[str, Result]:
         "drop map": run_drop_map(DropMapParameters(grid=GRID)),
         "design": evaluate_wall(wall, Contact()),
         "fidelity": fidelity,
+        "variants": Variants({"pd": one}),
+        "comparison": Comparison({"pd": one}, phases, margins={"pd": rest}, scene=Drop()),
+        "card": device_card(Drop()),
+        "fault": FaultRecord(
+            faults="SENSOR_FROZEN",
+            first="SENSOR_FROZEN",
+            message="fault SENSOR_FROZEN",
+            fault_time=1.0,
+            tick=3,
+            lost=0,
+            skipped=0,
+            period=0.005,
+            values=cycles,
+        ),
     }
 
 
@@ -69,7 +95,7 @@ def made() -> None:
 
 
 NAMES = ["result", "trace", "phases", "sweep", "verdict", "linearised", "closed loop", "recording", "samples"]
-NAMES += ["analysed", "stability map", "drop map", "design", "fidelity"]
+NAMES += ["analysed", "stability map", "drop map", "design", "fidelity", "variants", "comparison", "card", "fault"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -78,15 +104,39 @@ def test_every_result_has_a_frame_with_units_a_picture_and_a_table(name: str) ->
     frame = found.to_pandas()
     assert len(frame) and list(frame.columns) == list(found.columns()) and set(frame.attrs["units"]) <= set(frame)
     numbers = [column for column in frame if frame[column].dtype == np.float64]
-    known = {"phase", "magnitude", "spectral_radius", "real", "imaginary", "segment", "keeps"}
+    known = {"phase", "magnitude", "spectral_radius", "real", "imaginary", "segment", "keeps", "margin"}
     assert {column for column in numbers if not frame.attrs["units"].get(column)} <= known
-    assert found.plot().axes
+    assert " ".join(found.plot().get_suptitle().split()) == found.headline
     table, html = found.table(), found._repr_html_()
-    assert html.startswith(f"<table><caption>{table.title.split('<')[0][:20]}")
+    assert html.startswith(f"<table><caption><strong>{escape(found.headline)}</strong><br>{table.title[:20]}")
     tables = [table, *table.below]
     assert all(len(row) == len(one.head) for one in tables for row in one.rows)
     assert html.count("<tr>") == sum(len(one.rows) + 1 for one in tables)
     assert "style" not in html and "nan" not in html
+
+
+UNIT = re.compile(r"\d (m|N|Hz|µ|s\b|kN|%|deg)|spectral radius \d")
+
+
+def test_every_kind_of_result_has_a_headline() -> None:
+    numbers: Any = {
+        "delay": np.array([1e-3]),
+        "answer": np.array([1e-4]),
+        "samples": 1,
+        "lost": 0,
+        "skipped": 0,
+        "late": 0,
+    }
+    link = LinkReport(device_delay=1e-4, clock=1.0, lockstep=False, **numbers)
+    found = {type(one): one for one in [*results().values(), link, device_report()]}
+    kinds = [Result]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+        if kind.__module__.startswith("maglev_mj.") and kind not in (Result, GainMap):
+            headline = found[kind].headline
+            assert UNIT.search(headline) and len(headline) <= 110
+            assert headline in " ".join(str(found[kind].table()).split())
+            assert found[kind].as_json()["headline"] == headline
 
 
 def test_the_units_of_each_kind_of_result_are_these() -> None:
@@ -235,8 +285,8 @@ def test_a_verdict_and_its_closed_loop_have_the_same_worst_eigenvalue() -> None:
     assert list(frame["magnitude"]) == sorted(frame["magnitude"], reverse=True)
     assert frame["frequency"][0] == pytest.approx(np.angle(loop.eigenvalues[0]) / (2.0 * np.pi * 0.005))
     assert list(verdict.to_pandas()["stiffness"])[2] == 12000.0
-    assert "unstable" in verdict.table().title and "(worst in contact)" in verdict.table().title
-    assert "unstable" in loop.table().title
+    assert "unstable" in verdict.headline and "(worst in contact)" in verdict.headline
+    assert "unstable" in loop.headline
     outside = next(line for line in lines(verdict.plot()) if line.get_label().startswith("unstable poles"))
     assert len(outside.get_xdata()) == 2 and (np.hypot(*outside.get_data()) > 1.0).all()
     stable = stability(Drop())

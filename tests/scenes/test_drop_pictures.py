@@ -14,6 +14,7 @@ from maglev_mj.scenes.pictures import figure_6, phase_plane, series, spread, tim
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.run import run, run_phases, run_variants
+from tests.studies.test_charts import details
 from tests.sweeps import sweep
 
 DROP, PHASE, BANDS = Drop(), 0.56, 20
@@ -85,7 +86,7 @@ def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float) -
     others = run_phases(DROP, BANDS, plant="exact").figures["penetration"]
     share = 100.0 * float(np.mean(others < depth))
     words = f"lines: sampling phase {phase:g} (depth exceeds {share:.0f} % of the phases); band: {BANDS} phases"
-    assert words in figure.get_suptitle()
+    assert words in details(figure)
 
 
 def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
@@ -114,9 +115,9 @@ def test_a_figure_that_is_flat_has_no_panel() -> None:
     figure = spread(found)
     titles = [panel.get_title(loc="left") for panel in figure.axes]
     assert "final height (mm)" not in titles and titles[:2] == ["penetration (mm)", "rebound (mm)"]
-    *head, constant = figure.get_suptitle().replace("\N{NO-BREAK SPACE}", " ").split("\n")
-    assert constant == "not shown (constant): final height"
-    assert "drop along z" in " ".join(head) and "200 Hz, delay 1.5 ms" in " ".join(head)
-    assert "pulse 220" not in " ".join(head)  # it differs between the drops
+    head = details(figure)
+    assert head.endswith("not shown (constant): final height")
+    assert "drop along z" in head and "200 Hz, delay 1.5 ms" in head
+    assert "pulse 220" not in head  # it differs between the drops
     marked = [panel for panel in figure.axes for line in panel.lines if [*line.get_ydata()] == [60.0, 60.0]]
     assert [panel.get_title(loc="left") for panel in marked] == ["peak force (N)"]

@@ -33,6 +33,14 @@ SMALLEST = 8.0
 """Size of the smallest words there [pt]."""
 
 
+HEAD = ["Headline of 3 N"]
+
+
+def details(figure: Any) -> str:
+    """Return the lines below a headline."""
+    return str(figure.artists[0].get_text()).replace("\N{NO-BREAK SPACE}", " ").replace("\n", " ")
+
+
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Return a list that collects figures instead of files."""
@@ -137,7 +145,7 @@ def test_a_chart_of_a_command_can_be_read(
 
 def test_a_curve_of_many_points_is_small_in_an_svg(tmp_path: Path) -> None:
     for points, pixels in ((12_000, True), (500, False)):
-        figure, (panel,) = new_figure(1, 1, 3.0)
+        figure, (panel,) = new_figure(HEAD, 1, 1, 3.0)
         panel.plot(np.random.default_rng(1).normal(size=points), ".")
         text = save(figure, tmp_path / "noise.svg").read_text()
         assert len(text) < 300_000 and ("image/png" in text) is pixels
@@ -159,7 +167,7 @@ def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
     assert np.asarray(image.get_array()) == pytest.approx(1e3 * found.figure("penetration").T)
     assert image.get_extent() == pytest.approx([*figure.axes[0].get_xlim(), 45.0, 85.0])
     assert figure.axes[0].get_ylim() == (45.0, 85.0)
-    title = figure.get_suptitle().replace("\N{NO-BREAK SPACE}", " ")
+    title = details(figure)
     assert title.startswith("drop: plant exact, 200 Hz, delay 1.5 ms, stiffness 6000 N/m") and "damping" not in title
     assert not figure.legends
     uneven: list[list[Any]] = [[1, 2, 3], [1.0, 2.0, 4.0, 8.0], [4, 3, 2, 1], [True, False, True, False], [*"abcd"]]
@@ -170,10 +178,10 @@ def test_missing_values_of_a_sweep_are_named() -> None:
     stiff = {"stiffness": [4000.0, 6000.0, 20000.0]}
     figure = sweep(Drop(), {**stiff, "damping": [80.0]}, plant="exact").plot()
     named = {panel.get_title(loc="left"): [text.get_text() for text in panel.texts] for panel in figure.axes}
-    assert named["settling time (ms)"] == ["no value"] and not named["peak force (N)"]
+    assert named["settling time (ms)"] == ["does not settle"] and not named["peak force (N)"]
     even = {"stiffness": [4000.0, 10000.0, 16000.0, 22000.0], "damping": [20.0, 60.0, 100.0, 140.0]}
     (legend,) = sweep(Drop(), even, plant="exact").plot().legends
-    assert [text.get_text() for text in legend.get_texts()] == ["no value, for example not settled"]
+    assert [text.get_text() for text in legend.get_texts()] == ["does not settle or failed"]
 
 
 def test_a_sweep_of_a_scene_without_figures_has_no_picture() -> None:
@@ -236,23 +244,23 @@ def test_staircases_have_a_panel_for_each_axis_that_moves(count: int, quiet: int
     time, position = np.linspace(0.0, 1.0, 50), np.random.default_rng(1).normal(size=(50, 6)) * 1e-3
     position[:, 1 : 1 + quiet] *= 1e-9  # rounding
     said = {axis: "3 slips, resting places 0.73 to 2.3 mrad apart" for axis in range(count)}
-    figure = staircases(time, position, position, said)
+    figure = staircases(HEAD, time, position, position, said)
     out = ["y", "z", "rx"][: min(quiet, count - 1)]
     assert sum(panel.axison for panel in figure.axes) == count - len(out) and complaints(figure) == []
-    assert figure.get_suptitle() == (f"not shown (constant): {', '.join(out)}" if out else "")
+    assert details(figure) == (f"not shown (constant): {', '.join(out)}" if out else "")
 
 
 def test_flat_panels_are_left_out_and_numbers_stand_below_the_lowest() -> None:
-    figure, shown = new_grid({"pose": ([[np.nan, np.nan]], "mm"), "path": ([[2.0, 2.001]], "mm")}, "time (s)")
+    figure, shown = new_grid(HEAD, {"pose": ([[np.nan, np.nan]], "mm"), "path": ([[2.0, 2.001]], "mm")}, "time (s)")
     assert [*shown] == ["pose"] and complaints(figure) == []  # one panel, where all are flat
     for force, panels in ((1e-16, 1), (5e-4, 1), (2e-3, 2)):  # rounding fills no panel
         _, shown = new_grid(
-            {"pose": ([[0.0, 0.0]], "mm"), "force": ([[-force, force]], "N")}, "time (s)", always="pose"
+            HEAD, {"pose": ([[0.0, 0.0]], "mm"), "force": ([[-force, force]], "N")}, "time (s)", always="pose"
         )
         assert len(shown) == panels and all(float(np.ptp(panel.get_ylim())) >= 0.02 for panel in shown.values())
     named = {name: ([[np.nan, 1.0, 2.0]], "mm") for name in "abcde"}
-    figure, shown = new_grid(named | {"time": ([[100.0, 100.05]], "ms")}, "time (s)")
-    assert [*shown] == list("abcde") and figure.get_suptitle() == "not shown (constant): time"
+    figure, shown = new_grid(HEAD, named | {"time": ([[100.0, 100.05]], "ms")}, "time (s)")
+    assert [*shown] == list("abcde") and details(figure) == "not shown (constant): time"
     lowest = [name for name, panel in shown.items() if panel.xaxis.get_tick_params()["labelbottom"]]
     assert lowest == list("cde")  # numbers where no panel is below
 
@@ -280,7 +288,7 @@ def test_panels_of_curves_can_be_read(figures: list[Any]) -> None:
         )
         for index in range(3)
     ]
-    small_multiples(panels, Path("unused.png"))
+    small_multiples(HEAD, panels, Path("unused.png"))
     (figure,) = figures
     assert complaints(figure) == [] and len(figure.legends) == 1
 
@@ -314,7 +322,7 @@ def test_speed_and_accuracy_can_be_read(figures: list[Any]) -> None:
 
 
 def test_what_cannot_be_read_is_found() -> None:
-    figure, (left, right) = new_figure(1, 2, 3.0)
+    figure, (left, right) = new_figure(HEAD, 1, 2, 3.0)
     left.plot([0.0, 1.0], [0.0, 1.0], label="curve")
     left.legend(loc="center")
     left.set_title("a title so long that it runs far into that of the next panel", loc="left")
@@ -330,7 +338,7 @@ def test_what_cannot_be_read_is_found() -> None:
 
 def test_pictures_have_the_format_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     begins = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
-    figure, _ = new_figure(1, 1, 1.0)
+    figure, _ = new_figure(HEAD, 1, 1, 1.0)
     for kind in FORMATS:
         assert save(figure, tmp_path / f"flat.{kind}").read_bytes().startswith(begins[kind])
     assert main(["stick-slip", "--plant", "exact", "--out", str(tmp_path / "new"), "--format", "svg"]) == 0

@@ -27,6 +27,7 @@ from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory import largest_stable_stiffness, least_passive_damping
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.closed_loop import SampledLoop, spectral_radius
+from tests.studies.test_charts import details
 
 ROOT = Path(__file__).resolve().parents[2]
 OWN = """
@@ -257,7 +258,7 @@ def test_pictures_tell_eight_laws_apart_with_and_without_colour(tmp_path: Path) 
         assert [text.get_text() for text in legend.get_texts()][:8] == list(laws)
         handles = [(line.get_color(), str(line._unscaled_dash_pattern)) for line in legend.legend_handles[:8]]
         assert len(set(handles)) == 8 and len({dash for _, dash in handles}) == 8
-    assert "phase\N{NO-BREAK SPACE}0.5" in found.plot().get_suptitle()
+    assert "sampling phase 0.5" in details(found.plot())
 
 
 @pytest.mark.usefixtures("no_margins")

@@ -22,6 +22,7 @@ from maglev_mj.views.page.panel import control
 from maglev_mj.views.readings import STABILITY, Charts
 from maglev_mj.views.window import screen as window_plots
 from maglev_mj.views.window.screen import status_rows
+from tests.studies.test_charts import details
 from tests.sweeps import sweep as cases
 
 SHORT: dict[str, Any] = {"duration": 0.02}
@@ -79,6 +80,7 @@ def window_curves(snapshot: Any) -> str:
 
 
 def texts_of(drawn: Any) -> Iterator[str]:
+    yield from (" ".join(drawn.get_suptitle().split()), details(drawn))
     for panel in drawn.axes:
         yield from (panel.get_title("left"), panel.get_xlabel(), panel.get_ylabel())
         yield from (text.get_text() for text in panel.texts)
