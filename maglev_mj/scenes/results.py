@@ -413,7 +413,7 @@ class Variants(Result):
             if len(ranked) > 1:
                 least, most = (label.partition(" (")[0] for _, label in (ranked[0], ranked[-1]))
                 return f"{subject}: {texts[-1]} ({least}) to {values[-1]} ({most}){over}"
-        reach = distances(np.vstack([phases.furthest for phases in each.values()]).max(axis=0))
+        reach = distances(np.vstack([phases.peaks for phases in each.values()]).max(axis=0)[1:])
         return f"{subject}: {', '.join(texts[:3]) or f'up to {reach} from the centre'}{over}"
 
     @property
