@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -46,6 +47,8 @@ def snapshot_after(scene: Scene, target: list[float] | None = None, seconds: flo
     session = Session(scene, pacer=Pacer(budget=60.0, patience=3600.0))
     session.change(changed)
     session.hand.target = target
+    if "hand_stiffness" in changed:
+        session.hand.largest_angle = math.pi  # past the stop
     session.tick(seconds)
     session.close()
     return session.snapshot()
@@ -303,7 +306,8 @@ def window(shot: Snapshot, monkeypatch: pytest.MonkeyPatch) -> Any:
     window.pixel, window.acts, window.moves, window.pose = np.array([400.0, 300.0]), [], [], np.full(6, 1e-3)
     painter = SimpleNamespace(
         knob=lambda *_: (np.array([400.0, 300.0]), 1e-3 * np.eye(3)[0], 1e-3 * np.eye(3)[2]),
-        move=lambda *move: window.moves.append(move),
+        orbit=lambda *move: window.moves.append(("orbit", *move)),
+        pan=lambda *move: window.moves.append(("pan", *move[:2])),
     )
     source = SimpleNamespace(
         snapshot=lambda: replace(shot, pose=window.pose), hand=SpringHand(), act=window.acts.append
@@ -341,7 +345,8 @@ def test_other_drags_move_the_camera(window: Any, number: int, beside: float) ->
     for _ in range(2):
         window.pixel += (6.0, -3.0)
         window._move(None, 0.0, 0.0)
-    assert [move[1:] for move in window.moves] == [(0.01, 0.005)] * 2 and window._source.hand.target is None
+    kind = "orbit" if number == glfw.MOUSE_BUTTON_LEFT else "pan"
+    assert window.moves == [(kind, 0.01, -0.005)] * 2 and window._source.hand.target is None
 
 
 DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0.7, 0.7, 0), (0, 0, 1), (0.6, 0.6, -0.5), (-1, 0, 0), (0, 0, -1), (0, -1, 0))

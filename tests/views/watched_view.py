@@ -15,7 +15,6 @@ from unittest.mock import patch
 
 from maglev_mj.cli import main
 from maglev_mj.session import Publisher, Publishers, Snapshot
-from maglev_mj.views.window import window
 
 
 class Lines:
@@ -49,6 +48,5 @@ if __name__ == "__main__":
         """Begin with the file as a further publisher."""
         begin(self, [*publishers, file], **options)
 
-    # its window waits far longer than any test for a thread that does not end
-    with patch.object(Publishers, "__init__", watched), patch.object(window, "_PATIENCE", 600.0):
+    with patch.object(Publishers, "__init__", watched):
         sys.exit(main(["view", *sys.argv[2:]]))

@@ -25,7 +25,7 @@ _HIGH, _WIDE = 0.85, 0.95
 _AXES, _AXES_SCALE = np.array([0.075, -0.075, -0.05]), 4.5e-4
 """Origin of the coordinate axes, beside the base [m], and their scale."""
 
-_MAX_GEOMS = 2000
+_MAX_GEOMS, _TURN = 2000, 180.0  # [deg] per height of the picture
 _HALF_TEXT = 0.17  # half the width of a number such as "2.4 N" [pixels], at a font scale of 1 %
 
 
@@ -37,6 +37,7 @@ class Painter:
         screen: Overlay.
         scale: Font scale, 100 to 300 [%].
         size: Width and height of an offscreen buffer [pixels]; None to draw into the window.
+        shadows: True to draw shadows.
 
     Attributes:
         scenery: Displayed model.
@@ -46,12 +47,19 @@ class Painter:
         ModelError: If the model file is missing or invalid.
     """
 
-    def __init__(self, scene: Scene, screen: Screen, *, scale: int = 100, size: tuple[int, int] | None = None) -> None:
-        self._screen, self._scale, self._size = screen, scale, size
+    def __init__(
+        self,
+        scene: Scene,
+        screen: Screen,
+        *,
+        scale: int = 100,
+        size: tuple[int, int] | None = None,
+        shadows: bool = True,
+    ) -> None:
+        self._screen, self._scale, self._size, self._shadows = screen, scale, size, shadows
         self._option, self.camera = mujoco.MjvOption(), mujoco.MjvCamera()
         self._context: Any = None
         self._load(scene)
-        self.shadows = True
 
     def _load(self, scene: Scene) -> None:
         self.close()
@@ -85,7 +93,7 @@ class Painter:
         scenery.set_pose(snapshot, factor)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self.camera, everything, scene)
-        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self.shadows
+        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self._shadows
         scenery.half_text = _HALF_TEXT * self._scale * self.knob(snapshot, view)[1]
         scenery.decorate(scene, snapshot, factor)
         if self._screen.plots:
@@ -100,9 +108,16 @@ class Painter:
         mujoco.mjr_readPixels(pixels, None, mujoco.MjrRect(*view), self._context)
         return pixels[::-1]
 
-    def move(self, action: Any, right: float, up: float) -> None:
-        """Move the camera: see mjv_moveCamera."""
-        mujoco.mjv_moveCamera(self.scenery.model, action, right, up, self._scene, self.camera)
+    def orbit(self, right: float, up: float) -> None:
+        """Turn the camera by a drag, as a fraction of the picture's height."""
+        self.camera.azimuth -= _TURN * right
+        self.camera.elevation = min(max(self.camera.elevation + _TURN * up, -89.0), 89.0)
+
+    def pan(self, right: float, up: float, view: Area) -> None:
+        """Move the camera across by a drag, as a fraction of the picture's height."""
+        area = self.device_area(view)
+        _, across, above = project(self.scenery.model, self.camera, area, self.camera.lookat.copy())
+        self.camera.lookat -= view.height * (right * across + up * above)
 
     def knob(self, snapshot: Snapshot, view: Area) -> tuple[Array, Array, Array]:
         """Return the knob's pixel, (2,), and the displacement of one pixel right and up there [m], (3,) each."""
