@@ -65,7 +65,7 @@ class VirtualScreen:
 
     def window(self, name: str, patience: float = 60.0) -> int:
         """Return the number of a window by name, once present."""
-        found = waited(lambda: self.xdotool("search", "--name", name), patience)
+        found = waited(lambda: self.xdotool("search", "--onlyvisible", "--name", name), patience)
         return int(str(found).split()[-1])
 
     def close(self, window: int) -> None:

@@ -90,6 +90,7 @@ class _Window:
                 break
             self._painter.close()
             glfw.destroy_window(self._window)
+        glfw.show_window(self._window)
         self._drag, self._start = "", np.zeros(2)
         self._held: tuple[Array, Array, Array] | None = None
         glfw.set_key_callback(self._window, self._key)
@@ -189,9 +190,10 @@ class _Window:
 
 
 def _opened(title: str, smooth: bool) -> Any:
-    """Return a new window in the middle of the screen, with its OpenGL context current; edges smooth or not."""
+    """Return a new hidden window in the middle of the screen, with its OpenGL context current; edges smooth or not."""
     left, top, wide, high = glfw.get_monitor_workarea(glfw.get_primary_monitor())
     size = fitted_size(wide, high)
+    glfw.window_hint(glfw.VISIBLE, False)
     glfw.window_hint(glfw.SAMPLES, 4 * smooth)
     with warnings.catch_warnings():  # some window systems do not let a program position its windows
         warnings.simplefilter("ignore")
