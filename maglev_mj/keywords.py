@@ -21,6 +21,7 @@ from maglev_mj.errors import KeywordError, MaglevError, ParameterError, choice_m
 _T = TypeVar("_T")
 _WORDS = {"bool": "True or False", "float": "a number", "int": "an integer", "str": "a string"}
 _WORDS |= dict.fromkeys(("Path", "Path | str", "str | Path"), "a file path")
+_WORDS |= {f"{note} | None": f"{text} or None" for note, text in _WORDS.items()}
 _EVERY_TICK = frozenset("FrictionState at drive inverse_at inverse_at_angle receive step".split())
 """Called on every tick: their arguments are checked only after a failure."""
 _INNER = frozenset("answer axis period sample signals switch time write".split())
@@ -46,7 +47,8 @@ def with_hints(target: _T) -> _T:
     if isinstance(target, type):
         if method == "__new__":
             call.__module__ = target.__module__  # generated: it has no names of the module
-        setattr(target, method, _checked(call, target.__name__, constructs=True, late=target.__name__ in _EVERY_TICK))
+        late = target.__name__ in _EVERY_TICK or hasattr(target, "parameters")  # those check each value themselves
+        setattr(target, method, _checked(call, target.__name__, late=late))
     _done.add(result)
     return result
 
@@ -70,42 +72,57 @@ def _is_light(kind: Any) -> bool:
     return bool(vars(kind).keys() >= {"__slots__", "__dataclass_fields__"})
 
 
-def _checked(call: Any, called: str, *, constructs: bool = False, late: bool = False) -> Any:
+def _checked(call: Any, called: str, *, late: bool = False) -> Any:
     """Return a function that checks its arguments before the call; if `late`, only once the call has failed."""
 
-    def checked_late(*arguments: Any, **keywords: Any) -> Any:
-        try:
-            return call(*arguments, **keywords)
-        except (TypeError, AttributeError, LookupError, ValueError) as error:
-            if isinstance(error, MaglevError) and not isinstance(error, TypeError):
-                raise
-            names = _names(call)
-            wrong = [] if _is_open(call) else [name for name in keywords if name not in names]
-            if not wrong:
-                if not isinstance(error, MaglevError):
-                    _check_count(called, call, arguments, keywords)
-                    if message := _mismatch(call, arguments, keywords, arrays=True):
-                        raise ParameterError(message) from None
-                raise
-            also = "; set those of a scene first: find_scene('drop')(height=0.002)" if "scene" in names else ""
-            raise KeywordError(choice_message(f"argument of {called}", names, wrong[0], also)) from None
+    good: set[tuple[Any, ...]] = set()  # kinds of arguments, each of a class that needs no further check
 
     def checked(*arguments: Any, **keywords: Any) -> Any:
         if "rate" in keywords:
             keywords = with_period(_names(call), keywords)
-        if message := _mismatch(call, arguments, keywords):
-            if constructs:  # its own checks say more; another error follows from the type
-                try:
-                    checked_late(*arguments, **keywords)
-                except MaglevError as error:
-                    if message.split()[0] in str(error) and not isinstance(error, KeywordError):
-                        raise
-                except Exception:
-                    pass
-            raise ParameterError(message)
-        return checked_late(*arguments, **keywords)
+        if not late:
+            kinds = (*map(type, arguments), *keywords, *map(type, keywords.values()))
+            if kinds not in good:
+                if message := _mismatch(call, arguments, keywords):
+                    if re.search(" must be (of type|a string)", message):
+                        _raise_own(call, arguments, keywords)
+                    raise ParameterError(message)
+                if _are_usual(call, arguments, keywords):
+                    good.add(kinds)
+        try:
+            return call(*arguments, **keywords)
+        except (TypeError, AttributeError, LookupError, ValueError) as error:
+            if not isinstance(error, MaglevError) or isinstance(error, TypeError):
+                _explain(error, called, call, arguments, keywords)
+            raise
 
-    return wraps(call)(checked_late if late else checked)
+    return wraps(call)(checked)
+
+
+def _raise_own(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> None:
+    """Raise the error of a function's own checks, which say more than types; any other follows from the type."""
+    try:
+        call(*arguments, **keywords)
+    except ParameterError as error:
+        if not isinstance(error, KeywordError):
+            raise
+    except Exception:
+        pass
+
+
+def _explain(
+    error: Exception, called: str, call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]
+) -> None:
+    """Raise an error that names the wrong keyword or argument, if one explains the error of a call."""
+    names = _names(call)
+    wrong = [] if _is_open(call) else [name for name in keywords if name not in names]
+    if wrong:
+        also = "; set those of a scene first: find_scene('drop')(height=0.002)" if "scene" in names else ""
+        raise KeywordError(choice_message(f"argument of {called}", names, wrong[0], also)) from None
+    if not isinstance(error, MaglevError):
+        _check_count(called, call, arguments, keywords)
+        if message := _mismatch(call, arguments, keywords, arrays=True):
+            raise ParameterError(message) from None
 
 
 def with_period(names: Collection[str], keywords: Mapping[str, Any]) -> dict[str, Any]:
@@ -147,7 +164,8 @@ def _mismatch(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], *
                 if not test(value):
                     if get_origin(hint) is Literal:
                         return choice_message(name, map(str, get_args(hint)), value)
-                    return f"{name} must be {_WORDS.get(note, f'of type {note}')} (got {one_line(value)})"
+                    spelled = re.sub(r"(\w+\.)+", "", str(hint)) if get_args(hint) else note
+                    return f"{name} must be {_WORDS.get(note, f'of type {spelled}')} (got {one_line(value)})"
                 if not isinstance(value, _OWN):
                     usual.add(value.__class__)
             if arrays and _is_light(type(value)):
@@ -155,6 +173,15 @@ def _mismatch(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], *
                 if message := _mismatch(type(value).__init__, (), fields, arrays=True):
                     return f"{name} {message}"
     return ""
+
+
+def _are_usual(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> bool:
+    """Return True if the class of each argument tells that it has its declared type."""
+    positions, hints = _hints(call, arrays=False)
+    for name, value in (*zip(positions, arguments), *keywords.items()):
+        if name in hints and value.__class__ not in hints[name][2]:
+            return False
+    return True
 
 
 @cache

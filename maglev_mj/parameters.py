@@ -156,9 +156,10 @@ def numbers(
         return np.array(value)  # fast path: a third of the cost
     try:
         raw = np.asarray(value)
+        kinds = map(type, np.array(value, object).flat) if isinstance(value, list | tuple) else ()
     except ValueError:  # ragged rows
-        raw = np.asarray("")
-    if raw.dtype.kind not in "fiu" or _has_flag(value):
+        raw, kinds = np.asarray(""), ()
+    if raw.dtype.kind not in "fiu" or not {bool, np.bool_}.isdisjoint(kinds):  # NumPy takes [True, 1.0] for numbers
         raise ParameterError(f"{name} must be a number or an array of numbers (got {one_line(value)})")
     array = np.asarray(raw, dtype=np.float64)
     good = (array >= at_least) & (array <= at_most)
@@ -281,11 +282,6 @@ def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
     if values.ndim == 1:
         return tuple(values.tolist())
     return tuple(np.ascontiguousarray(np.moveaxis(values, -1, 0)))
-
-
-def _has_flag(value: object) -> bool:
-    """Return True if a bool is among the values."""
-    return isinstance(value, bool | np.bool_) or (isinstance(value, list | tuple) and any(map(_has_flag, value)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -157,6 +157,10 @@ OPEN = re.compile(r"Any|object|Self|tuple\[Any.*|_?[A-Za-z]*Model|.*(Array|Mask|
 """Annotations of what any value, any array or an optional package's object may be."""
 
 
+ITEMS = {"axes": "axis", "hands": "hand", "count": "workers", "url": "link", "text": "scene"}
+"""Arguments whose message may name a single item of them, or what they stand for."""
+
+
 class Foreign:
     """Value of no type that an argument is declared with."""
 
@@ -189,11 +193,10 @@ assert len(CHECKABLE) > 300  # the sweep is only as good as what it goes over
 def test_an_argument_of_a_foreign_type_is_named(name: str) -> None:
     for _, call, argument, note in (row for row in CHECKABLE if row[0] == name):
         switch = (1e-3, "no", 1, 0, None, [True], float("nan")) if note == "bool" else ()
+        names = f"{argument}|{ITEMS.get(argument, argument)}"
         for value in (Foreign(), [Foreign()], *switch):
-            allowed = "be True or False" if switch else ".*"
-            with pytest.raises(
-                ParameterError, match=rf"\b{argument}\w* must {allowed} \(got .*{re.escape(repr(value))}"
-            ):
+            allowed, shown = "be True or False" if switch else ".*", repr(value if switch else Foreign())
+            with pytest.raises(ParameterError, match=rf"\b({names})\w* must {allowed} \(got .*{re.escape(shown)}"):
                 call(**{argument: value})
 
 
@@ -215,7 +218,7 @@ pose: TwinParameters(pose="x"); least: Turn(least=5, most=1); default: gain(defa
 velocity: Controller([], period=1e-3, velocity=LowPass)
 wall pulse_width: Wall(lower=0.0, stiffness=1.0, damping=1.0, pulse_width=3)
 delay: PredictiveWall(stiffness=1.0, period=0.005, delay=1)
-parameters: Session("drop").change(None); laws: compare("drop", [3]); observe: run("twist", plant="exact", observe=3)
+parameters: Session("drop").change(None); law: compare("drop", [3]); observe: run("twist", plant="exact", observe=3)
 arguments of Wall: Wall(6000, 80); arguments of judge: judge(Controller([], period=0.005))
 """
 """Arguments checked after a failure, or by their value."""

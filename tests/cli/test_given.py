@@ -101,7 +101,7 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
         lambda: m.drive(m.ExactPlant(), controller(), 5, record="x.maglev"),
         r"record must be a function, such as open_recording",
     ),
-    "time of a session": (lambda: m.Session("box").tick("1"), r"elapsed must be a finite number \(got '1'"),
+    "time of a session": (lambda: m.Session("box").tick("1"), r"elapsed must be a number \(got '1'"),
     "a scene to be found": (lambda: m.find_scene(DROP), "scene must be a name, .*(not|got) Drop"),
     "requirements": (lambda: m.design_wall("pd"), "requirements must be .*WallRequirements.*(not|got) 'pd'"),
     "a file to analyse": (lambda: m.analyse("f.maglev"), "segment must be a Segment, .*(not|got) 'f.maglev'"),

@@ -221,11 +221,11 @@ def test_fields_are_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, monkeyp
 
 @pytest.mark.parametrize("kind", EXPORTS)
 def test_an_export_that_cannot_be_is_one_line_and_an_older_file_stays(
-    kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, other = tmp_path / "run.maglev", tmp_path / f"run.{kind}"
     assert main(["drop", "--plant", "exact", "--record", str(other)]) == 2
-    (line,) = capfd.readouterr().err.splitlines()
+    (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith(f"record to {path}, then run `maglev-mj export {path} --to {kind}`")
     path.write_bytes(made("drop"))
     other.write_bytes(b"that of before")
@@ -237,6 +237,6 @@ def test_an_export_that_cannot_be_is_one_line_and_an_older_file_stays(
             status = main(["export", str(path), "--to", kind])
         finally:
             limit.setrlimit(limit.RLIMIT_FSIZE, before)
-        (line,) = capfd.readouterr().err.splitlines()
+        (line,) = capsys.readouterr().err.splitlines()
         assert status == 1 and "File too large" in line and other.read_bytes() == b"that of before"
     assert {one.name for one in tmp_path.iterdir()} == {path.name, other.name}

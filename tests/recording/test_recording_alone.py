@@ -473,9 +473,8 @@ def kept() -> list[Part]:
 def shown(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Return the object shown in place of a window."""
     seen: list[Any] = []
-    window = types.ModuleType("window")
-    window.show = lambda source, **options: seen.append(source)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "maglev_mj.views.window.window", window)
+    monkeypatch.setattr("maglev_mj.views.window.window.require_display", lambda: None)
+    monkeypatch.setattr("maglev_mj.views.viewer_process.show_remotely", lambda source, front: seen.append(source))
     return seen
 
 

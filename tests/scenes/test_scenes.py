@@ -370,7 +370,8 @@ def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
     result = run(scene, plant=plant, phase=0.4)
     data, timed = result.as_json(), result.series()
     how = {"plant": plant, "phase": 0.4} if scene.takes_phase else {"plant": plant}
-    assert list(data)[: len(timed) + 1] == ["parameters", *timed] and list(data)[-1] == "summary"
+    assert list(data) == ["headline", "parameters", *timed, *list(data)[len(timed) + 2 : -1], "summary"]
+    assert data["headline"] == result.headline
     assert list(data["parameters"])[: len(how)] == [*how] and data["parameters"] == plain({**how, **scene.as_json()})
     time = [round(one, 9) for one in timed.pop("time").tolist()]
     assert data["time"] == time and len(time) > 40
