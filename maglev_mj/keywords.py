@@ -22,10 +22,10 @@ _T = TypeVar("_T")
 _WORDS = {"bool": "True or False", "float": "a number", "int": "an integer", "str": "a string"}
 _WORDS |= dict.fromkeys(("Path", "Path | str", "str | Path"), "a file path")
 _WORDS |= {f"{note} | None": f"{text} or None" for note, text in _WORDS.items()}
-_EVERY_TICK = frozenset("FrictionState at drive inverse_at inverse_at_angle receive step".split())
+_EVERY_TICK = frozenset("drive inverse_at inverse_at_angle receive".split())
 """Called on every tick: their arguments are checked only after a failure."""
-_INNER = frozenset("answer axis period sample signals switch time write".split())
-"""Methods called on every tick, by each other: a check of their arguments would take a tenth of the tick."""
+_INNER = frozenset("FrictionState answer at axis period sample signals step switch time write".split())
+"""Called on every tick: a wrapper, even an empty one, takes more than 2 % of it. They check arguments alone."""
 _OWN = (type, Number, Collection)
 """Kinds of values of which each is checked; of another class, that one object fits means that all do."""
 _done: WeakSet[Any] = WeakSet()
@@ -41,7 +41,12 @@ def with_hints(target: _T) -> _T:
     method = "__new__" if isinstance(target, type) and issubclass(target, tuple) else "__init__"
     call: Any = getattr(target, method) if isinstance(target, type) else target
     # a sample and a command, dataclasses with slots, are made on every tick
-    if _is_light(target) or target in _done or not hasattr(call, "__code__"):
+    if (
+        _is_light(target)
+        or target in _done
+        or not hasattr(call, "__code__")
+        or getattr(target, "__name__", "") in _INNER
+    ):
         return target
     result = target if isinstance(target, type) else _checked(call, call.__name__)
     if isinstance(target, type):
@@ -74,8 +79,7 @@ def _is_light(kind: Any) -> bool:
 
 def _checked(call: Any, called: str, *, late: bool = False) -> Any:
     """Return a function that checks its arguments before the call; if `late`, only once the call has failed."""
-
-    good: set[tuple[Any, ...]] = set()  # kinds of arguments, each of a class that needs no further check
+    good: set[tuple[Any, ...]] = set()  # classes of arguments that need no further check
 
     def checked(*arguments: Any, **keywords: Any) -> Any:
         if "rate" in keywords:
@@ -83,11 +87,11 @@ def _checked(call: Any, called: str, *, late: bool = False) -> Any:
         if not late:
             kinds = (*map(type, arguments), *keywords, *map(type, keywords.values()))
             if kinds not in good:
-                if message := _mismatch(call, arguments, keywords):
+                if message := mismatch(call, arguments, keywords):
                     if re.search(" must be (of type|a string)", message):
                         _raise_own(call, arguments, keywords)
                     raise ParameterError(message)
-                if _are_usual(call, arguments, keywords):
+                if message is None:
                     good.add(kinds)
         try:
             return call(*arguments, **keywords)
@@ -110,9 +114,7 @@ def _raise_own(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) 
         pass
 
 
-def _explain(
-    error: Exception, called: str, call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]
-) -> None:
+def _explain(error: Exception, called: str, call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> None:
     """Raise an error that names the wrong keyword or argument, if one explains the error of a call."""
     names = _names(call)
     wrong = [] if _is_open(call) else [name for name in keywords if name not in names]
@@ -121,7 +123,7 @@ def _explain(
         raise KeywordError(choice_message(f"argument of {called}", names, wrong[0], also)) from None
     if not isinstance(error, MaglevError):
         _check_count(called, call, arguments, keywords)
-        if message := _mismatch(call, arguments, keywords, arrays=True):
+        if message := mismatch(call, arguments, keywords, arrays=True):
             raise ParameterError(message) from None
 
 
@@ -154,13 +156,18 @@ def _check_count(called: str, call: Any, arguments: tuple[Any, ...], keywords: d
         raise KeywordError(f"arguments of {called} must be {', '.join(_names(call))}: {error}") from None
 
 
-def _mismatch(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], *, arrays: bool = False) -> str:
-    """Return the message for the first argument that does not have its declared type, or ""."""
+def mismatch(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], *, arrays: bool = False) -> str | None:
+    """Return the message for the first argument that does not have its declared type; "" for none.
+
+    None if the classes of the arguments alone tell that there is none.
+    """
     positions, hints = _hints(call, arrays)
+    certain = True
     for name, value in (*zip(positions, arguments), *keywords.items()):
         if name in hints:
             note, hint, usual, test = hints[name]
             if value.__class__ not in usual:
+                certain = False
                 if not test(value):
                     if get_origin(hint) is Literal:
                         return choice_message(name, map(str, get_args(hint)), value)
@@ -170,18 +177,9 @@ def _mismatch(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], *
                     usual.add(value.__class__)
             if arrays and _is_light(type(value)):
                 fields = {key: getattr(value, key) for key in type(value).__dataclass_fields__}
-                if message := _mismatch(type(value).__init__, (), fields, arrays=True):
+                if message := mismatch(type(value).__init__, (), fields, arrays=True):
                     return f"{name} {message}"
-    return ""
-
-
-def _are_usual(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> bool:
-    """Return True if the class of each argument tells that it has its declared type."""
-    positions, hints = _hints(call, arrays=False)
-    for name, value in (*zip(positions, arguments), *keywords.items()):
-        if name in hints and value.__class__ not in hints[name][2]:
-            return False
-    return True
+    return None if certain else ""
 
 
 @cache
@@ -216,8 +214,7 @@ def _test(hint: Any) -> Callable[[Any], bool]:
     """Return a function that is True unless a value is certainly not of a type."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, types.UnionType):
-        tests = [_test(part) for part in parts]
-        return lambda value: any(test(value) for test in tests)
+        return partial(_is_any, [_test(part) for part in parts])
     if kind is Literal:
         return lambda value: isinstance(value, tuple(map(type, parts))) and value in parts
     if kind in (float, int, bool, str):
@@ -241,6 +238,13 @@ def _test(hint: Any) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, kind)
 
 
+def _is_any(tests: list[Callable[[Any], bool]], value: Any) -> bool:
+    for test in tests:
+        if test(value):
+            return True
+    return False
+
+
 def _is_scalar(kind: type, value: Any) -> bool:
     if getattr(value, "shape", None) == ():
         value = value.item()  # of NumPy
@@ -251,7 +255,7 @@ def _is_scalar(kind: type, value: Any) -> bool:
 
 def _holds(kind: type, test: Callable[[Any], bool], value: Any) -> bool:
     """Return True for a collection; in a list or tuple one element of each type is tested."""
-    kinds = {type(one): one for one in value} if isinstance(value, (list, tuple, str)) else {}
+    kinds = dict(zip(map(type, value), value)) if isinstance(value, (list, tuple, str)) else {}
     return isinstance(value, kind) and all(map(test, kinds.values()))
 
 

@@ -169,7 +169,7 @@ def numbers(
         good &= np.isfinite(array)
     if not good.all():
         number(name, float(array[~good].flat[0]), at_least=at_least, above=lower, at_most=at_most, unit=unit)
-    if shape and not any(_has_shape(array.shape, one) for one in shape.split(" or ")):
+    if shape and not any(map(partial(_has_shape, array.shape), shape.split(" or "))):
         others = " or ".join(one for one in shape.split(" or ") if one != "()")
         allowed = ["be a number"] * ("()" in shape.split(" or ")) + [f"have shape {others}"] * bool(others)
         raise ParameterError(f"{name} must {' or '.join(allowed)} (got {array.shape})")

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError, check_instance, check_one_of, choice_message
 from maglev_mj.frames import AXES, Array, Component, Six, quaternion, rotation_vector
-from maglev_mj.keywords import with_hints
 from maglev_mj.parameters import axis_indices, common_shape, number, numbers, store
 from maglev_mj.spec import Spec
 
@@ -286,12 +285,14 @@ class Trajectory:
             slopes = np.gradient(poses, times, axis=0, edge_order=2 if times.size > 2 else 1)
         store(self, _times=times.tolist(), _poses=poses.tolist(), _slopes=slopes.tolist())
 
-    @with_hints
     def at(self, time: float) -> list[float]:
         """Return the pose at a time [s]: the first one before the path, the last one after it."""
         if time != time:
             raise ParameterError("time must be a number (got nan)")
-        index = bisect.bisect_right(self._times, time)
+        try:
+            index = bisect.bisect_right(self._times, time)
+        except TypeError:
+            raise ParameterError(f"time must be a number (got {time!r})") from None
         if index == 0 or index == len(self._times):
             return self._poses[index - 1 if index else 0]
         start, end = self._times[index - 1], self._times[index]

@@ -7,7 +7,6 @@ import json
 import re
 import subprocess
 import sys
-import types
 from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
