@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import re
 import sys
 import types
@@ -10,6 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial, wraps
 from inspect import CO_VARKEYWORDS, signature, unwrap
+from itertools import repeat
 from numbers import Number, Real
 from os import PathLike
 from pathlib import Path
@@ -40,20 +42,16 @@ def with_hints(target: _T) -> _T:
     """
     method = "__new__" if isinstance(target, type) and issubclass(target, tuple) else "__init__"
     call: Any = getattr(target, method) if isinstance(target, type) else target
+    name = getattr(target, "__name__", "")
     # a sample and a command, dataclasses with slots, are made on every tick
-    if (
-        _is_light(target)
-        or target in _done
-        or not hasattr(call, "__code__")
-        or getattr(target, "__name__", "") in _INNER
-    ):
+    if _is_light(target) or target in _done or not hasattr(call, "__code__") or name in _INNER:
         return target
-    result = target if isinstance(target, type) else _checked(call, call.__name__)
+    result = target if isinstance(target, type) else _checked(call, name)
     if isinstance(target, type):
         if method == "__new__":
             call.__module__ = target.__module__  # generated: it has no names of the module
-        late = target.__name__ in _EVERY_TICK or hasattr(target, "parameters")  # those check each value themselves
-        setattr(target, method, _checked(call, target.__name__, late=late))
+        own = isinstance(getattr(target, "parameters", None), types.MethodType)  # parameters, each with its check
+        setattr(target, method, _checked(call, name, late=own))
     _done.add(result)
     return result
 
@@ -117,12 +115,16 @@ def _raise_own(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) 
 def _explain(error: Exception, called: str, call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> None:
     """Raise an error that names the wrong keyword or argument, if one explains the error of a call."""
     names = _names(call)
-    wrong = [] if _is_open(call) else [name for name in keywords if name not in names]
+    is_open = unwrap(call).__code__.co_flags & CO_VARKEYWORDS and "Unpack" not in str(call.__annotations__)
+    wrong = [] if is_open else [name for name in keywords if name not in names]
     if wrong:
         also = "; set those of a scene first: find_scene('drop')(height=0.002)" if "scene" in names else ""
         raise KeywordError(choice_message(f"argument of {called}", names, wrong[0], also)) from None
     if not isinstance(error, MaglevError):
-        _check_count(called, call, arguments, keywords)
+        try:
+            signature(call).bind(*arguments, **keywords)
+        except TypeError as missing:
+            raise KeywordError(f"arguments of {called} must be {', '.join(names)}: {missing}") from None
         if message := mismatch(call, arguments, keywords, arrays=True):
             raise ParameterError(message) from None
 
@@ -139,21 +141,6 @@ def with_period(names: Collection[str], keywords: Mapping[str, Any]) -> dict[str
         with suppress(TypeError, ValueError), np.errstate(divide="ignore"):  # no number: the period's check says so
             changed["period"] = (1.0 / np.asarray(changed["period"], dtype=np.float64)).tolist()
     return changed
-
-
-def _is_open(call: Any) -> bool:
-    """Return True if a function takes keywords of any name."""
-    return bool(unwrap(call).__code__.co_flags & CO_VARKEYWORDS) and "Unpack" not in str(
-        [*call.__annotations__.values()]
-    )
-
-
-def _check_count(called: str, call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> None:
-    """Raise an error if arguments are missing or too many."""
-    try:
-        signature(call).bind(*arguments, **keywords)
-    except TypeError as error:
-        raise KeywordError(f"arguments of {called} must be {', '.join(_names(call))}: {error}") from None
 
 
 def mismatch(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], *, arrays: bool = False) -> str | None:
@@ -214,7 +201,8 @@ def _test(hint: Any) -> Callable[[Any], bool]:
     """Return a function that is True unless a value is certainly not of a type."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, types.UnionType):
-        return partial(_is_any, [_test(part) for part in parts])
+        tests = [_test(part) for part in parts]
+        return lambda value: any(map(operator.call, tests, repeat(value)))
     if kind is Literal:
         return lambda value: isinstance(value, tuple(map(type, parts))) and value in parts
     if kind in (float, int, bool, str):
@@ -236,13 +224,6 @@ def _test(hint: Any) -> Callable[[Any], bool]:
     if kind in (Collection, Iterable) and len(parts) == 1 + (... in parts):
         return partial(_holds, kind, _test(parts[0]))
     return lambda value: isinstance(value, kind)
-
-
-def _is_any(tests: list[Callable[[Any], bool]], value: Any) -> bool:
-    for test in tests:
-        if test(value):
-            return True
-    return False
 
 
 def _is_scalar(kind: type, value: Any) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from maglev_mj.control.laws.base import Face, Law, VelocityEstimator, answer, as_law, shape_of
 from maglev_mj.control.laws.velocity import FiniteDifference
-from maglev_mj.errors import MaglevError, ParameterError, check_instance, one_line
+from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample, Six, components, not_finite
 from maglev_mj.keywords import mismatch
 from maglev_mj.parameters import SAMPLE_PERIOD, number
@@ -127,8 +127,8 @@ class Controller:
             position, tick = sample.position, sample.tick
             total, periods = sum(position, sample.time), tick - last  # finite only if all terms are, short of overflow
         except (AttributeError, TypeError):
-            message = mismatch(Controller.step, (self, sample), {}, arrays=True)
-            raise ParameterError(message or f"sample must be of numbers (got {one_line(sample)})") from None
+            message = mismatch(Controller.step, (self, sample), {}, arrays=True) or "sample must be a Sample"
+            raise ParameterError(message) from None
         if not (isfinite(total) if total.__class__ is float else np.isfinite(total).all()):
             if message := not_finite(f"sample at tick {tick}", (*position, sample.time)):
                 raise ParameterError(message)
