@@ -90,7 +90,7 @@ class ViewerHere(RemoteViewer):
         front = SimpleNamespace(received=received, ended=False, ready=True, send=self.sent.append)
         with patch("maglev_mj.views.viewer_process.SideProcess", return_value=front):
             super().__init__(Snapshot(scene=scene), show, watch=watch)
-        self._inbox = Inbox(0.0)
+        self._inbox = Inbox(1e-9)
 
 
 def test_viewer_and_session_exchange_samples_and_requests() -> None:
@@ -215,7 +215,7 @@ def test_a_flood_of_requests_delays_neither_ticks_nor_the_emergency_stop() -> No
 
 
 def test_waiting_changes_are_merged() -> None:
-    inbox = Inbox(0.0)
+    inbox = Inbox(1e-9)
     for value in range(1000):
         inbox.put("change", {"stiffness": value})
         inbox.put("change", {"damping": 2 * value})
@@ -230,7 +230,7 @@ def test_waiting_changes_are_merged() -> None:
 
 
 def test_an_emergency_stop_discards_earlier_requests() -> None:
-    inbox = Inbox(0.0)
+    inbox = Inbox(1e-9)
     inbox.put("act", "centre")
     inbox.put("change", {"stiffness": 5.0})
     inbox.put("hand", [1e-3] * 6)
@@ -242,7 +242,7 @@ def test_an_emergency_stop_discards_earlier_requests() -> None:
 
 def test_a_moving_slider_does_not_restart_the_scene_after_an_emergency_stop() -> None:
     now = [10.0]
-    inbox = Inbox(0.0, lambda: now[0])
+    inbox = Inbox(1e-9, lambda: now[0])
     inbox.put("act", EMERGENCY_STOP)
     assert inbox.take() == [("act", EMERGENCY_STOP)]
     for _ in range(100):
