@@ -263,7 +263,6 @@ class Panel:
     def _show_buttons(self, snapshot: Snapshot) -> None:
         """Show a button for each action without another control; rows are changed in place, which keeps the focus."""
         hidden = set() if snapshot.rewound else {*REWIND_ACTIONS[1:]}
-        hidden |= {"step"} if snapshot.state == "running" and snapshot.duration is None else set()
         for order, (label, row) in enumerate(_ROWS.items()):
             names = tuple(name for name in row if name in snapshot.actions and name not in hidden)
             if names and label not in self._rows:
