@@ -374,25 +374,26 @@ class Banner(NamedTuple):
 
 def banner(snapshot: Snapshot) -> Banner | None:
     """Return the banner of a snapshot; None while running normally."""
+    content = _banner(snapshot)
+    return content if content is None or content[1] in snapshot.actions else content._replace(resume_action="")
+
+
+def _banner(snapshot: Snapshot) -> Banner | None:
     if snapshot.state == "stopped":
-        return Banner(f"STOPPED: {snapshot.reason}", _available("centre", snapshot), True, snapshot.remedy)
+        return Banner(f"STOPPED: {snapshot.reason}", "centre", True, snapshot.remedy)
     if snapshot.state == "paused":
         position = f", {snapshot.rewound:.1f} s back" if snapshot.rewound else ""
         position += "" if snapshot.duration is None else f": {snapshot.time:.3f} of {snapshot.duration:.3f} s"
-        return Banner(f"PAUSED{position}", _available("pause", snapshot), False)
+        return Banner(f"PAUSED{position}", "pause", False)
     if (step := snapshot.tour) is not None and step.done and step.number < step.total:
         return Banner("DONE", "next", False)
     if snapshot.overloaded:
-        return Banner("Running slower than real time", _available("slower", snapshot), True)
+        return Banner("Running slower than real time", "slower", True)
     return None
 
 
 RESUME = {"centre": "to restart", "pause": "to resume", "slower": "for slow motion", "next": "to continue"}
 """Purpose of each action that a banner names."""
-
-
-def _available(action: str, snapshot: Snapshot) -> str:
-    return action if action in snapshot.actions else ""
 
 
 def pace(snapshot: Snapshot) -> str:

@@ -221,10 +221,8 @@ class RemoteViewer:
             try:
                 if kind == "hand":
                     self._glide.aim(value)
-                elif kind == "act":
-                    source.act(value)
                 else:
-                    source.change(value)
+                    (source.act if kind == "act" else source.change)(value)
             except (MaglevError, OSError) as error:  # for example a folder that is not writable
                 self._note.say(str(error))
         self._check_open()

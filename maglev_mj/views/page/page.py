@@ -37,13 +37,9 @@ from maglev_mj.views.viewer_process import Inbox, ViewerFunction
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
 """Origins that may embed the page: notebooks on this machine. Others could be used for clickjacking."""
 
-_TITLE, _COLOURS = (
-    b"<title>Viser</title>",
-    {"STOP_COLOUR": hex_of(on_white(BAD)), "PULL_COLOUR": str(linear(PULL))[1:-1]},
-)
-_HEAD = re.sub(
-    r"[A-Z]+_COLOUR", lambda name: _COLOURS[name[0]], Path(__file__).with_name("head.html").read_text("utf-8")
-)
+_TITLE = b"<title>Viser</title>"
+_HEAD = Path(__file__).with_name("head.html").read_text("utf-8")
+_HEAD = _HEAD.replace("STOP_COLOUR", hex_of(on_white(BAD))).replace("PULL_COLOUR", str(linear(PULL))[1:-1])
 """Replacement of the title of viser's page: title, icon, styles, scripts."""
 
 
@@ -210,13 +206,9 @@ class Page:
                 self._show()
 
     def _apply(self) -> None:
+        aim = partial(setattr, self._source.hand, "target")
         for kind, value in self._inbox.take():
-            if kind == "hand":
-                self._source.hand.target = value
-            elif kind == "act":
-                self._source.act(value)
-            else:
-                self._source.change(value)
+            {"hand": aim, "act": self._source.act, "change": self._source.change}[kind](value)
 
     def _show(self) -> None:
         snapshot = self._source.snapshot()

@@ -169,17 +169,12 @@ def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None
         handle = gui.add_dropdown(item.live.word or label, tuple(choices), initial_value=text(value), hint=hint)
         return Choice(item.name, handle, ask, text, choices)
     scale, unit = (1e3, "ms") if item.unit == "s" else (1.0, unit_of(item.unit, scene.axis, item.along))
-    label = f"{label} [{unit}]" if unit else label
+    label += f" [{unit}]" if unit else ""
     reference = abs(item.default) if isinstance(item.default, float | int) else 0.0
-    return Slider(gui, item.name, label, hint, value, _limits(item), ask, scale, reference)
-
-
-def _limits(item: Parameter) -> tuple[float, float]:
-    """Return the initial limits of a slider's track: the parameter's bounds, or the limits of its keys."""
-    assert item.live
     bounds, keys = item.bounds, item.live
     lower = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf), keys.least)
-    return lower, min(bounds.get("at_most", math.inf), bounds.get("below", math.inf), keys.most)
+    upper = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf), keys.most)
+    return Slider(gui, item.name, label, hint, value, (lower, upper), ask, scale, reference)
 
 
 def _hint(item: Parameter, axis: str) -> str:
@@ -266,14 +261,11 @@ class Panel:
         for order, (label, row) in enumerate(_ROWS.items()):
             names = tuple(name for name in row if name in snapshot.actions and name not in hidden)
             if names and label not in self._rows:
-                self._add_row(label, names, order)
+                with self._buttons:
+                    row = self._rows[label] = self._gui.add_button_group(label, names, order=order)
+                row.on_click(partial(self._act, partial(getattr, row, "value")))
             elif label in self._rows:
                 update(self._rows[label], options=names, visible=bool(names))
-
-    def _add_row(self, label: str, names: tuple[str, ...], order: float) -> None:
-        with self._buttons:
-            row = self._rows[label] = self._gui.add_button_group(label, names, order=order)
-        row.on_click(partial(self._act, lambda: row.value))
 
     async def _act(self, name: Callable[[], str], _: Any) -> None:
         self._ask("act", name())
@@ -318,12 +310,10 @@ def _banner(snapshot: Snapshot) -> str:
     if (content := banner(snapshot)) is None:
         return ""
     action = content.resume_action
-    advice = f"press {action} {RESUME[action]}" if action in snapshot.actions else snapshot.remedy
-    style = (
-        f"background:{hex_of(on_white(BAD) if content.bad else _PAUSED)};color:#fff;font-weight:600;padding:.5em .7em"
-    )
-    texts = f"{escape(content.text)}<br><small>{escape(advice)}</small>"
-    return f'<div role="alert" style="{style};border-radius:4px">{texts}</div>'
+    advice = f"press {action} {RESUME[action]}" if action else content.remedy
+    ground = hex_of(on_white(BAD) if content.bad else _PAUSED)
+    style = f"background:{ground};color:#fff;font-weight:600;margin:0 .6em .4em;padding:.5em .7em;border-radius:4px"
+    return f'<div role="alert" style="{style}">{escape(content.text)}<br><small>{escape(advice)}</small></div>'
 
 
 def _tour(step: TourLine | None) -> str:
@@ -332,9 +322,9 @@ def _tour(step: TourLine | None) -> str:
         return ""
     text, task = (escape(part) for part in step.words(_input_name))
     done = f' <b style="color:{on_page(GOOD)}">done</b>' if step.done else ""
-    style = f"border-left:4px solid {on_page(GOOD if step.done else HAND, 3.0)};margin:.3em .5em;padding:.2em .6em"
+    style = f"margin:.3em .5em;padding:0 .6em;border-left:4px solid {on_page(GOOD if step.done else HAND, 3.0)}"
     head = f"<small>step {step.number} of {step.total}</small>{done}"
-    return f'<div style="{style}">{head}<br>{text}<br><b>{task}</b></div>'
+    return f'<div style="{style};font-size:.9em;line-height:1.4">{head}<br>{text}<br><b>{task}</b></div>'
 
 
 def _input_name(name: str) -> str:
