@@ -493,6 +493,7 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
     position = 1e3 * snapshot.pose[:3].round(5) + 0.0
     margin, (_, delay, _) = STABILITY.of(snapshot), _arguments(snapshot)
     delay = scene.delay if delay is None else delay  # the one of the margin
+    active = snapshot.taken < -_LEAST_ENERGY
     rows = [
         Reading("scene", f"{scene.name}: {scene.describe()}"),
         Reading("margin", margin.words, margin.colour),
@@ -506,7 +507,7 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
         _force("hand", snapshot.hand, " (estimated)" * snapshot.hand_estimated),
         _force("device", snapshot.force),
         _force("stops", snapshot.stops),
-        Reading("energy", _energy(snapshot), BAD if _is_active(snapshot) else None),
+        Reading("energy", _energy(snapshot, active), BAD if active else None),
         Reading("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} skipped" if snapshot.cost else ""),
     ]
     return [row for row in rows if row.value]
@@ -521,12 +522,7 @@ def _force(name: str, wrench: Array, note: str = "") -> Reading:
     return Reading(name, "" if math.isnan(size := magnitude(wrench)) else f"|F| {size:.1f} N{note}")
 
 
-def _is_active(snapshot: Snapshot) -> bool:
-    return snapshot.taken < -_LEAST_ENERGY
-
-
-def _energy(snapshot: Snapshot) -> str:
-    active = _is_active(snapshot)
+def _energy(snapshot: Snapshot, active: bool) -> str:
     parts = {"from the hand": snapshot.work, "generated" if active else "absorbed": abs(snapshot.taken)}
     parts["in motion, height and stops"] = snapshot.work - snapshot.taken
     words = ", ".join(

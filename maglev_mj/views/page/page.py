@@ -230,11 +230,10 @@ class Page:
 
 async def _greet(client: viser.ClientHandle) -> None:
     """Fit the device into a browser's view while its camera is at the default position."""
-    view, (position, _) = next(iter(VIEWS.items()))
 
     async def fit(camera: viser.CameraHandle) -> None:
-        if np.allclose(camera.position, position, atol=1e-4):
-            look(client, view)
+        if np.allclose(camera.position, VIEWS["home"][0], atol=1e-4):
+            look(client, "home")
 
     client.camera.on_update(fit)
 

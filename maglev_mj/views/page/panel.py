@@ -18,7 +18,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, MAX_REWIND, REWIND_ACTIONS, SCENE_PREFIX, Snapshot
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.magnifier import MAGNIFICATIONS
-from maglev_mj.views.page.stage import VIEWS, look, update
+from maglev_mj.views.page.stage import VIEWS, look, rgb, update
 from maglev_mj.views.readings import GROUPS, RESUME, Reading, banner, grouped, magnitude, readings, round_up
 
 Ask = Callable[[str, Any], object]
@@ -229,8 +229,7 @@ class Panel:
             self._time = Slider(gui, name, f"{name} [s]", hint, 0.0, (0.0, end), ask, reference=end)
             self._time.handle.order = 1.1
         if EMERGENCY_STOP in snapshot.actions:
-            colour = tuple(round(255 * part) for part in on_white(BAD))
-            stop = gui.add_button(EMERGENCY_STOP, color=colour, order=1.05)
+            stop = gui.add_button(EMERGENCY_STOP, color=rgb(on_white(BAD)), order=1.05)
             stop.on_click(partial(self._act, lambda: EMERGENCY_STOP))
         views = gui.add_button_group("camera", tuple(VIEWS), order=3.0)
 

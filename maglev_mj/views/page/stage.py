@@ -256,17 +256,15 @@ class Stage:
         ball = Shape(True, "ellipsoid", np.full(3, _REACH), GRIP, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
         self.knob = scene.add_glb("/handle/knob", glb([ball]), **_PLAIN)
         size = _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[1]
-        self._ghost = scene.add_icosphere(
-            "/stuck", 1.0, _bytes(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN
-        )
+        self._ghost = scene.add_icosphere("/stuck", 1.0, rgb(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN)
         rim = 0.0, 0.0, KNOB_BOTTOM + _RIM[1]
         self._rim = scene.add_cylinder(
-            "/handle/rim", _RIM[0], 2.0 * _RIM[1], _bytes(TOUCHED), position=rim, visible=False, **_PLAIN
+            "/handle/rim", _RIM[0], 2.0 * _RIM[1], rgb(TOUCHED), position=rim, visible=False, **_PLAIN
         )
         self._arrows = ForceArrows()
         self._forces = {name: _arrow(scene, name, colour) for name, colour in FORCES.items()}
         self._walls: list[Any] = []
-        self._edges = scene.add_line_segments("/edges", np.zeros((1, 2, 3)), _bytes(WALL), thickness=_EDGE)
+        self._edges = scene.add_line_segments("/edges", np.zeros((1, 2, 3)), rgb(WALL), thickness=_EDGE)
         self._label = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
         self._model: Any = None
         self._coils: dict[int, Any] = {}
@@ -279,7 +277,7 @@ class Stage:
         if snapshot.scene.model != self._model:
             self._load(snapshot)
         for coil, winding in self._coils.items():
-            update(winding, color=_bytes(coil_colour(self._copper, snapshot.currents[coil])))
+            update(winding, color=rgb(coil_colour(self._copper, snapshot.currents[coil])))
         self._set_pose(self._flotor, snapshot.pose)
         for stem, ends in self._stems:
             foot, turn, length = stretched(ends, snapshot.pose, self.factor)
@@ -293,7 +291,7 @@ class Stage:
         self._show_walls(snapshot)
         if (ghost := snapshot.ghost) is not None:
             self._set_pose(self._ghost, np.concatenate([ghost[:3] + rotation_matrix(ghost[3:]) @ GRIP, ghost[3:]]))
-            update(self._ghost, color=_bytes(FIRST if len(snapshot.first) else STUCK))
+            update(self._ghost, color=rgb(FIRST if len(snapshot.first) else STUCK))
         update(self._ghost, visible=ghost is not None)
         content = banner(snapshot)
         text = self.hint if content is None else content.text.split(":")[0]
@@ -339,9 +337,9 @@ class Stage:
         for wall, (face, (centre, half)) in zip(self._walls, plates.items()):
             colour, opacity = (TOUCHED, _LIT) if face in lit else (WALL, _FAINT)
             place = {"position": np.round(centre, 6), "dimensions": tuple(np.round(2.0 * half, 6))}
-            update(wall, color=_bytes(colour), opacity=opacity, **place, visible=True)
+            update(wall, color=rgb(colour), opacity=opacity, **place, visible=True)
         edges = edges or [(np.zeros((2, 3)), [])]  # no walls: one point, since viser cannot draw an empty set
-        colours = [[_bytes(_SHADE * np.array(WALL if lit.isdisjoint(walls) else TOUCHED))] * 2 for _, walls in edges]
+        colours = [[rgb(_SHADE * np.array(WALL if lit.isdisjoint(walls) else TOUCHED))] * 2 for _, walls in edges]
         points = np.array([ends for ends, _ in edges], np.float32)
         update(self._edges, points=points, colors=np.array(colours, np.uint8))
 
@@ -349,7 +347,7 @@ class Stage:
 def _arrow(scene: Any, name: str, colour: Colour) -> tuple[Any, Any]:
     """Return the arrow of a force and its number, not yet visible."""
     points = np.array([[GRIP, 1.001 * GRIP]], dtype=np.float32)  # inside the knob
-    shade = _bytes([part**_GAMMA for part in colour])  # viser expects linear colours for arrows
+    shade = rgb([part**_GAMMA for part in colour])  # viser expects linear colours for arrows
     shaft = scene.add_arrows(f"/forces/{name}", points, shade, visible=False, **_ARROW)
     return shaft, scene.add_label(f"/numbers/{name}", "0.0 N", anchor="center-center", visible=False)
 
@@ -375,6 +373,7 @@ def _shadow() -> Any:
     return shade.astype(np.uint8)
 
 
-def _bytes(colour: Sequence[float] | Array) -> tuple[int, int, int]:
+def rgb(colour: Sequence[float] | Array) -> tuple[int, int, int]:
+    """Return a colour as red, green and blue from 0 to 255."""
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
