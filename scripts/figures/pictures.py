@@ -17,10 +17,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
@@ -104,15 +104,19 @@ def _maglev(*words: str) -> None:
 
 
 @contextmanager
-def shown(session: Session, width: int, height: int) -> Iterator[tuple[Any, Callable[[float], bytes]]]:
+def shown(
+    session: Session, width: int, height: int, camera: str = "home"
+) -> Iterator[tuple[Any, Callable[[float], bytes]]]:
     """Yield a browser's page of a session, and a function that runs it for a time [s] and returns a screenshot."""
     from playwright.sync_api import sync_playwright
 
     from maglev_mj.views.page.page import Endpoint, Page, PageServer
+    from maglev_mj.views.page.stage import look
 
     listener = listen(0)
     endpoint = Endpoint("127.0.0.1", listener.getsockname()[1])
-    server = PageServer(endpoint, listener)
+    with redirect_stdout(StringIO()):  # viser's greeting
+        server = PageServer(endpoint, listener)
     page = Page(server, session)
     program = shutil.which("chromium") or shutil.which("google-chrome")
     flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -124,7 +128,8 @@ def shown(session: Session, width: int, height: int) -> Iterator[tuple[Any, Call
 
         def run(seconds: float) -> bytes:
             session.tick(seconds)
-            for _ in range(8):  # until the browser has drawn it
+            for _ in range(4):  # until the browser has drawn it
+                page._pose = np.empty(0)  # a sign of life, also of a scene at rest
                 page._show()
                 page._plots.show(session.snapshot())
                 view.wait_for_timeout(60)
@@ -133,6 +138,8 @@ def shown(session: Session, width: int, height: int) -> Iterator[tuple[Any, Call
         end = time.monotonic() + 10.0
         while time.monotonic() < end:  # the first look takes long
             run(0.0)
+        for client in server.get_clients().values():
+            look(client, camera)
         yield view, run
         browser.close()
     server.stop()
@@ -157,11 +164,13 @@ def page_buzz(path: Path) -> None:
     session.change({"hand_stiffness": 1000.0})
     with shown(session, 1280, 720) as (_, run):
         session.hand.target = [0.016, 0.0, 0.0, 0.0, 0.0, 0.0]
-        for _ in range(60):
+        for _ in range(400):
             session.tick(0.05)
             if session.snapshot().state == "stopped":
                 break
-        path.write_bytes(run(0.0))
+        for _ in range(4):  # the page has had no sign of life meanwhile
+            picture = run(0.0)
+        path.write_bytes(picture)
 
 
 def joystick(path: Path, *, period: float = 1.0 / 12.0, size: tuple[int, int] = (640, 400)) -> None:
@@ -171,8 +180,7 @@ def joystick(path: Path, *, period: float = 1.0 / 12.0, size: tuple[int, int] = 
     along, down, across = [15, 0, 0], [0, 0, -12], [-10, -10, 6]
     targets = 1e-3 * np.array([[0] * 3, along, along, [0] * 3, down, down, [0] * 3, across, across, [0] * 3])
     session, frames = _live(), list[Any]()
-    with shown(session, 1280, 720) as (view, run):
-        view.get_by_role("button", name="knob").click()
+    with shown(session, 1280, 720, "knob") as (view, run):
         box = view.locator("canvas").last.bounding_box()
         left, top = box["x"] + 0.5 * (box["width"] - size[0]), box["y"] + 0.5 * (box["height"] - size[1])
         for moment in np.arange(0.0, 0.45 * (len(targets) - 1), period):
