@@ -207,8 +207,10 @@ class Page:
 
     def _apply(self) -> None:
         aim = partial(setattr, self._source.hand, "target")
+        perform: Mapping[str, Callable[[Any], object]]
+        perform = {"hand": aim, "act": self._source.act, "change": self._source.change}
         for kind, value in self._inbox.take():
-            {"hand": aim, "act": self._source.act, "change": self._source.change}[kind](value)
+            perform[kind](value)
 
     def _show(self) -> None:
         snapshot = self._source.snapshot()
