@@ -231,6 +231,8 @@ def _is_scalar(kind: type, value: Any) -> bool:
         value = value.item()  # of NumPy
     if kind in (bool, str):
         return isinstance(value, kind)
+    if getattr(value, "shape", None):
+        return _is_numeric(value)  # values of many devices: the call's own check says if it takes them
     return isinstance(value, Real) and not isinstance(value, bool) and (kind is float or value % 1 == 0)
 
 

@@ -15,6 +15,7 @@ from maglev_mj.pictures import SHADE, TITLE, broken, draw_limit, line_style, nam
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import Variants, figure_head, parameter_texts, rank_text
 from maglev_mj.scenes.stability_check import wall_margin
+from maglev_mj.theory import stated_gains
 
 _FINE, _POINTS, _TICK = 1e-4, 2001, 0.05
 _MOST_PANELS = 4
@@ -52,8 +53,10 @@ def _head(variants: Variants, *details: str) -> tuple[str, ...]:
     differing = [name for name in names if any(getattr(one, name, None) != getattr(scene, name) for one in scenes[1:])]
     texts = ", ".join(parameter_texts(scene, without=differing))
     common = f"{scene.name} along {scene.axis}, plant {variants.first.plant}: {texts}"
-    walls = {"" if (wall := wall_margin(one, held=True)) is None else f"wall: {wall}" for one in scenes}
-    return variants.headline, common, *(walls if len(walls) == 1 else ()), *details
+    gains = [stated_gains(one.controller()) for one in scenes]
+    alike = len(scenes) == 1 or all(one and str(one) == str(gains[0]) for one in gains)
+    wall = wall_margin(scene, held=True) if alike else None
+    return variants.headline, common, *([] if wall is None else [f"wall: {wall}"]), *details
 
 
 def _over_time(variants: Variants, named: Mapping[str, str], **options: Any) -> tuple[Any, dict[str, Any]]:
