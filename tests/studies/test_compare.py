@@ -269,10 +269,11 @@ def test_the_command_draws_and_gives_the_numbers_of_the_scenes_own(
     assert cli.main(["drop", *options, "-"]) == 0
     alone = json.loads(capsys.readouterr().out)["sweep"]["phases"]
     path, laws = tmp_path / "laws.json", ["--law", "pulse", "--law", f"{own}:Mine"]
-    assert cli.main(["compare", "drop", *options, str(path), *laws, "--out", str(tmp_path)]) == 0
+    charts = ["--out", str(tmp_path), "--format", "svg"]
+    assert cli.main(["compare", "drop", *options, str(path), *laws, *charts]) == 0
     out, data = capsys.readouterr().out, json.loads(path.read_text())
     assert "a wall of 4000 N/m" in out and "  Mine " in out and "over 2 sampling phases" in out.replace("\n  ", " ")
-    assert all(f"wrote {tmp_path / name}.png" in out for name in ("compare_drop", "compare_drop_phases"))
+    assert all(f"wrote {tmp_path / name}.svg" in out for name in ("compare_drop", "compare_drop_phases"))
     rows = data["laws"]["pulse"]["phases"]
     found = [{name: row[name] for name in row if name != "hardness"} for row in rows]
     assert found == [{name: row[name] for name in found[0]} for row in alone] and data["scene"] == "drop"
