@@ -71,6 +71,7 @@ Studies:
 
     sweep                    runs a scene over a grid of parameters
     compare                  comparison of wall laws in one scene
+    diagnose                 why a wall shakes, and the change that helps most
     device_card              impedances, masses and forces that a device can render
     run_cells                runs your own function over a grid
     local_workers            worker processes on this machine

@@ -69,6 +69,7 @@ from maglev_mj.studies.cells import dask_workers as dask_workers
 from maglev_mj.studies.cells import local_workers as local_workers
 from maglev_mj.studies.cells import run_cells as run_cells
 from maglev_mj.studies.compare import compare as compare
+from maglev_mj.studies.diagnosis import diagnose as diagnose
 from maglev_mj.studies.fidelity import Range as Range
 from maglev_mj.studies.fidelity import measure_fidelity as measure_fidelity
 from maglev_mj.studies.sweep import sweep as sweep

@@ -9,7 +9,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -25,14 +25,14 @@ from maglev_mj.parameters import Parameters, param, param_range, transport_delay
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HANDS, Hand, get_hand
 from maglev_mj.plants.model import body_of
-from maglev_mj.result import Result, Table, plain
+from maglev_mj.result import Result, Table
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_controller
-from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
 from maglev_mj.studies.cells import Workers, run_cells
+from maglev_mj.studies.diagnosis import Diagnosis, diagnose
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory import boundary as bounds
-from maglev_mj.theory.closed_loop import LoopKeywords, bisect
+from maglev_mj.theory.closed_loop import LoopKeywords
 
 _MOVED = 1e-6
 _DECIDED = 1e4
@@ -49,7 +49,6 @@ _NEAR = 0.005
 _TOGETHER = 240
 _AT_ONCE = 50_000
 _FINE = 200
-_FACTORS, _BISECTIONS = np.geomspace(1e-2, 1e2, 401), 40
 _AROUND = ("plant", "period", "delay", "mass", "hand")
 
 
@@ -311,74 +310,6 @@ class StabilityParameters(Parameters):
         return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": get_hand(self.hand)}
 
 
-class SingleWall(NamedTuple):
-    """Stability of one wall by theory.
-
-    Attributes:
-        stable: True for a stable wall.
-        spectral_radius: Spectral radius of its loop.
-        reason: Its stiffness against the critical stiffness.
-        ranges: Stable range of stiffness [N/m], damping [N s/m], delay [s] and rate [Hz], the others unchanged: the
-            nearest one from 0.01 to 100 times the present value and up to 10 periods of delay, NaN for an end outside;
-            None for none.
-    """
-
-    stable: bool
-    spectral_radius: float
-    reason: str
-    ranges: Mapping[str, tuple[float, float] | None]
-
-    def __str__(self) -> str:
-        word = "stable" if self.stable else "unstable"
-        return f"{word}: spectral radius {self.spectral_radius:.4g}, {self.reason}"
-
-    def table(self) -> Table:
-        """Return the stable ranges."""
-        units = {"stiffness": ("N/m", 1.0), "damping": ("N s/m", 1.0), "delay": ("ms", 1e3), "rate": ("Hz", 1.0)}
-        rows = [
-            (name, unit, *(["none"] * 2 if (ends := self.ranges[name]) is None else [scale * end for end in ends]))
-            for name, (unit, scale) in units.items()
-        ]
-        title = "stable range of each value, the others unchanged (-: no limit)"
-        return Table(title, ("", "unit", "from", "to"), rows)
-
-
-def single_wall(p: StabilityParameters, stiffness: float, damping: float) -> SingleWall:
-    """Return the stability of one wall, with its margins."""
-    present = {"stiffness": stiffness, "damping": damping, "delay": p.delay, "rate": 1.0 / p.period}
-
-    def stable(name: str, values: Array) -> Mask:
-        k, b, delay, rate = np.broadcast_arrays(*(values if one == name else present[one] for one in present))
-        loop: Any = {**p.loop, "period": 1.0 / rate, "delay": delay}
-        return np.asarray(theory.is_stable(theory.spectral_radius(k, b, **loop)))
-
-    scales = {"stiffness": p.mass / p.period**2, "damping": p.mass / p.period, "delay": p.period}
-    fastest = min(MAX_DELAY_PERIODS / p.delay, 1.0 / MIN_PERIOD) if p.delay else 1.0 / MIN_PERIOD
-    limits = {"delay": (0.0, MAX_DELAY_PERIODS * p.period), "rate": (1.0 / MAX_PERIOD, fastest)}
-
-    def stable_range(name: str) -> tuple[float, float] | None:
-        values = present[name] * _FACTORS if present[name] else scales[name] * _FACTORS**2
-        least, most = limits.get(name, (0.0, math.inf))
-        values = values[(values >= least) & (values <= most)]
-        good = stable(name, values)
-        if not good.any():
-            return None
-        centre, bad = np.searchsorted(values, present[name]), np.flatnonzero(~good)
-        nearest = np.flatnonzero(good)[np.abs(np.flatnonzero(good) - centre).argmin()]
-        ends = bad[bad < nearest][-1:], bad[bad > nearest][:1]
-        first, last = (
-            float(bisect(partial(stable, name), values[end[0]], values[nearest], _BISECTIONS)) if end.size else math.nan
-            for end in ends
-        )
-        return first, last
-
-    radius = float(theory.spectral_radius(stiffness, damping, **p.loop))
-    critical, is_stable = float(theory.largest_stable_stiffness(damping, **p.loop)), bool(theory.is_stable(radius))
-    side = f"{'below' if stiffness < critical else 'above'} critical, {critical:.5g} N/m at this damping"
-    reason = f"stiffness {side}" if critical else "no stiffness is stable at this damping"
-    return SingleWall(is_stable, radius, reason, {name: stable_range(name) for name in present})
-
-
 @dataclass(frozen=True, eq=False)
 class GainMap(Result):
     """Map over a grid of gains.
@@ -399,28 +330,29 @@ class GainMap(Result):
     units: ClassVar = {"stiffness": "N/m", "damping": "N s/m", "swing": "m"}
 
     def _headline(self) -> str:
-        return f"Stiffest stable wall: {self.maximum.describe()}" if self.wall is None else f"Wall: {self.wall}"
+        return f"Stiffest stable wall: {self.maximum.describe()}" if self.wall is None else f"Wall: {self.wall.summary}"
 
     @cached_property
-    def wall(self) -> SingleWall | None:
-        """Verdict on a map of one wall; None for several."""
+    def wall(self) -> Diagnosis | None:
+        """Diagnosis of a map of one wall; None for several."""
         if self.stiffness.size * self.damping.size > 1:
             return None
-        return single_wall(self.parameters, self.stiffness.item(), self.damping.item())
+        p, gains = self.parameters, {"stiffness": self.stiffness.item(), "damping": self.damping.item()}
+        return diagnose(**gains, period=p.period, delay=p.delay, mass=p.mass, hand=p.hand)
 
     @property
     def below(self) -> list[Table]:
-        """Table of the stable ranges of a single wall."""
+        """Tables of the diagnosis of a single wall."""
         return [] if self.wall is None else [self.wall.table()]
 
     @property
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
-        return [] if self.wall is None or self.wall.stable else [str(self.wall)]
+        return [] if self.wall is None or self.wall.stable else [self.wall.summary]
 
     def as_json(self) -> dict[str, Any]:
         """See `Result`; with the verdict on a single wall."""
-        return super().as_json() | ({} if self.wall is None else {"wall": plain(self.wall)})
+        return super().as_json() | ({} if self.wall is None else {"wall": self.wall.as_json()})
 
     def cells(self) -> Mapping[str, NDArray[Any]]:
         """Return the map's values by name, (K, B) each."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,6 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.errors import ParameterError
-from maglev_mj.studies.stability_map import StabilityParameters, single_wall
-from maglev_mj.theory import spectral_radius
 from tests.all_of import COMMANDS
 
 LOOP = ["--rate", "1000", "--delay", "0.0008", "--stiffness", "70000"]
@@ -59,25 +56,3 @@ def test_an_unstable_wall_is_said(
         assert main([*LINES[name], "--json", "-"]) == 0
         data = json.loads(capsys.readouterr().out)
         assert data.get("stable") is False or any("unstable" in text for text in data["warnings"])
-
-
-@pytest.mark.parametrize(
-    ("wall", "ends"),
-    [
-        ((60_000.0, 80.0, 1e-3, 8e-4, "none"), 5),
-        ((6_000.0, 80.0, 5e-3, 1.5e-3, "arm"), 5),
-        ((500.0, 0.0, 5e-3, 0.0, "none"), 2),
-    ],
-)
-def test_the_margins_of_one_wall_are_those_of_its_loop(wall: Any, ends: int) -> None:
-    stiffness, damping, period, delay, hand = wall
-    p = StabilityParameters(period=period, delay=delay, hand=hand)
-    found = single_wall(p, stiffness, damping)
-    assert found.stable == (spectral_radius(stiffness, damping, **p.loop) < 1.0)
-    limits = [(name, end) for name, pair in found.ranges.items() for end in pair or () if math.isfinite(end)]
-    for name, end in limits:
-        present = {"stiffness": stiffness, "damping": damping, "delay": delay, "rate": 1.0 / period}
-        k, b, late, rate = (present | {name: end}).values()
-        loop: Any = {**p.loop, "delay": late, "period": 1.0 / rate}
-        assert spectral_radius(k, b, **loop) == pytest.approx(1.0, abs=1e-6)
-    assert len(limits) == ends

@@ -1,0 +1,111 @@
+"""Picture of a diagnosis: stability region with the remedies, free response, and bars of what each buys."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, on_white
+from maglev_mj.frames import Array
+from maglev_mj.pictures import TITLE, name_curves, new_figure
+from maglev_mj.studies.diagnosis import DiagnosedLoop, Diagnosis
+from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.theory.closed_loop import SampledLoop
+
+_POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS = 160, 8.0, 600, 30.0, 6
+
+
+def diagnosis(result: Diagnosis) -> Any:
+    """Draw a diagnosis.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    loop = result.loop
+    gains = f"{loop.stiffness:g} {result.unit('N/m')}, {loop.damping:g} {result.unit('N s/m')}"
+    timing = f"{1.0 / loop.period:.4g} Hz, delay {1e3 * loop.delay:.4g} ms, {loop.body:g} {result.unit('kg')}"
+    figure, (region, response, bars, empty) = new_figure((result.headline, f"{gains}, {timing}"), 2, 2, 6.4)
+    _region(region, result)
+    _response(response, result)
+    empty.set_axis_off()
+    grid = bars.get_gridspec()
+    bars.set_subplotspec(grid[1, :])
+    _bars(bars, result)
+    return figure
+
+
+def _region(panel: Any, result: Diagnosis) -> None:
+    """Draw the stability boundary, half of it, the present gains, and the gains of the first remedy."""
+    loop, best = result.loop, result.best
+    widest = max(2.2 * float(best.damping), 1.3 * loop.damping, 1e-9)
+    damping = np.linspace(0.0, widest, _POINTS)
+    boundary = np.asarray(largest_stable_stiffness(damping, **loop.keywords))
+    panel.plot(damping, boundary, color=STOP, label="stability boundary")
+    panel.plot(damping, 0.5 * boundary, color=REFERENCE, linestyle="--", label="half of it")
+    colour = on_white(GOOD if result.stable else BAD)
+    panel.plot(loop.damping, loop.stiffness, "o", color=colour, markersize=8, label="present gains")
+    for one in result.remedies:
+        if set(one.change) <= {"damping", "stiffness"}:
+            to = one.change.get("damping", loop.damping), one.change.get("stiffness", loop.stiffness)
+            style = {"arrowstyle": "->", "color": on_white(GOOD), "linewidth": 1.6}
+            panel.annotate("", to, (loop.damping, loop.stiffness), arrowprops=style)
+            panel.plot([], [], color=on_white(GOOD), label=one.words)
+            break
+    top = 1.15 * max(float(boundary.max()), loop.stiffness)
+    panel.set(xlim=(0.0, widest), ylim=(0.0, top))
+    panel.set(xlabel=f"damping ({result.unit('N s/m')})", ylabel=f"stiffness ({result.unit('N/m')})")
+    name_curves(panel)
+
+
+def _response(panel: Any, result: Diagnosis) -> None:
+    """Draw the motion after a displacement, now and with the first remedy."""
+    loop = result.loop
+    span = _CYCLES / result.frequency if result.frequency else 100.0 * loop.period
+    span = min(span, _MOST_SAMPLES * loop.period)
+    if result.doubling_time > 0.0 and math.isfinite(result.doubling_time):
+        span = min(span, math.log2(_MOST_GROWTH) * result.doubling_time)
+    colours = on_white(GOOD if result.stable else BAD), SERIES[0]
+    first = [loop.replace(**one.change) for one in result.remedies[:1]]
+    names = "now", *(one.words for one in result.remedies[:1])
+    for changed, colour, name in zip((loop, *first), colours, names):
+        if changed.device is None:
+            time, motion = free_response(changed, span)
+            panel.plot(1e3 * time, motion, color=colour, label=name)
+    panel.set(xlabel="time (ms)", ylabel="position, relative to the first")
+    panel.set_title(result.summary, **TITLE)
+    name_curves(panel)
+
+
+def free_response(loop: DiagnosedLoop, span: float) -> tuple[Array, Array]:
+    """Return time [s] and position after a displacement by 1, (N,) each, for a wall on the host alone."""
+    matrix = SampledLoop(**loop.keywords).matrix(loop.stiffness, loop.damping)
+    state = np.zeros(len(matrix))
+    state[0] = 1.0
+    count = max(int(span / loop.period), 2)
+    motion = np.empty(count)
+    for index in range(count):
+        motion[index] = state[0]
+        state = matrix @ state
+    return loop.period * np.arange(count), motion
+
+
+def _bars(panel: Any, result: Diagnosis) -> None:
+    """Draw the ratio of critical to requested stiffness, now and with each remedy, on a logarithmic axis."""
+    loop = result.loop
+    present = result.critical_stiffness / loop.stiffness
+    shown = result.remedies[:_BARS]
+    names = ["now", *(one.words for one in shown)]
+    ratios = [max(present, 1e-3), *(one.ratio for one in shown)]
+    colours = [on_white(GOOD if ratio >= 1.0 else BAD, 3.0) for ratio in ratios]
+    places = np.arange(len(names))[::-1]
+    panel.barh(places, ratios, color=colours, height=0.6)
+    panel.set_yticks(places, names)
+    panel.set_xscale("log")
+    for level, name in ((1.0, "stable"), (loop.target, "target")):
+        panel.axvline(level, color=REFERENCE, linewidth=1.0, linestyle=":")
+        panel.annotate(name, (level, len(names) - 0.5), fontsize=8.5, ha="center", va="bottom", color=REFERENCE)
+    for place, ratio in zip(places, ratios):
+        panel.annotate(f"{ratio:.2g}", (ratio, place), (4, 0), textcoords="offset points", va="center", fontsize=9.0)
+    panel.set(xlabel="critical over requested stiffness", ylim=(-0.6, len(names) - 0.1))
