@@ -130,20 +130,69 @@ def get_hand(text: str | Hand | None) -> Hand | None:
         if len(values) not in (3, 5):
             numeric = ", or mass,damping,stiffness[,grip damping,grip stiffness] in SI units"
             raise ParameterError(choice_message("hand", HANDS, text, numeric))
+    return hand_of(values) if values else None
+
+
+def hand_of(values: Sequence[ArrayLike]) -> Hand:
+    """Return a hand with its mass, damping, stiffness, and grip damping and stiffness if it is soft."""
     by_name: dict[str, Any] = dict(zip(_MOST, values))
-    return Hand(**by_name) if by_name else None
+    return Hand(**by_name)
 
 
-def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple[Array, Array]:
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """First flexible mode of the flotor, between the coils' force and the sensor.
+
+    For a mass m in all, X/U = (1/m) [1/s² + rho / (s² + 2 zeta w s + w²)], w = 2 pi f. Two masses joined by a spring
+    and a damper, m1 at the coils and m2 at the handle, have rho = m2/m1 with the sensor at the coils and -1 with it at
+    the handle. A rigid hand's mass is part of m.
+
+    Args:
+        frequency: Frequency f of the free flotor's mode [Hz], (...,).
+        damping_ratio: Damping ratio zeta, (...,).
+        participation: Participation rho, (...,), at least -1.
+
+    Raises:
+        ParameterError: If a value is outside its bounds, or the shapes do not match.
+
+    Source: derived for this project from the two masses.
+    """
+
+    frequency: ArrayLike
+    damping_ratio: ArrayLike
+    participation: ArrayLike
+    values: tuple[Array, ...] = field(init=False, repr=False)
+    """Frequency, damping ratio, participation."""
+    shape: tuple[int, ...] = field(init=False)
+    """Batch shape of the values."""
+
+    def __post_init__(self) -> None:
+        frequency = numbers("mode frequency", self.frequency, above=0.0, at_most=1e5, unit="Hz")
+        ratio = numbers("mode damping_ratio", self.damping_ratio, at_least=0.0, at_most=1.0)
+        share = numbers("mode participation", self.participation, at_least=-1.0, at_most=1e3)
+        store(self, values=(frequency, ratio, share))
+        store(self, shape=common_shape("mode values", *map(np.shape, self.values)))
+
+
+def motion(
+    mass: ArrayLike,
+    hand: Hand | None = None,
+    lag: float = 0.0,
+    own_damping: ArrayLike = 0.0,
+    mode: Mode | None = None,
+) -> tuple[Array, Array]:
     """Return the continuous-time state space model of one axis, ds/dt = A s + B (u, w, e).
 
-    The state s is position and velocity of the flotor, then those of a hand with a soft grip, then the lagging driver
-    force; u is the commanded force, w any other force on the flotor, and e the force of the hand's muscles.
+    The state s is sensed position and mean velocity of the flotor, position and velocity of a hand with a soft grip,
+    the mode's deflection and its rate over 2 pi f, and the lagging driver force; u is the commanded force, w any other
+    force on the flotor, and e the force of the hand's muscles. Own damping, hand and w do not excite the mode.
 
     Args:
         mass: Mass of the flotor [kg], (...,).
         hand: Hand; None for no hand.
         lag: Time constant of the drivers [s]; 0 for no lag.
+        own_damping: Viscous damping of the device to ground [N s/m], (...,).
+        mode: Flexible mode; None for a rigid flotor.
 
     Returns:
         A (..., n, n) and B (..., n, 3).
@@ -152,11 +201,13 @@ def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple
     hand_mass, damping, stiffness, grip_damping, grip_stiffness = hand.values
     flotor = np.asarray(mass, dtype=np.float64)
     total = flotor if hand.soft else flotor + hand_mass
-    size = 2 + 2 * hand.soft + (lag > 0.0)
-    shape = np.broadcast_shapes(total.shape, hand.shape)
+    own, flexible = np.asarray(own_damping, dtype=np.float64), mode is not None
+    first = 2 + 2 * hand.soft
+    size = first + 2 * flexible + (lag > 0.0)
+    shape = np.broadcast_shapes(total.shape, hand.shape, own.shape, mode.shape if mode else ())
     a, b = np.zeros((*shape, size, size)), np.zeros((*shape, size, 3))
     spring, damper = (grip_stiffness, grip_damping) if hand.soft else (stiffness, damping)
-    a[..., 0, 1], a[..., 1, 0], a[..., 1, 1] = 1.0, -spring / total, -damper / total
+    a[..., 0, 1], a[..., 1, 0], a[..., 1, 1] = 1.0, -spring / total, -(damper + own) / total
     b[..., 1, 1] = 1.0 / total
     if hand.soft:
         a[..., 1, 2], a[..., 1, 3] = grip_stiffness / total, grip_damping / total
@@ -172,6 +223,16 @@ def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple
         a[..., -1, -1], b[..., -1, 0] = -1.0 / lag, 1.0 / lag
     else:
         b[..., 1, 0] = 1.0 / total
+    if mode is not None:
+        frequency, ratio, participation = mode.values
+        turn = 2.0 * np.pi * frequency
+        a[..., first, first + 1], a[..., first + 1, first] = turn, -turn
+        a[..., first + 1, first + 1] = -2.0 * ratio * turn
+        force = a[..., -1] if lag > 0.0 else b[..., 0]
+        force[..., first + 1] = participation / (total * turn)
+        # the sensed position is the sum of mean position and deflection
+        a[..., 0, :] += a[..., first, :]
+        a[..., first] -= a[..., 0]
     return a, b
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.control.timeline import split_delay
-from maglev_mj.errors import PlantError, SensingError, check_one_of
+from maglev_mj.errors import ParameterError, PlantError, SensingError, check_one_of
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.parameters import number, whole
 from maglev_mj.plants import (
@@ -295,6 +295,8 @@ class SteppedLoop(SampledLoop):
 
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
         """See `SampledLoop`."""
+        if self.mode is not None or np.any(self.own_damping):
+            raise ParameterError("a stepped loop must have neither own_damping nor mode: its model has none")
         period, delay = float(np.asarray(self.period)), float(np.asarray(self.delay))
         longest = number("step", self.step, above=0.0, at_most=period)
         whole, rest = map(float, split_delay(delay, period))

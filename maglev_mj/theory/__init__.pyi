@@ -1,3 +1,4 @@
+from maglev_mj.plants.hand import Mode as Mode
 from maglev_mj.theory.boundary import StiffestWall as StiffestWall
 from maglev_mj.theory.boundary import largest_stable_stiffness as largest_stable_stiffness
 from maglev_mj.theory.boundary import least_passive_damping as least_passive_damping
@@ -18,6 +19,9 @@ from maglev_mj.theory.ideal import analog_wall as analog_wall
 from maglev_mj.theory.ideal import karnopp as karnopp
 from maglev_mj.theory.linearise import ClosedLoop as ClosedLoop
 from maglev_mj.theory.linearise import Linearised as Linearised
+from maglev_mj.theory.two_rates import DeviceLaw as DeviceLaw
+from maglev_mj.theory.two_rates import two_rate_radius as two_rate_radius
+from maglev_mj.theory.two_rates import two_rate_stiffness as two_rate_stiffness
 from maglev_mj.theory.verdict import Verdict as Verdict
 from maglev_mj.theory.verdict import judge as judge
 from maglev_mj.theory.verdict import stability as stability

@@ -20,10 +20,11 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import with_hints
 from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, number, numbers, store, transport_delay
-from maglev_mj.plants.hand import Hand, get_hand, motion, transition
+from maglev_mj.plants.hand import Hand, Mode, get_hand, hand_of, motion, transition
 from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
 
 _CHUNK = 1 << 16
+_BATCHED = "period", "delay", "mass", "prediction", "own_damping"
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
 """Function from stiffness, damping and sample period, (...,) each, to the linear controller inside the wall."""
@@ -40,6 +41,8 @@ class LoopKeywords(TypedDict, total=False):
     velocity: VelocityEstimator
     prediction: ArrayLike
     design: Design | None
+    own_damping: ArrayLike
+    mode: Mode | None
 
 
 def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -> Design:
@@ -91,6 +94,8 @@ class SampledLoop:
         velocity: Linear velocity estimator of the PD wall; None for the finite difference.
         prediction: Prediction time of the PD wall's position along the velocity [s].
         design: Linear controller in place of the PD wall.
+        own_damping: Viscous damping of the device itself, to ground [N s/m].
+        mode: Flexible mode; None for a rigid flotor.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -104,18 +109,21 @@ class SampledLoop:
     velocity: VelocityEstimator | None = None
     prediction: ArrayLike = 0.0
     design: Design | None = None
+    own_damping: ArrayLike = 0.0
+    mode: Mode | None = None
     shape: tuple[int, ...] = field(init=False)
-    """Broadcast shape of period, delay, mass, prediction, hand."""
+    """Broadcast shape of period, delay, mass, prediction, own damping, hand and mode."""
 
     def __post_init__(self) -> None:
         period = numbers("period", self.period, **SAMPLE_PERIOD)
         store(self, period=period, delay=transport_delay(self.delay, period), hand=get_hand(self.hand))
         store(self, mass=numbers("mass", self.mass, above=0.0))
         store(self, prediction=numbers("prediction", self.prediction, at_least=0.0))
+        store(self, own_damping=numbers("own_damping", self.own_damping, at_least=0.0))
         number("driver_lag", self.driver_lag, at_least=0.0, **LAG)
-        shapes = [np.shape(part) for part in (self.period, self.delay, self.mass, self.prediction)]
-        shapes += [] if self.hand is None else [self.hand.shape]
-        store(self, shape=common_shape("period, delay, mass, prediction, hand", *shapes))
+        shapes = [np.shape(getattr(self, name)) for name in _BATCHED]
+        shapes += [part.shape for part in (self.hand, self.mode) if part is not None]
+        store(self, shape=common_shape(f"{', '.join(_BATCHED)}, hand, mode", *shapes))
 
     def matrix(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
         """Return the closed-loop matrix (..., n, n).
@@ -123,8 +131,7 @@ class SampledLoop:
         Its state is that of `motion`, then the delayed commands, newest first, then the controller's state.
         """
         k, b = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
-        design = self.design or pd(self.velocity, self.prediction)
-        law = design(k, b, np.asarray(self.period))
+        law = self.law(k, b)
         phi, old, new, whole, waiting = self.flotor()
         system = law.advance, law.take[..., None], law.give[..., None, :], law.direct[..., None, None]
         return loop_matrix(phi, old[..., None], new[..., None], whole, waiting, *system)
@@ -140,13 +147,21 @@ class SampledLoop:
             frequencies: Frequencies [Hz], below half the sample rate; the period must be a number.
         """
         matrix = self.matrix(stiffness, damping)
-        _, push = transition(*motion(self.mass, self.hand, self.driver_lag), self.period)
+        _, push = transition(*self.motion(), self.period)
         inputs = np.zeros((*push.shape[:-2], matrix.shape[-1]))
         inputs[..., : push.shape[-2]] = push[..., 1]
         inputs = np.broadcast_to(inputs, matrix.shape[:-1])[..., None]
         for frequency in frequencies:
             turn = np.exp(2j * np.pi * number("frequency", frequency) * float(self.period))  # type: ignore[arg-type]
             yield np.linalg.solve(turn * np.eye(matrix.shape[-1]) - matrix, inputs)[..., 0, 0]
+
+    def law(self, stiffness: Array, damping: Array) -> LinearController:
+        """Return the linear controller of gains (...,)."""
+        return (self.design or pd(self.velocity, self.prediction))(stiffness, damping, np.asarray(self.period))
+
+    def motion(self) -> tuple[Array, Array]:
+        """Return the flotor's continuous-time state space model; see `plants.hand.motion`."""
+        return motion(self.mass, self.hand, self.driver_lag, self.own_damping, self.mode)
 
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
         """Return the flotor's state transition over a period, and its inputs.
@@ -157,7 +172,7 @@ class SampledLoop:
         """
         period, delay = np.asarray(self.period), np.asarray(self.delay)
         whole, remainder = map(np.asarray, split_delay(delay, period))
-        a, b = motion(self.mass, self.hand, self.driver_lag)
+        a, b = self.motion()
         before, old = transition(a, b[..., :1], remainder)
         after, new = transition(a, b[..., :1], period - remainder)
         waiting = int((whole + (remainder > 0.0)).max())
@@ -182,14 +197,13 @@ class SampledLoop:
 
     def _each(self, change: Callable[[Array], Array]) -> SampledLoop:
         """Return the loop with each array changed by a function."""
-        hand = self.hand
+        hand, mode = self.hand, self.mode
         if hand is not None:
-            mass, damping, stiffness, grip_damping, grip_stiffness = (change(value) for value in hand.values)
-            grip = grip_stiffness if hand.soft else None
-            hand = Hand(mass=mass, damping=damping, stiffness=stiffness, grip_damping=grip_damping, grip_stiffness=grip)
-        period, delay, mass = (change(np.asarray(part)) for part in (self.period, self.delay, self.mass))
-        ahead = change(np.asarray(self.prediction))
-        return replace(self, hand=hand, period=period, delay=delay, mass=mass, prediction=ahead)
+            hand = hand_of([*map(change, hand.values[: 5 if hand.soft else 3])])
+        if mode is not None:
+            mode = Mode(*map(change, mode.values))
+        values: Any = {name: change(np.asarray(getattr(self, name))) for name in _BATCHED}
+        return replace(self, hand=hand, mode=mode, **values)
 
     def part(self, shape: tuple[int, ...], part: Any) -> SampledLoop:
         """Return the loop for a slice or indices of the flattened gains."""
@@ -261,13 +275,23 @@ ROUNDING = 1e-12
 _HALVINGS = 45
 
 
+def bracket(grid: Array, true: Mask) -> tuple[Array, Array]:
+    """Return the grid points before and at the first true one, (...,) each; infinity if there is none."""
+    first = np.argmax(true, axis=-1)[..., None]
+    ends = (np.take_along_axis(grid, np.maximum(index, 0), axis=-1)[..., 0] for index in (first - 1, first))
+    low, high = (np.where(true.any(axis=-1), end, np.inf) for end in ends)
+    return low, high
+
+
 def bisect(holds: Callable[[Array], Mask], low: Array, high: Array, halvings: int) -> Array:
-    """Return the least argument of a monotonic condition that is true at `high`, (...,)."""
+    """Return the least argument of a monotonic condition that is true at `high`, (...,); infinity if that is."""
+    finite = np.isfinite(high)
+    low, high = np.where(finite, low, 0.0), np.where(finite, high, 0.0)
     for _ in range(halvings):
         middle = 0.5 * (low + high)
         true = holds(middle)
         low, high = np.where(true, low, middle), np.where(true, middle, high)
-    return high
+    return np.where(finite, high, np.inf)
 
 
 def is_stable(spectral_radius: ArrayLike, limit: ArrayLike = 1.0) -> Mask:
@@ -318,25 +342,18 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     limit = np.where(k > 0.0, 1.0, 1.0 + 1e-6)  # free motion is a root at 1
     wide = around.widened()
     period = np.broadcast_to(np.asarray(wide.period), (*shape, 1))
-    low, high = np.zeros(shape), np.full(shape, np.inf)
+    low, high = np.full((2, *shape), np.inf)
     for whole in range(MAX_DELAY_PERIODS):
         grid = period * np.linspace(whole, whole + 1, 41)
         unstable = ~is_stable(replace(wide, delay=grid).spectral_radius(k, b), limit)
-        first = np.argmax(unstable, axis=-1)
-        pick = np.stack([np.maximum(first - 1, 0), first], axis=-1)
-        bracketed = unstable.any(axis=-1) & np.isinf(high)
-        below, above = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
-        low, high = np.where(bracketed, below, low), np.where(bracketed, above, high)
+        low, high = np.where(np.isinf(high), bracket(grid, unstable), (low, high))
         if np.isfinite(high).all():
             break
-    finite = np.isfinite(high)
-    high = bisect(
-        lambda delay: ~is_stable(replace(wide, delay=delay[..., None]).spectral_radius(k, b), limit)[..., 0],
-        low,
-        np.where(finite, high, 0.0),
-        _HALVINGS,
-    )
-    return np.where(finite, high, np.inf)
+
+    def unstable_at(delay: Array) -> Mask:
+        return ~is_stable(replace(wide, delay=delay[..., None]).spectral_radius(k, b), limit)[..., 0]
+
+    return bisect(unstable_at, low, high, _HALVINGS)
 
 
 def least_dynamic_stiffness(
