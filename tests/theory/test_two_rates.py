@@ -9,7 +9,7 @@ import pytest
 from maglev_mj.control import LowPass
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.plants.hand import transition
+from maglev_mj.plants.hand import Hand, transition
 from maglev_mj.studies.levels import SteppedLoop
 from maglev_mj.theory import (
     DeviceLaw,
@@ -89,6 +89,7 @@ def test_two_rates() -> None:
     soft: Any = HOST | {"hand": SOFT}
     assert two_rate_radius(3e4, 30.0, DeviceLaw(0.0, 150.0), **soft) == pytest.approx(0.838080, abs=6e-7)
     assert two_rate_stiffness(30.0, DeviceLaw(0.0, 150.0), **soft) == pytest.approx(44969.56, abs=0.006)
+    assert two_rate_stiffness(20.0, DeviceLaw(0.0, 1200.0), **HOST) == 0.0  # the damper alone is unstable
     for period, radius in {9e-4: 0.882017, 9.7e-4: 0.881957}.items():
         with pytest.warns(UserWarning, match="replaced by"):
             ours = two_rate_radius(2e4, 20.0, DeviceLaw(0.0, 100.0, period), **HOST)
@@ -172,8 +173,9 @@ def radius_and_growth(random: np.random.Generator) -> tuple[float, float]:
     frequency, ratio = random.uniform(0.05, 3.0) / step, 10.0 ** random.uniform(-2.5, -0.7)
     pair, pull, turn = mass * np.array([share, 1.0 - share]), np.array([1.0, -1.0]), 2.0 * np.pi * frequency
     spring = np.outer(pull / pair, pull) * mass * share * (1.0 - share)
-    drag = 2.0 * ratio * turn * spring + own * np.outer([1.0, 1.0], pair) / mass**2
-    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-(turn**2) * spring, -drag]])
+    arm, mean = random.uniform(0.0, 500.0), np.outer([1.0, 1.0], pair) / mass**2
+    drag = 2.0 * ratio * turn * spring + own * mean
+    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-(turn**2) * spring - arm * mean, -drag]])
     units = mass / np.array([[step**2], [step / 3.0]])
     (k, kd), (b, bd) = units * 10.0 ** random.uniform(-2.5, 0.0, (2, 2)) * [1.0, 0.3]
     cutoff = random.uniform(0.05, 1.0) / step if filtered else None
@@ -181,7 +183,7 @@ def radius_and_growth(random: np.random.Generator) -> tuple[float, float]:
     laws = [[step, late[0] * step, k, b], [fine, law.delay, law.stiffness, law.damping]][: 1 + device]
     laws = [[*parts, -np.expm1(-2.0 * np.pi * cutoff * parts[0]) if cutoff else 1.0] for parts in laws]
     loop: Any = {"period": step, "delay": laws[0][1], "mass": mass, "velocity": law.velocity, "own_damping": own}
-    loop["mode"] = Mode(frequency, ratio, -1.0 if handle else (1.0 - share) / share)
+    loop["hand"], loop["mode"] = Hand(stiffness=arm), Mode(frequency, ratio, -1.0 if handle else (1.0 - share) / share)
     radius = two_rate_radius(k, b, law, **loop) if device else spectral_radius(k, b, **loop)
     power, growth = simulated(a, np.eye(4)[:, 2:3] / pair[0], np.eye(4)[int(handle)], laws, q * step), 0.0
     for doubling in range(20):
@@ -224,6 +226,7 @@ def test_laws_of_equal_rates_add_up_and_every_function_takes_arrays() -> None:
     ("device", "loop", "words"),
     [
         ({"period": 1.03e-3}, {}, "device period must be within 2 % of the host"),
+        ({"period": 0.1}, {}, "device period must be within 2 % of the host"),
         ({"period": 1.0}, {}, "device period must be between"),
         ({"delay": 0.02}, {}, "delay must be at most 0.01 s, 10 periods"),
         ({"cutoff": 0.0}, {}, "device cutoff must be above 0"),
