@@ -82,12 +82,6 @@ def two_rate_radius(stiffness: ArrayLike, damping: ArrayLike, device: DeviceLaw,
         ParameterError: If a value is outside its bounds, or T/h is near no such fraction.
 
     Source: derived for this project; lifted multirate loops: Rakhsha & Constantinescu 2012 (abstract).
-
-    Example:
-        >>> from maglev_mj.theory import DeviceLaw, two_rate_radius
-        >>> damper = DeviceLaw(damping=100.0, period=0.001, delay=0.0002)
-        >>> two_rate_radius([20000.0, 30000.0], 20.0, damper, period=0.005, delay=0.0015, mass=0.7).round(4).tolist()
-        [0.882, 1.0085]
     """
     around = SampledLoop(**loop)
     return _radius_of(around, device)(*around.broadcast(stiffness, damping))

@@ -29,10 +29,9 @@ from maglev_mj.plants.hand import exponential
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene
 from maglev_mj.spec import INERTIA, RANGE
-from maglev_mj.theory import karnopp
+from maglev_mj.theory import karnopp, spectral_radius
 from six_axes import run_six_axes
 from tests.sweeps import further
-from tests.theory.closed_loop import spectral_radius
 
 T, K, F = 0.005, 6000.0, 2.0
 FIGURE_8: dict[str, Any] = {"spring": 1000.0, "damping": 80.0, "breakaway": 2.0, "v_min": 0.005, "mass": 0.7}

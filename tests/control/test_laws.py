@@ -9,8 +9,8 @@ import pytest
 
 from maglev_mj import AXES, Command, Controller, Hold, Sample, Wall
 from maglev_mj.errors import ParameterError
+from maglev_mj.theory import spectral_radius
 from tests.sweeps import sweep
-from tests.theory.closed_loop import spectral_radius
 
 T = 0.005
 K, B, PULSE, WIDTH = 6000.0, 80.0, 220.0, 0.003
