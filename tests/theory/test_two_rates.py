@@ -28,6 +28,7 @@ from tests.sweeps import further
 
 SOFT = "0.204,18.06,271.7,0.776,769.9"
 HOST: Any = {"period": 0.005, "delay": 0.0015, "mass": 0.7}
+MAGLEV_200: Any = {"period": 1e-3, "delay": 5e-4, "mass": 0.555, "velocity": LowPass(200.0)}
 ONE_RATE: list[tuple[dict[str, Any], list[float]]] = [
     ({}, [6000.0, 80.0, 0.877085, 24.2084, 10106.6]),
     ({"delay": 0.005}, [6000.0, 80.0, 1.082124, 20.4967, 3530.42]),
@@ -40,10 +41,7 @@ ONE_RATE: list[tuple[dict[str, Any], list[float]]] = [
     ({"velocity": LowPass(40.0)}, [3000.0, 60.0, 0.870078, 17.7461, 6782.09]),
     ({"prediction": 0.004}, [4000.0, 0.0, 1.007443, 12.5963, 0.0]),
     ({"period": 1 / 60, "delay": 1 / 60, "mass": 0.034}, [10.0, 0.35, 0.988718, 3.1083, 11.2936]),
-    (
-        {"period": 1e-3, "delay": 5e-4, "mass": 0.555, "velocity": LowPass(200.0)},
-        [1e4, 15.0, 0.995843, 21.8054, 14233.3],
-    ),
+    (MAGLEV_200, [1e4, 15.0, 0.995843, 21.8054, 14233.3]),
 ]
 
 
@@ -166,10 +164,8 @@ def radius_and_growth(random: np.random.Generator) -> tuple[float, float]:
     step, own, share = 10.0 ** random.uniform(-3.0, -2.0), random.uniform(0.0, 20.0), random.uniform(0.5, 0.95)
     mass, q = random.uniform(0.1, 2.0), random.choice([1, 1, 2, 4])
     fine = step * q / random.integers(q, 8 * q)
-    late, (handle, filtered, device) = (
-        random.choice([0.0, 1.0, *random.uniform(0.0, 2.5, 4)], 2),
-        random.random(3) < 0.5,
-    )
+    late = random.choice([0.0, 1.0, *random.uniform(0.0, 2.5, 4)], 2)
+    handle, filtered, device = random.random(3) < 0.5
     frequency, ratio = random.uniform(0.05, 3.0) / step, 10.0 ** random.uniform(-2.5, -0.7)
     pair, pull, turn = mass * np.array([share, 1.0 - share]), np.array([1.0, -1.0]), 2.0 * np.pi * frequency
     spring = np.outer(pull / pair, pull) * mass * share * (1.0 - share)
