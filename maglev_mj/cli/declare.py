@@ -278,6 +278,8 @@ def _add(parser: Parser, name: str, kind: Any, about: Option, default: Any) -> N
     if about.group:
         settings |= {"dest": name, "default": None if default is Parameter.empty else default}
         settings["required"] = default is Parameter.empty and about.take is None and get_origin(kind) is not list
+    elif default is not Parameter.empty:
+        settings |= {"nargs": "?", "default": default}
     if kind is bool:
         into.add_argument(flag, action=argparse.BooleanOptionalAction if default else "store_true", **settings)
         return

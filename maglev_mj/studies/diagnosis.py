@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from maglev_mj.control import LowPass
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import with_period
-from maglev_mj.parameters import SAMPLE_PERIOD, Parameters, param, transport_delay
+from maglev_mj.parameters import Parameters, param, transport_delay
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
@@ -31,7 +32,7 @@ from maglev_mj.theory.two_rates import DeviceLaw, two_rate_radius, two_rate_stif
 COSTS = "gains", "timing", "firmware", "mechanics", "feel"
 """Kinds of cost of a remedy, cheapest first: `feel` renders a softer wall."""
 
-_FACTORS, _BISECTIONS = np.geomspace(1e-2, 1e2, 401), 40
+_FACTORS, _BISECTIONS = np.geomspace(1e-2, 1e2, 401), 32
 _DEVICE_PERIOD, _DEVICE_DELAY = 1e-3, 2e-4
 _DIGITS = 3
 _HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
@@ -50,7 +51,7 @@ class DiagnosedLoop(Parameters):
 
     stiffness: float = param("stiffness K of wall or spring", "N/m", default=0.0, at_least=0.0, at_most=1e8)
     damping: float = param("damping B of the law", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
-    period: float = param("sample period T", "s", default=MAX_PERIOD, **SAMPLE_PERIOD)
+    period: float = param("sample period T", "s", default=MAX_PERIOD, at_least=MIN_PERIOD, at_most=MAX_PERIOD)
     delay: float = param(
         "delay from a sample to the effect of its command; one period if not stated", "s", default=0.0, at_least=0.0
     )
@@ -93,14 +94,9 @@ class DiagnosedLoop(Parameters):
     @property
     def keywords(self) -> dict[str, Any]:
         """Keywords of the theory besides the gains."""
-        return {
-            "period": self.period,
-            "delay": self.delay,
-            "mass": self.body,
-            "hand": get_hand(self.hand),
-            "own_damping": self.own_damping,
-            "velocity": None if self.cutoff is None else LowPass(cutoff=self.cutoff),
-        }
+        keywords: dict[str, Any] = {"period": self.period, "delay": self.delay, "mass": self.body}
+        keywords |= {"hand": get_hand(self.hand), "own_damping": self.own_damping}
+        return keywords | ({} if self.cutoff is None else {"velocity": LowPass(cutoff=self.cutoff)})
 
     @property
     def device(self) -> DeviceLaw | None:
@@ -127,8 +123,14 @@ class DiagnosedLoop(Parameters):
 
     def stiffest(self) -> tuple[float, float]:
         """Return the largest critical stiffness over all dampings, and its damping."""
-        best = stiffest_wall(**self.keywords)
+        best = _stiffest(self)
         return float(best.stiffness), float(best.damping)
+
+
+@lru_cache(maxsize=64)
+def _stiffest(loop: DiagnosedLoop) -> StiffestWall:
+    """Return the stiffest stable wall over all dampings."""
+    return stiffest_wall(**loop.keywords)
 
 
 class Remedy(NamedTuple):
@@ -246,12 +248,14 @@ class Diagnosis(Result):
             ("rate, same periods of delay", _interval(self.rate_in_periods, "Hz")),
         ]
         remedies = [
-            (f"{index}", one.words, number_text(one.critical_stiffness), f"{one.ratio:.2g}", f"{_price(one)}")
+            (index, _short(one.ratio), number_text(one.critical_stiffness), _price(one), one.words)
             for index, one in enumerate(self.remedies, 1)
         ]
-        head = ("", "remedy", f"critical stiffness [{k}]", "ratio", "cost")
+        head = ("", "ratio", f"critical [{k}]", "cost", "remedy")
         notes = [*(f"no effect: {text}" for text in self.ineffective), *self._notes()]
-        found = Table("What helps, best first", head, remedies, "\n".join(notes))
+        found = Table(
+            "What helps, best first; ratio of critical to requested stiffness", head, remedies, "\n".join(notes)
+        )
         title = self.summary[0].upper() + self.summary[1:]
         return Table(title, ("stable for", ""), rows, below=[found])
 
@@ -304,24 +308,33 @@ def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
     """Return the values of a scene's worst axis."""
     from maglev_mj.frames import AXES
     from maglev_mj.scenes.find import get_scene
-    from maglev_mj.theory import stability
+    from maglev_mj.theory import stability, stated_gains
 
     found = get_scene(scene)
-    verdict = stability(found)
-    if not verdict.axes:
-        raise ParameterError(f"scene {found.name}: stability {verdict}")
-    index = AXES.index(verdict.axes[0])
-    stiffness = float(verdict.stiffness[index, index])
-    if not stiffness > 0.0:
-        raise ParameterError(f"scene {found.name} renders no stiffness on its worst axis, {AXES[index]}")
-    state = ", ".join(verdict.acting) or "always"
-    assumptions.append(f"axis {AXES[index]} of {found.name} ({state}), the one with the smallest margin")
-    if not verdict.stated:
+    controller = found.controller()
+    gains, body = stated_gains(controller), found.body.inertia
+    if gains is None:
+        verdict = stability(found)
+        index = AXES.index(verdict.axes[0]) if verdict.axes else found.axis_index
+        k, b, acting = float(verdict.stiffness[index, index]), float(verdict.damping[index, index]), ()
         assumptions.append("gains by linearisation at the worst pose, the law's memory left out")
-    velocity = found.controller().velocity
-    values = {"stiffness": stiffness, "damping": float(verdict.damping[index, index])}
+    else:
+        loops = [
+            (float(k[axis]), float(b[axis]), axis, acting) for acting, (k, b) in gains.items() for axis in range(6)
+        ]
+        keywords: dict[str, Any] = {"period": found.period, "delay": found.delay}
+        ratios = [
+            k / max(float(largest_stable_stiffness(b, mass=body[axis], **keywords)), _LEAST) for k, b, axis, _ in loops
+        ]
+        k, b, index, acting = loops[int(np.argmax(ratios))]
+    if not k > 0.0:
+        raise ParameterError(f"scene {found.name} renders no stiffness on its worst axis, {AXES[index]}")
+    state = f" ({', '.join(acting)})" if acting else ""
+    assumptions.append(f"axis {AXES[index]} of {found.name}{state}, the one with the smallest margin")
+    velocity = controller.velocity
+    values: dict[str, Any] = {"stiffness": k, "damping": b}
     values |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) else {}
-    values |= {"inertia" if index > 2 else "mass": float(found.body.inertia[index])}
+    values |= {"inertia" if index > 2 else "mass": float(body[index])}
     return {**values, "period": found.period, "delay": found.delay}
 
 
@@ -341,12 +354,16 @@ def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...]) -> Diagnosis:
         critical_delay=float(critical_delay(loop.stiffness, loop.damping, **_without(loop.keywords, "delay"))),
         rate_range=_range(loop, "rate"),
         rate_in_periods=_range(loop, "rate in periods"),
-        best=stiffest_wall(**loop.keywords),
+        best=_stiffest(loop),
         remedies=remedies,
         ineffective=ineffective,
         passive_damping=float(
             least_passive_damping(
-                loop.stiffness, loop.damping, period=loop.period, delay=loop.delay, design=pd(loop.keywords["velocity"])
+                loop.stiffness,
+                loop.damping,
+                period=loop.period,
+                delay=loop.delay,
+                design=pd(loop.keywords.get("velocity")),
             )
         ),
         amplitude_limit=math.nan if stable or not loop.friction else _hidden(loop),
@@ -399,11 +416,10 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
         return None
     middle, bad = np.searchsorted(values, centre), np.flatnonzero(~good)
     nearest = np.flatnonzero(good)[np.abs(np.flatnonzero(good) - middle).argmin()]
-    ends = bad[bad < nearest][-1:], bad[bad > nearest][:1]
-    first, last = (
-        float(bisect(stable, values[end], values[[nearest]], _BISECTIONS)[0]) if end.size else math.nan for end in ends
-    )
-    return first, last
+    below, above = bad[bad < nearest][-1:], bad[bad > nearest][:1]
+    outside = values[np.concatenate([below, above])]
+    found = bisect(stable, outside, np.full_like(outside, values[nearest]), _BISECTIONS).tolist()
+    return (found[0] if below.size else math.nan), (found[-1] if above.size else math.nan)
 
 
 def _rounded(value: float, *, up: bool = False) -> float:
@@ -445,7 +461,7 @@ def _remedies(loop: DiagnosedLoop, stable: bool, critical: float) -> tuple[tuple
         )
     reached = loop.target * (1.0 - 1e-9)
     better.sort(key=lambda one: (one.ratio < reached, COSTS.index(one.cost) * (one.ratio >= reached), -one.ratio))
-    useless = [f"{one.words}, ratio {one.ratio:.2g}" for one in tried if one not in better]
+    useless = [f"{one.words}, ratio {_short(one.ratio)}" for one in tried if one not in better]
     half = b + 0.5 * k * loop.period
     if (ratio := loop.critical(half) / k) < max(present * (1.0 + _MODEST), 1.0):
         useless.append(f"half-sample prediction, as {half - b:.3g} {damper} more: ratio {ratio:.2g}")
@@ -459,13 +475,8 @@ def _gains(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
         return
     wanted = loop.target * loop.stiffness
     if most >= wanted:
-        enough = bisect(
-            lambda b: np.asarray(largest_stable_stiffness(b, **loop.keywords)) >= wanted,
-            np.zeros(1),
-            np.array([best]),
-            _BISECTIONS,
-        )
-        best = _rounded(float(enough[0]) or _LEAST, up=True)
+        around = SampledLoop(**loop.keywords)
+        best = _rounded(_least(lambda b: around.spectral_radius(wanted, b), best) or _LEAST, up=True)
     else:
         best = _rounded(best)
     yield _remedy(loop, f"damping {best:g} {damper}", "gains", damping=best)
@@ -491,7 +502,7 @@ def _timings(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
 
 def _firmware(loop: DiagnosedLoop, damper: str, spring: str) -> Iterable[Remedy]:
     """Yield the whole wall on the device at its best damping, and a damper on the device that reaches the target."""
-    times = {"device_period": min(_DEVICE_PERIOD, loop.period)}
+    times = {"device_period": loop.period / max(round(loop.period / _DEVICE_PERIOD), 1)}
     times["device_delay"] = _DEVICE_DELAY if loop.delay > _DEVICE_DELAY else loop.delay
     where = f"on the device ({1.0 / times['device_period']:.4g} Hz, {_milliseconds(times['device_delay'])})"
     best = stiffest_wall(**{**loop.keywords, "period": times["device_period"], "delay": times["device_delay"]})
@@ -500,17 +511,36 @@ def _firmware(loop: DiagnosedLoop, damper: str, spring: str) -> Iterable[Remedy]
     yield _remedy(loop, f"whole wall {where}, damping {damping:g} {damper}", "firmware", **times, **both)
     wanted = loop.target * loop.stiffness
 
-    def holds(value: float) -> bool:
-        law = DeviceLaw(damping=value, period=times["device_period"], delay=times["device_delay"])
-        return bool(is_stable(two_rate_radius(wanted, loop.damping, law, **loop.keywords)))
+    def radius(values: Array) -> Array:
+        laws = [DeviceLaw(damping=value, **device) for value in values.tolist()]
+        return np.array([float(two_rate_radius(wanted, loop.damping, law, **loop.keywords)) for law in laws])
 
-    grid = np.geomspace(1e-4, 1.0, 41) * loop.body / times["device_period"]
-    enough = next((index for index, value in enumerate(grid.tolist()) if holds(value)), None)
-    if enough:
-        found = bisect(np.vectorize(holds), grid[[enough - 1]], grid[[enough]], 14)
-        damping = _rounded(float(found[0]), up=True)
+    device = {"period": times["device_period"], "delay": times["device_delay"]}
+    enough = _least(radius, loop.body / times["device_period"], count=16, halvings=12)
+    if enough is not None:
+        damping = _rounded(enough, up=True)
         words = f"damper of {damping:g} {damper} {where}, inside the wall"
         yield _remedy(loop, words, "firmware", **times, device_damping=damping)
+
+
+def _least(
+    radius: Callable[[Array], Array], most: float, *, count: int = 61, halvings: int = _BISECTIONS
+) -> float | None:
+    """Return the least value up to `most` at which a spectral radius is below 1; None if there is none.
+
+    Args:
+        radius: Function of values, (N,).
+        most: Largest value.
+        count: Values tried, over four decades.
+        halvings: Bisections.
+    """
+    grid = np.geomspace(1e-4 * most, most, count)
+    good = np.asarray(is_stable(radius(grid)))
+    if not good.any():
+        return None
+    index = int(np.argmax(good))
+    low = grid[[index - 1]] if index else np.zeros(1)
+    return float(bisect(lambda values: np.asarray(is_stable(radius(values))), low, grid[[index]], halvings)[0])
 
 
 def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
@@ -518,14 +548,9 @@ def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     name = "inertia" if loop.rotary else "mass"
     yield _remedy(loop, f"{name} x {_HEAVIER:g}", "mechanics", **{name: _HEAVIER * loop.body})
     wanted = loop.target * loop.stiffness
-    most = 4.0 * loop.body / loop.period
-
-    def holds(value: Array) -> Mask:
-        keywords = {**loop.keywords, "own_damping": loop.own_damping + value}
-        return np.asarray(is_stable(SampledLoop(**keywords).spectral_radius(wanted, loop.damping)))
-
-    if holds(np.array([most]))[0]:
-        added = _rounded(float(bisect(holds, np.zeros(1), np.array([most]), _BISECTIONS)[0]) or _LEAST, up=True)
+    enough = _least(partial(_damped, loop, wanted), 4.0 * loop.body / loop.period)
+    if enough is not None:
+        added = _rounded(enough or _LEAST, up=True)
         yield _remedy(
             loop, f"mechanical damper of {added:g} {damper}", "mechanics", own_damping=loop.own_damping + added
         )
@@ -534,21 +559,21 @@ def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
         yield _remedy(loop, words, "gains", cutoff=cutoff)  # type: ignore[arg-type]
 
 
+def _damped(loop: DiagnosedLoop, stiffness: float, added: Array) -> Array:
+    """Return the spectral radius at a stiffness with more damping of the device's own, (N,)."""
+    keywords = {**loop.keywords, "own_damping": loop.own_damping + added}
+    return SampledLoop(**keywords).spectral_radius(stiffness, loop.damping)
+
+
 def _hidden(loop: DiagnosedLoop) -> float:
     """Return the amplitude below which Coulomb friction ends an oscillation, 4 f/(pi w b).
 
     b is the damping of the device's own that would bring the loop to its boundary, w its frequency there: a describing
     function, within 5 % in simulation.
     """
-    k, b, most = loop.stiffness, loop.damping, 4.0 * loop.body / loop.period
-
-    def holds(value: Array) -> Mask:
-        keywords = {**loop.keywords, "own_damping": loop.own_damping + value}
-        return np.asarray(is_stable(SampledLoop(**keywords).spectral_radius(k, b)))
-
-    if not holds(np.array([most]))[0]:
+    needed = _least(partial(_damped, loop, loop.stiffness), 4.0 * loop.body / loop.period)
+    if needed is None:
         return math.nan
-    needed = float(bisect(holds, np.zeros(1), np.array([most]), _BISECTIONS)[0])
     _, frequency = _pole(loop.replace(own_damping=loop.own_damping + needed))
     return 4.0 * loop.friction / (math.pi * 2.0 * math.pi * frequency * needed) if frequency else math.nan
 
@@ -566,8 +591,13 @@ def _hum(loop: DiagnosedLoop) -> float:
     return 0.5 * loop.quantum * total
 
 
+def _short(value: float) -> str:
+    """Return two digits of a number, or all of a large one."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.2g}"
+
+
 def _ratio(value: float, present: float) -> str:
-    return f"x {value / present:.2g}"
+    return f"x {_short(value / present)}"
 
 
 def _interval(ends: tuple[float, float] | None, unit: str) -> str:
@@ -585,5 +615,5 @@ def _milliseconds(value: float) -> str:
 
 
 def _price(one: Remedy) -> str:
-    noise = f", force noise x {one.noise:.2g}" if math.isfinite(one.noise) and abs(one.noise - 1.0) > 0.01 else ""
+    noise = f", noise x {_short(one.noise)}" if math.isfinite(one.noise) and abs(one.noise - 1.0) > 0.01 else ""
     return f"{one.cost}{noise}"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, ParameterError, Wall, diagnose, drive
+from maglev_mj import Controller, ParameterError, Timing, Wall, diagnose, drive
 from maglev_mj.plants import ExactPlant
 from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis
 from maglev_mj.studies.diagnosis_picture import free_response
@@ -134,9 +134,8 @@ def test_the_free_response_is_that_of_the_exact_plant() -> None:
     values, *_ = CASES["paper"]
     time, motion = free_response(DiagnosedLoop(**values), 0.1)
     wall = Wall(axes="z", lower=1.0, stiffness=6000.0, damping=80.0)  # in contact everywhere
-    plant = ExactPlant(
-        period=5e-3, delay=1.5e-3, mass=0.7, pose=[0.0, 0.0, 1.0 - 1e-4, 0.0, 0.0, 0.0], escape=(9.0, 9.0)
-    )
+    pose = [0.0, 0.0, 1.0 - 1e-4, 0.0, 0.0, 0.0]
+    plant = ExactPlant(Timing(period=5e-3, delay=1.5e-3), mass=0.7, pose=pose, gravity=0.0, escape=(9.0, 9.0))
     positions = [sample.position[2] for sample, _ in drive(plant, Controller([wall], period=5e-3), len(time))]
     assert (np.array(positions) - 1.0) / -1e-4 == pytest.approx(motion, abs=1e-6)
 
