@@ -94,7 +94,7 @@ class SampledLoop:
         velocity: Linear velocity estimator of the PD wall; None for the finite difference.
         prediction: Prediction time of the PD wall's position along the velocity [s].
         design: Linear controller in place of the PD wall.
-        own_damping: Viscous damping of the device itself, to ground [N s/m].
+        own_damping: Viscous damping b of the device itself, a force -b v on its mean motion [N s/m].
         mode: Flexible mode; None for a rigid flotor.
 
     Raises:

@@ -43,6 +43,8 @@ class DeviceLaw:
 
     Raises:
         ParameterError: If a value is outside its bounds.
+
+    Source: the law of Salcudean & Vlaar 1997, eq. (3), moved to the device.
     """
 
     stiffness: float = 0.0
