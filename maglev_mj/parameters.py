@@ -611,20 +611,24 @@ def _parameter(cls: type, item: Any, hint: Any) -> Parameter:
 def read_json(
     kind: str, path: str | Path, parse: Callable[[Any], _T], error: type[MaglevError] = ParameterError, **options: Any
 ) -> _T:
-    """Read and parse a JSON file.
+    """Read and parse a JSON file, with options of `json.loads`; see `read_file`."""
+    return read_file(kind, path, lambda text: parse(parse_json(text, parse_constant=float, **options)), error)
+
+
+def read_file(kind: str, path: str | Path, parse: Callable[[str], _T], error: type[MaglevError] = ParameterError) -> _T:
+    """Read and parse a text file.
 
     Args:
         kind: Kind of the file, for messages.
         path: The file.
-        parse: Function of the decoded content.
+        parse: Function of the text.
         error: Type of the error raised.
-        options: Options of `json.loads`.
 
     Raises:
         MaglevError: Of type `error`, if the file cannot be read or parsed; one line with path and reason.
     """
     try:
-        return parse(parse_json(read_text(file_path(path)), parse_constant=float, **options))
+        return parse(read_text(file_path(path)))
     except OSError as failure:
         raise error(f"{kind} {str(path)!r} cannot be read: {failure.strerror}") from None
     except (MaglevError, UnicodeError) as failure:
