@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from maglev_mj.analysis.fit import is_inside
 from maglev_mj.control import VelocityEstimator
 from maglev_mj.errors import MaglevError, ParameterError, one_line
 from maglev_mj.frames import AXES, Array, Mask
-from maglev_mj.parameters import SAMPLE_PERIOD, number, numbers, read_file
+from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers, read_file
 from maglev_mj.plants.hand import transition
 from maglev_mj.recording import Recording
 from maglev_mj.recording.setup import rebuild_controller
@@ -32,8 +32,6 @@ _AGREES = 0.05  # largest change of a stated value that is put down to noise
 _NEWTON_STEPS, _SHIFT = 20, 1e-6
 _LEAST_DAMPING = -1e-3  # that is put down to noise, in mass over period
 _NOISE = 3.0  # residual of the longest window over the least one of five half cycles
-
-_Window: TypeAlias = tuple[Array, list[int]]
 
 
 class Oscillation(NamedTuple):
@@ -89,7 +87,8 @@ def find_oscillation(
 ) -> Oscillation:
     """Return the oscillation in the longest window that one pole and a mean describe to within the noise.
 
-    Matrix pencil of order 3 (Hua & Sarkar 1990): subtracting the mean of a window would bias the pole.
+    Matrix pencil of order 3 (Hua & Sarkar 1990), whose third pole is the mean: with two and the mean of the window
+    subtracted, the pole would be biased.
 
     Args:
         time: Times of the samples [s], (N,); a gap ends a window.
@@ -104,6 +103,7 @@ def find_oscillation(
     step = number("period", period, **SAMPLE_PERIOD)
     times, x = numbers("time", time, shape="(N,)"), numbers("position", position, shape=f"({np.size(time)},)")
     valid = np.ones(len(x), dtype=np.bool_) if usable is None else np.asarray(usable, dtype=np.bool_)
+    common_shape("position and usable", x.shape, valid.shape)
     ends = np.flatnonzero(~valid[1:] | ~valid[:-1] | (np.abs(np.diff(times) - step) > 0.01 * step)) + 1
     runs = [(run, _reversals(run)) for run in np.split(x, ends)]
     if (most := max(len(turns) for _, turns in runs) - 1) < _HALF_CYCLES:
@@ -121,10 +121,8 @@ def find_oscillation(
         count = max(int(0.8 * count), _HALF_CYCLES)
     _check(fit, *window, step)
     growth, frequency = math.log(abs(fit.pole)) / step, float(np.angle(fit.pole)) / (2.0 * math.pi * step)
-    doubling = math.log(2.0) / growth
-    return Oscillation(
-        fit.pole, 1.0 / frequency, frequency, growth, doubling, window[1][-1] - window[1][0] + 1, fit.amplitude
-    )
+    doubling, samples = math.log(2.0) / growth, window[1][-1] - window[1][0] + 1
+    return Oscillation(fit.pole, 1.0 / frequency, frequency, growth, doubling, samples, fit.amplitude)
 
 
 def _reversals(x: Array) -> list[int]:
@@ -139,7 +137,7 @@ def _reversals(x: Array) -> list[int]:
     return turns[1:] if turns[:1] == [0] else turns
 
 
-def _windows(x: Array, turns: list[int], count: int) -> Iterator[_Window]:
+def _windows(x: Array, turns: list[int], count: int) -> Iterator[tuple[Array, list[int]]]:
     """Yield windows of a number of half cycles: their run, and the indices of their extremes."""
     for first in range(0, len(turns) - count, max(count // 4, len(turns) // 32, 1)):
         yield x, turns[first : first + count + 1]
@@ -154,7 +152,7 @@ def _fit(run: Array, turns: list[int]) -> _Fit:
     space = np.linalg.eigh(rows.T @ rows)[1][:, -_ORDER:]
     poles = np.linalg.eigvals(np.linalg.lstsq(space[:-1], space[1:], rcond=None)[0]).astype(np.complex128)
     pole = complex(poles[poles.imag.argmax()] ** (1.0 / stride))
-    index = np.arange(len(x))
+    index = np.arange(len(x)) - (len(x) if abs(pole) > 1.0 else 0)  # no power above 1
     turn = pole**index
     parts = np.column_stack([np.ones(len(x)), turn.real, -turn.imag])
     mean, real, imaginary = np.linalg.lstsq(parts, x, rcond=None)[0]
@@ -170,7 +168,7 @@ def _check(fit: _Fit, x: Array, turns: list[int], step: float) -> None:
 
     Friction: successive amplitudes obey A[n+1] = g A[n] - a, a = 2 f_c / (pi m w) (g - 1) / sigma.
     """
-    turn, growth, length = float(np.angle(fit.pole)), math.log(abs(fit.pole)), turns[-1] - turns[0]
+    turn, length = max(float(np.angle(fit.pole)), 1e-6), turns[-1] - turns[0]
     before, at, after = (x[np.array(turns) + shift] for shift in (-1, 0, 1))
     cosine = (2.0 * at - before - after) / (2.0 * (1.0 - math.cos(turn)))  # sinusoids through three samples each
     extremes = at - cosine + np.sign(cosine) * np.hypot(cosine, (after - before) / (2.0 * math.sin(turn)))
@@ -179,10 +177,10 @@ def _check(fit: _Fit, x: Array, turns: list[int], step: float) -> None:
     (ratio, loss), *_ = np.linalg.lstsq(rows, sizes[1:], rcond=None)
     scatter = float(np.sum((rows @ (ratio, loss) - sizes[1:]) ** 2)) / (len(sizes) - 3)
     error = math.sqrt(scatter * max(float(np.linalg.pinv(rows.T @ rows)[1, 1]), 0.0))
-    if abs(growth) * length < max(_NOISE * fit.error * length, _STEADY):
+    if abs(math.log(abs(fit.pole))) * length < max(_NOISE * fit.error * length, _STEADY):
         reason = "a limit cycle of constant amplitude: saturation, bounces, friction or quantisation"
         raise ParameterError(f"position must grow or decay (got {reason}); record the start of the oscillation")
-    if loss > max(_ERRORS * error, _LOSS * sizes.mean()):
+    if ratio > 0.0 and loss > max(_ERRORS * error, _LOSS * sizes.mean()):
         push = 0.5 * loss * (turn / step) ** 2 * (math.log(ratio) / (ratio - 1.0) if ratio != 1.0 else 1.0)
         reason = f"friction of about {push:.2g} N per kg of moving mass (N m per kg m²)"
         raise ParameterError(f"position must decay or grow exponentially (got {reason}): record larger amplitudes")
@@ -325,7 +323,12 @@ def recorded_motion(recording: Recording) -> RecordedMotion:
     """Return the motion of the main axis in the longest segment, with the gains inside the wall if its laws state them.
 
     A sample is usable in a wall, if the axis has one, while neither a limit nor a pulse acts on it.
+
+    Raises:
+        ParameterError: If there are no samples.
     """
+    if not recording.segments:
+        raise ParameterError("recording must have samples (got no segment)")
     segment = max(recording.segments, key=len)
     metadata = segment.metadata
     axis = AXES.index(metadata.axis)
