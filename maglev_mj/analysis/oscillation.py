@@ -23,15 +23,16 @@ from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory import stated_gains
 from maglev_mj.theory.closed_loop import pd, rendered_stiffness
 
-_HALF_CYCLES, _ORDER, _COLUMNS = 5, 3, 24
+_HALF_CYCLES, _LONGEST = 5, 100
+_ORDER, _COLUMNS = 3, 24
 _BAND = 0.02  # least reversal, as a share of the travel
 _MISFIT = 0.03  # largest residual, as a share of the wave
 _STEADY = 0.02  # least change of the amplitude in the window
 _LOSS, _ERRORS = 0.01, 4.0  # least amplitude lost to friction in half a cycle: share of the mean, standard errors
 _AGREES = 0.05  # largest change of a stated value that is put down to noise
 _NEWTON_STEPS, _SHIFT = 20, 1e-6
-_LEAST_DAMPING = -1e-3  # that is put down to noise, in mass over period
-_NOISE = 3.0  # residual of the longest window over the least one of five half cycles
+_LEAST_DAMPING = -1e-3  # own damping that is put down to noise, in mass over period
+_NOISE = 3.0  # largest residual over the least of five half cycles, and growth over its standard error
 
 
 class Oscillation(NamedTuple):
@@ -112,7 +113,7 @@ def find_oscillation(
         raise ParameterError(f"position must have at least 5 half cycles{where} (got {max(most, 0)}): {remedy}")
     noise = min(_fit(*window).residual for run in runs for window in _windows(*run, _HALF_CYCLES))
     limit = max(_NOISE * noise, 1e-9 * float(np.ptp(x)))
-    count = most
+    count = min(most, _LONGEST)
     while True:
         windows = [window for run in runs for window in _windows(*run, count)]
         fit, window = min(((_fit(*window), window) for window in windows), key=lambda pair: pair[0].residual)
@@ -219,16 +220,16 @@ def matched(
     step = number("period", period, **SAMPLE_PERIOD)
     gains = numbers("stiffness", stiffness, at_least=0.0), numbers("damping", damping, at_least=0.0)
     wall = complex(rendered_stiffness(pd(velocity)(*gains, np.asarray(step)), oscillation.pole))
-    if delay is not None:
-        delay = number("delay", delay, at_least=0.0, at_most=MAX_DELAY_PERIODS * step, unit="s")
-    damped = []
-    if mass is not None:
-        mass = number("mass", mass, above=0.0)
-        for late, own in _own_dampings(oscillation.pole, wall, step, mass):
-            text = f"consistent with a delay of {late * 1e3:.3g} ms and own damping of {own:.3g} N s/m"
-            damped.append(Match(mass, late, own, f"{text} (assumed: {mass:.4g} kg)"))
-    pairs = [(*_compared(*pair, mass, delay, step), pair) for pair in _masses(oscillation.pole, wall, step)]
-    return (*(Match(*pair, 0.0, text) for _, text, pair in sorted(pairs)), *damped)
+    limits: Any = {"at_least": 0.0, "at_most": MAX_DELAY_PERIODS * step, "unit": "s"}
+    stated_mass = math.nan if mass is None else number("mass", mass, above=0.0)
+    stated_delay = math.nan if delay is None else number("delay", delay, **limits)
+    pairs = _masses(oscillation.pole, wall, step)
+    ranked = sorted((*_compared(*pair, stated_mass, stated_delay, step), *pair) for pair in pairs)
+    matches = [Match(heavy, late, 0.0, text) for _, text, heavy, late in ranked]
+    for late, own in () if mass is None else _own_dampings(oscillation.pole, wall, step, stated_mass):
+        text = f"consistent with a delay of {late * 1e3:.3g} ms and own damping of {own:.3g} N s/m"
+        matches.append(Match(stated_mass, late, own, f"{text} (assumed: {stated_mass:.4g} kg)"))
+    return tuple(matches)
 
 
 def _masses(z: complex, wall: complex, step: float) -> Iterator[tuple[float, float]]:
@@ -268,20 +269,16 @@ def _own_dampings(z: complex, wall: complex, step: float, mass: float) -> Iterat
         yield late * step, own * mass / step
 
 
-def _compared(
-    mass: float, late: float, stated_mass: float | None, stated_delay: float | None, step: float
-) -> tuple[float, str]:
-    """Return the largest relative change of a stated value, and the sentence that names it."""
-    heavier = 0.0 if stated_mass is None else abs(mass / stated_mass - 1.0)
-    later = 0.0 if stated_delay is None else abs(late - stated_delay) / max(stated_delay, 0.5 * step)
+def _compared(mass: float, late: float, stated_mass: float, stated_delay: float, step: float) -> tuple[float, str]:
+    """Return the largest relative change of a stated value, not NaN, and the sentence that names it."""
+    heavier, later = abs(mass / stated_mass - 1.0), abs(late - stated_delay) / max(stated_delay, 0.5 * step)
+    change = max((part for part in (heavier, later) if part == part), default=0.0)
     text = f"consistent with {mass:.4g} kg and a delay of {late * 1e3:.3g} ms (assumed: no own damping)"
-    if max(heavier, later) >= _AGREES:
-        name, scale, unit, value, stated = "mass", 1.0, "kg", mass, stated_mass
-        if later >= heavier:
-            name, scale, unit, value, stated = "delay", 1e3, "ms", late, stated_delay
-        assert stated is not None
-        text = f"{name} {value * scale:.3g} {unit} explains it, {stated * scale:.3g} {unit} was given; {text}"
-    return max(heavier, later), text
+    if change > _AGREES and change == later:
+        text = f"delay {late * 1e3:.3g} ms explains it, {stated_delay * 1e3:.3g} ms was given; {text}"
+    elif change > _AGREES:
+        text = f"mass {mass:.3g} kg explains it, {stated_mass:.3g} kg was given; {text}"
+    return change, text
 
 
 def read_motion(path: str | Path) -> tuple[Array, Array, float]:
