@@ -218,7 +218,7 @@ def matched(
         ParameterError: If a value is outside its bounds.
     """
     step = number("period", period, **SAMPLE_PERIOD)
-    gains = numbers("stiffness", stiffness, at_least=0.0), numbers("damping", damping, at_least=0.0)
+    gains = numbers("stiffness", stiffness, above=0.0), numbers("damping", damping, at_least=0.0)
     wall = complex(rendered_stiffness(pd(velocity)(*gains, np.asarray(step)), oscillation.pole))
     limits: Any = {"at_least": 0.0, "at_most": MAX_DELAY_PERIODS * step, "unit": "s"}
     stated_mass = math.nan if mass is None else number("mass", mass, above=0.0)
@@ -260,9 +260,10 @@ def _own_dampings(z: complex, wall: complex, step: float, mass: float) -> Iterat
     for _ in range(_NEWTON_STEPS):
         value = gap(late, own)
         by_late, by_own = (gap(late + _SHIFT, own) - value) / _SHIFT, (gap(late, own + _SHIFT) - value) / _SHIFT
-        area = (by_own.conj() * by_late).imag
-        late = np.clip(late - (by_own.conj() * value).imag / area, 0.0, MAX_DELAY_PERIODS)
-        own = np.clip(own + (by_late.conj() * value).imag / area, _LEAST_DAMPING, 10.0)
+        steps = np.array([-by_own.conj() * value, by_late.conj() * value]).imag
+        with np.errstate(divide="ignore", invalid="ignore"):  # parallel slopes: no step
+            steps = np.nan_to_num(steps / (by_own.conj() * by_late).imag)
+        late, own = np.clip(late + steps[0], 0.0, MAX_DELAY_PERIODS), np.clip(own + steps[1], _LEAST_DAMPING, 10.0)
     found = np.array([late, own])[:, (np.abs(gap(late, own)) < 1e-9) & (own > _LEAST_DAMPING)]
     for index in np.unique(found.round(6), axis=1, return_index=True)[1]:
         late, own = found[:, index].tolist()
