@@ -301,7 +301,10 @@ _StatedLoop: TypeAlias = Annotated[
 
 
 def diagnose(
-    what: Annotated[str | None, option("scene whose worst axis is meant; none for the options", "", "SCENE")] = None,
+    what: Annotated[
+        str | None,
+        option("scene (its worst axis), or recording or CSV file (time, position) of a shaking device", "", "WHAT"),
+    ] = None,
     *,
     loop: _StatedLoop,
     json: Json = None,

@@ -6,17 +6,20 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from maglev_mj.analysis.oscillation import Oscillation, find_oscillation, matched, read_motion, recorded_motion
 from maglev_mj.control import LowPass
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import with_period
 from maglev_mj.parameters import Parameters, param, transport_delay
 from maglev_mj.plants.hand import HANDS, get_hand
+from maglev_mj.recording import Recording
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory import (
@@ -40,6 +43,7 @@ _MODEST = 0.05
 """Relative change of critical stiffness below which a change has no effect."""
 
 _LEAST, _SAMPLES = 1e-9, 4096
+_MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
 
 
 class DiagnosedLoop(Parameters):
@@ -175,6 +179,7 @@ class Diagnosis(Result):
         amplitude_limit: Amplitude below which friction ends the oscillation [m, rad]; NaN for none.
         hum: Largest steady error by the sensor's resolution while contact lasts [m, rad]; NaN if unknown.
         assumptions: What was assumed.
+        measured: Oscillation of the recording; None without one.
     """
 
     loop: DiagnosedLoop
@@ -194,6 +199,7 @@ class Diagnosis(Result):
     amplitude_limit: float
     hum: float
     assumptions: tuple[str, ...]
+    measured: Oscillation | None = None
     picture: ClassVar = "maglev_mj.studies.diagnosis_picture:diagnosis"
 
     @property
@@ -275,12 +281,15 @@ class Diagnosis(Result):
 def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     """Return verdict, margins and ranked remedies of a wall's closed loop, in contact.
 
+    From a recording of a shaking device, the frequency and growth of its oscillation give mass and delay, if stiffness
+    and damping are known.
+
     Args:
-        scene: Scene, or name of one, for its worst axis; None for the values.
-        values: Parameters of `DiagnosedLoop`; `rate` [Hz] for `period`.
+        scene: Scene, or name of one, for its worst axis; or path of a recording or CSV file; None for the values.
+        values: Parameters of `DiagnosedLoop`; `rate` [Hz] for `period`. They replace those of scene or recording.
 
     Raises:
-        ParameterError: If a value is missing or outside its bounds.
+        ParameterError: If a value is missing or outside its bounds, or a recording contains no oscillation.
 
     Example:
         >>> from maglev_mj import diagnose
@@ -291,17 +300,66 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     accepted = [item.name for item in DiagnosedLoop.parameters()]
     values = with_period(accepted, values)
     assumptions: list[str] = []
-    if scene is not None:
+    measured: Oscillation | None = None
+    if isinstance(scene, str | Path) and Path(scene).suffix in _MOTIONS:
+        measured, values = _of_recording(Path(scene), values, assumptions)
+    elif scene is not None:
         values = {**_of_scene(scene, assumptions), **values}
-    if values.get("inertia") is not None and scene is not None:
-        values.pop("mass", None)
+        if values.get("inertia") is not None:
+            values.pop("mass", None)
     for names in (("stiffness",), ("damping",), ("period", "rate"), ("mass", "inertia")):
         if all(values.get(name) is None for name in names):
             raise ParameterError(f"{' or '.join(names)} must be given, or a scene")
     if values.get("delay") is None:
         values["delay"] = values["period"]
         assumptions.append(f"a delay of one period, {_milliseconds(values['period'])}; state the true one")
-    return _diagnosed(DiagnosedLoop(**values), tuple(assumptions))
+    return _diagnosed(DiagnosedLoop(**values), tuple(assumptions), measured)
+
+
+def _of_recording(path: Path, values: dict[str, Any], assumptions: list[str]) -> tuple[Oscillation, dict[str, Any]]:
+    """Return the oscillation of a recording, and the values of the loop that explains it."""
+    usable, velocity, known = None, None, dict(values)
+    if path.suffix == ".maglev":
+        motion = recorded_motion(Recording.load(path))
+        time, position, period, usable, velocity = (
+            motion.time,
+            motion.position,
+            motion.period,
+            motion.usable,
+            motion.velocity,
+        )
+        stated = {"stiffness": motion.stiffness, "damping": motion.damping, "delay": motion.delay}
+        stated["inertia" if motion.axis.startswith("r") else "mass"] = motion.mass
+        known = {name: value for name, value in stated.items() if value is not None} | known
+    else:
+        time, position, period = read_motion(path)
+    found = find_oscillation(time, position, period=period, usable=usable)
+    period = known.setdefault("period", period)
+    text = f"{path.name}: rings at {found.frequency:.4g} Hz, {'grows' if found.growth > 0.0 else 'decays'} by a factor "
+    assumptions.append(
+        f"{text}{math.exp(abs(found.growth) / found.frequency):.3g} in a cycle, over {found.samples} samples"
+    )
+    if known.get("stiffness") is None or known.get("damping") is None:
+        raise ParameterError(
+            f"stiffness and damping of the law must be given to explain the oscillation ({assumptions[0]})"
+        )
+    mass = "inertia" if known.get("inertia") is not None else "mass"
+    if known.get("cutoff") is not None:
+        velocity = LowPass(cutoff=known["cutoff"])
+    matches = matched(
+        found,
+        known["stiffness"],
+        known["damping"],
+        period,
+        mass=known.get(mass),
+        delay=known.get("delay"),
+        velocity=velocity,
+    )
+    if not matches:
+        raise ParameterError(f"no mass and delay explain the oscillation with these gains ({assumptions[0]})")
+    assumptions += [match.text for match in matches]
+    best = matches[0]
+    return found, known | {mass: best.mass, "delay": best.delay, "own_damping": best.own_damping}
 
 
 def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
@@ -338,8 +396,8 @@ def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
     return {**values, "period": found.period, "delay": found.delay}
 
 
-def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...]) -> Diagnosis:
-    radius, frequency = _pole(loop)
+def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Oscillation | None) -> Diagnosis:
+    radius, frequency = pole_of(loop)
     growth = math.log(radius) if radius > 0.0 else -math.inf
     stable, critical = bool(is_stable(radius)), loop.critical()
     remedies, ineffective = _remedies(loop, stable, critical)
@@ -369,6 +427,7 @@ def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...]) -> Diagnosis:
         amplitude_limit=math.nan if stable or not loop.friction else _hidden(loop),
         hum=_hum(loop) if stable and loop.quantum else math.nan,
         assumptions=assumptions,
+        measured=measured,
     )
 
 
@@ -376,7 +435,7 @@ def _without(keywords: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {name: value for name, value in keywords.items() if name not in names}
 
 
-def _pole(loop: DiagnosedLoop) -> tuple[float, float]:
+def pole_of(loop: DiagnosedLoop) -> tuple[float, float]:
     """Return the spectral radius per sample of the host, and the frequency of the dominant pole [Hz]."""
     keywords, k, b = loop.keywords, loop.stiffness, loop.damping
     if not loop.on_host:
@@ -394,7 +453,7 @@ def _pole(loop: DiagnosedLoop) -> tuple[float, float]:
 def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
     """Return the stable range of the damping or rate that is nearest to the present one; None for none.
 
-    Ends beyond a hundredth or a hundred times the present value are NaN.
+    Dampings are searched up to 8 m/T, rates from a hundredth to a hundred times the present one; an end outside is NaN.
     """
     present = {"damping": loop.damping, "rate": 1.0 / loop.period}
     periods = loop.delay / loop.period
@@ -406,9 +465,11 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
         around = {**loop.keywords, "period": period, "delay": delay}
         return np.asarray(is_stable(SampledLoop(**around).spectral_radius(loop.stiffness, damping)))
 
-    centre = present[name.partition(" ")[0]] or loop.body / loop.period
-    values = centre * _FACTORS
-    if name != "damping":
+    centre = present[name.partition(" ")[0]]
+    if name == "damping":
+        values = np.geomspace(1e-4, 8.0, len(_FACTORS)) * loop.body / loop.period
+    else:
+        values = centre * _FACTORS
         fastest = min(MAX_DELAY_PERIODS / loop.delay if loop.delay and name == "rate" else math.inf, 1.0 / MIN_PERIOD)
         values = values[(values >= 1.0 / MAX_PERIOD) & (values <= fastest)]
     good = stable(values)
@@ -574,7 +635,7 @@ def _hidden(loop: DiagnosedLoop) -> float:
     needed = _least(partial(_damped, loop, loop.stiffness), 4.0 * loop.body / loop.period)
     if needed is None:
         return math.nan
-    _, frequency = _pole(loop.replace(own_damping=loop.own_damping + needed))
+    _, frequency = pole_of(loop.replace(own_damping=loop.own_damping + needed))
     return 4.0 * loop.friction / (math.pi * 2.0 * math.pi * frequency * needed) if frequency else math.nan
 
 

@@ -12,7 +12,7 @@ from maglev_mj.frames import Array
 from maglev_mj.pictures import TITLE, name_curves, new_figure
 from maglev_mj.studies.diagnosis import DiagnosedLoop, Diagnosis
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.closed_loop import SampledLoop, pd
 
 _POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS = 160, 8.0, 600, 30.0, 6
 
@@ -81,8 +81,10 @@ def _response(panel: Any, result: Diagnosis) -> None:
 def free_response(loop: DiagnosedLoop, span: float) -> tuple[Array, Array]:
     """Return time [s] and position after a displacement by 1, (N,) each, for a wall on the host alone."""
     matrix = SampledLoop(**loop.keywords).matrix(loop.stiffness, loop.damping)
+    law = pd(loop.keywords.get("velocity"))(*map(np.asarray, (loop.stiffness, loop.damping, loop.period)))
+    memory = np.linalg.solve(np.eye(len(law.advance)) - law.advance, law.take)  # at rest at that position
     state = np.zeros(len(matrix))
-    state[0] = 1.0
+    state[0], state[len(state) - len(memory) :] = 1.0, memory
     count = max(int(span / loop.period), 2)
     motion = np.empty(count)
     for index in range(count):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from maglev_mj import Controller, ParameterError, Timing, Wall, diagnose, drive
 from maglev_mj.plants import ExactPlant
-from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis
+from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis, pole_of
 from maglev_mj.studies.diagnosis_picture import free_response
 from maglev_mj.theory import spectral_radius
 
@@ -95,23 +96,28 @@ def check_remedies(found: Diagnosis) -> tuple[int, int]:
     if found.stable:
         return 0, 0
     first = found.loop.replace(**found.remedies[0].change)
-    values = {item.name: getattr(first, item.name) for item in DiagnosedLoop.parameters()}
-    return 1, int(diagnose(**values).stable and found.remedies[0].ratio > 1.0)
+    return 1, int(pole_of(first)[0] < 1.0 < found.remedies[0].ratio)
 
 
-@pytest.mark.parametrize(("count", "seed"), [(12, 3), pytest.param(1000, 4, marks=pytest.mark.study)])
-def test_the_first_remedy_ends_the_shaking(count: int, seed: int) -> None:
-    pairs = [check_remedies(diagnose(**values)) for values in random_loops(count, seed)]
+@pytest.mark.parametrize("index", range(6))
+def test_the_first_remedy_of_a_random_loop_ends_its_shaking(index: int) -> None:
+    shaking, ended = check_remedies(diagnose(**random_loops(6, 3)[index]))
+    assert ended == shaking
+
+
+@pytest.mark.study
+def test_the_first_remedy_ends_the_shaking() -> None:
+    pairs = [check_remedies(diagnose(**values)) for values in random_loops(1000, 4)]
     shaking, ended = map(sum, zip(*pairs))
-    assert shaking >= 0.3 * count and ended >= 0.99 * shaking
+    assert shaking >= 300 and ended >= 0.99 * shaking
 
 
-def test_no_change_without_effect_helps() -> None:
-    # As printed, and each of them tried: a heavier mass, another filter, the half-sample prediction.
-    for values in random_loops(8, 5):
-        found = diagnose(**values)
-        if not found.stable:
-            assert all(float(text.rpartition("ratio ")[2]) <= 1.0 for text in found.ineffective)
+@pytest.mark.parametrize("index", range(4))
+def test_no_change_without_effect_helps(index: int) -> None:
+    # As printed: a heavier mass, another filter, the half-sample prediction, damping that is not enough.
+    found = diagnose(**random_loops(4, 5)[index])
+    if not found.stable:
+        assert all(float(text.rpartition("ratio ")[2]) <= 1.0 for text in found.ineffective)
 
 
 def test_margins_are_on_the_boundary() -> None:
@@ -134,19 +140,36 @@ def test_the_free_response_is_that_of_the_exact_plant() -> None:
     values, *_ = CASES["paper"]
     time, motion = free_response(DiagnosedLoop(**values), 0.1)
     wall = Wall(axes="z", lower=1.0, stiffness=6000.0, damping=80.0)  # in contact everywhere
-    pose = [0.0, 0.0, 1.0 - 1e-4, 0.0, 0.0, 0.0]
-    plant = ExactPlant(Timing(period=5e-3, delay=1.5e-3), mass=0.7, pose=pose, gravity=0.0, escape=(9.0, 9.0))
-    positions = [sample.position[2] for sample, _ in drive(plant, Controller([wall], period=5e-3), len(time))]
-    assert (np.array(positions) - 1.0) / -1e-4 == pytest.approx(motion, abs=1e-6)
+    weight, timing = 0.7 * 9.81, Timing(period=5e-3, delay=1.5e-3)
+    rest = -weight / 6000.0
+    start: Any = {"pose": [0.0, 0.0, 1.0 + rest - 1e-4, 0.0, 0.0, 0.0], "wrench": [0.0, 0.0, weight, 0.0, 0.0, 0.0]}
+    plant = ExactPlant(timing, mass=0.7, gravity=9.81, escape=(9.0, 9.0), **start)
+    positions = list[float]()
+    controller = Controller([wall], period=5e-3)
+    drive(plant, controller, len(time), observe=lambda sample, _: positions.append(sample.position[2]))
+    assert (np.array(positions) - 1.0 - rest) / -1e-4 == pytest.approx(motion, abs=1e-6)
+
+
+def test_a_shaking_recording_gives_mass_and_delay(tmp_path: Path) -> None:
+    # Of a loop whose delay was stated wrongly: the cause is named, and the remedies are those of the true loop.
+    values, *_ = CASES["arm"]
+    time, motion = free_response(DiagnosedLoop(**values), 0.6)
+    lines = [f"{t:.6f},{1e-4 * x:.9f}" for t, x in zip(time, motion)]
+    (tmp_path / "run.csv").write_text("\n".join(["time,position", *lines]), "utf-8")
+    found = diagnose(tmp_path / "run.csv", stiffness=500.0, damping=1.0, mass=0.15, delay=2e-3)
+    assert found.loop.delay == pytest.approx(5e-3, rel=1e-2) and found.loop.mass == pytest.approx(0.15, rel=1e-2)
+    assert found.measured is not None and found.measured.frequency == pytest.approx(8.924, rel=1e-3)
+    assert any("delay" in text and "was given" in text for text in found.assumptions)
+    with pytest.raises(ParameterError, match="stiffness and damping of the law must be given"):
+        diagnose(tmp_path / "run.csv")
 
 
 def test_friction_hides_small_oscillations_and_resolution_bounds_the_hum() -> None:
-    pen, *_ = CASES["pen"]
-    for friction, amplitude in ((0.02, 0.680), (0.05, 1.699)):
-        assert 1e3 * diagnose(**pen, friction=friction).amplitude_limit == pytest.approx(amplitude, rel=2e-3)
-    paper, *_ = CASES["paper"]
-    assert 1e6 * diagnose(**paper, quantum=5e-6).hum == pytest.approx(13.7, rel=5e-3)
-    assert math.isnan(diagnose(**paper).hum) and math.isnan(diagnose(**paper, friction=1.0).amplitude_limit)
+    (pen, *_), (paper, *_) = CASES["pen"], CASES["paper"]
+    shaking = diagnose(**pen, friction=0.05, quantum=5e-6)
+    assert 1e3 * shaking.amplitude_limit == pytest.approx(1.699, rel=2e-3) and math.isnan(shaking.hum)
+    still = diagnose(**paper, friction=0.05, quantum=5e-6)
+    assert 1e6 * still.hum == pytest.approx(13.7, rel=5e-3) and math.isnan(still.amplitude_limit)
 
 
 def test_a_scene_is_diagnosed_on_its_worst_axis() -> None:
