@@ -254,11 +254,11 @@ class Diagnosis(Result):
             ("rate, same periods of delay", _interval(self.rate_in_periods, "Hz")),
         ]
         remedies = [
-            (index, _short(one.ratio), number_text(one.critical_stiffness), _price(one), one.words)
+            (index, short(one.ratio), number_text(one.critical_stiffness), _price(one), one.words)
             for index, one in enumerate(self.remedies, 1)
         ]
         head = ("", "ratio", f"critical [{k}]", "cost", "remedy")
-        notes = [*(f"no effect: {text}" for text in self.ineffective), *self._notes()]
+        notes = [*(f"little or no effect: {text}" for text in self.ineffective), *self._notes()]
         found = Table(
             "What helps, best first; ratio of critical to requested stiffness", head, remedies, "\n".join(notes)
         )
@@ -373,8 +373,8 @@ def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
     gains, body = stated_gains(controller), found.body.inertia
     if gains is None:
         verdict = stability(found)
-        index = AXES.index(verdict.axes[0]) if verdict.axes else found.axis_index
-        k, b, acting = float(verdict.stiffness[index, index]), float(verdict.damping[index, index]), ()
+        index, acting = AXES.index(verdict.axes[0]) if verdict.axes else found.axis_index, verdict.acting
+        k, b = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
         assumptions.append("gains by linearisation at the worst pose, the law's memory left out")
     else:
         loops = [
@@ -522,7 +522,7 @@ def _remedies(loop: DiagnosedLoop, stable: bool, critical: float) -> tuple[tuple
         )
     reached = loop.target * (1.0 - 1e-9)
     better.sort(key=lambda one: (one.ratio < reached, COSTS.index(one.cost) * (one.ratio >= reached), -one.ratio))
-    useless = [f"{one.words}, ratio {_short(one.ratio)}" for one in tried if one not in better]
+    useless = [f"{one.words}, ratio {short(one.ratio)}" for one in tried if one not in better]
     half = b + 0.5 * k * loop.period
     if (ratio := loop.critical(half) / k) < max(present * (1.0 + _MODEST), 1.0):
         useless.append(f"half-sample prediction, as {half - b:.3g} {damper} more: ratio {ratio:.2g}")
@@ -652,13 +652,13 @@ def _hum(loop: DiagnosedLoop) -> float:
     return 0.5 * loop.quantum * total
 
 
-def _short(value: float) -> str:
+def short(value: float) -> str:
     """Return two digits of a number, or all of a large one."""
     return f"{value:.0f}" if value >= 100.0 else f"{value:.2g}"
 
 
 def _ratio(value: float, present: float) -> str:
-    return f"x {_short(value / present)}"
+    return f"x {short(value / present)}"
 
 
 def _interval(ends: tuple[float, float] | None, unit: str) -> str:
@@ -676,5 +676,5 @@ def _milliseconds(value: float) -> str:
 
 
 def _price(one: Remedy) -> str:
-    noise = f", noise x {_short(one.noise)}" if math.isfinite(one.noise) and abs(one.noise - 1.0) > 0.01 else ""
+    noise = f", noise x {short(one.noise)}" if math.isfinite(one.noise) and abs(one.noise - 1.0) > 0.01 else ""
     return f"{one.cost}{noise}"

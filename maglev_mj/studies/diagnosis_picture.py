@@ -10,11 +10,11 @@ import numpy as np
 from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, on_white
 from maglev_mj.frames import Array
 from maglev_mj.pictures import TITLE, name_curves, new_figure
-from maglev_mj.studies.diagnosis import DiagnosedLoop, Diagnosis
+from maglev_mj.studies.diagnosis import DiagnosedLoop, Diagnosis, short
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.closed_loop import SampledLoop, pd
 
-_POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS = 160, 8.0, 600, 30.0, 6
+_POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS, _WIDE_BAR = 160, 8.0, 600, 30.0, 6, 20.0
 
 
 def diagnosis(result: Diagnosis) -> Any:
@@ -26,7 +26,9 @@ def diagnosis(result: Diagnosis) -> Any:
     loop = result.loop
     gains = f"{loop.stiffness:g} {result.unit('N/m')}, {loop.damping:g} {result.unit('N s/m')}"
     timing = f"{1.0 / loop.period:.4g} Hz, delay {1e3 * loop.delay:.4g} ms, {loop.body:g} {result.unit('kg')}"
-    figure, (region, response, bars, empty) = new_figure((result.headline, f"{gains}, {timing}"), 2, 2, 6.4)
+    figure, (region, response, bars, empty) = new_figure(
+        (result.headline, f"{gains}, {timing}", result.summary), 2, 2, 6.4
+    )
     _region(region, result)
     _response(response, result)
     empty.set_axis_off()
@@ -46,12 +48,12 @@ def _region(panel: Any, result: Diagnosis) -> None:
     panel.plot(damping, 0.5 * boundary, color=REFERENCE, linestyle="--", label="half of it")
     colour = on_white(GOOD if result.stable else BAD)
     panel.plot(loop.damping, loop.stiffness, "o", color=colour, markersize=8, label="present gains")
-    for one in result.remedies:
+    for index, one in enumerate(result.remedies, 1):
         if set(one.change) <= {"damping", "stiffness"}:
             to = one.change.get("damping", loop.damping), one.change.get("stiffness", loop.stiffness)
             style = {"arrowstyle": "->", "color": on_white(GOOD), "linewidth": 1.6}
             panel.annotate("", to, (loop.damping, loop.stiffness), arrowprops=style)
-            panel.plot([], [], color=on_white(GOOD), label=one.words)
+            panel.plot([], [], color=on_white(GOOD), label=f"remedy {index}")
             break
     top = 1.15 * max(float(boundary.max()), loop.stiffness)
     panel.set(xlim=(0.0, widest), ylim=(0.0, top))
@@ -68,13 +70,13 @@ def _response(panel: Any, result: Diagnosis) -> None:
         span = min(span, math.log2(_MOST_GROWTH) * result.doubling_time)
     colours = on_white(GOOD if result.stable else BAD), SERIES[0]
     first = [loop.replace(**one.change) for one in result.remedies[:1]]
-    names = "now", *(one.words for one in result.remedies[:1])
+    names = "now", "with remedy 1"
     for changed, colour, name in zip((loop, *first), colours, names):
         if changed.device is None:
             time, motion = free_response(changed, span)
             panel.plot(1e3 * time, motion, color=colour, label=name)
     panel.set(xlabel="time (ms)", ylabel="position, relative to the first")
-    panel.set_title(result.summary, **TITLE)
+    panel.set_title("free response", **TITLE)
     name_curves(panel)
 
 
@@ -90,7 +92,7 @@ def free_response(loop: DiagnosedLoop, span: float) -> tuple[Array, Array]:
     for index in range(count):
         motion[index] = state[0]
         state = matrix @ state
-    return loop.period * np.arange(count), motion
+    return np.arange(count) * np.float64(loop.period), motion
 
 
 def _bars(panel: Any, result: Diagnosis) -> None:
@@ -103,11 +105,18 @@ def _bars(panel: Any, result: Diagnosis) -> None:
     colours = [on_white(GOOD if ratio >= 1.0 else BAD, 3.0) for ratio in ratios]
     places = np.arange(len(names))[::-1]
     panel.barh(places, ratios, color=colours, height=0.6)
-    panel.set_yticks(places, names)
+    panel.set_yticks(places, ["now", *map(str, range(1, len(names)))])
     panel.set_xscale("log")
-    for level, name in ((1.0, "stable"), (loop.target, "target")):
+    panel.set_xlim(0.5 * min(0.5, *ratios), 300.0 * max(2.0, *ratios))  # room for the words
+    for level, name, side in ((1.0, "stable ", "right"), (loop.target, " target", "left")):
         panel.axvline(level, color=REFERENCE, linewidth=1.0, linestyle=":")
-        panel.annotate(name, (level, len(names) - 0.5), fontsize=8.5, ha="center", va="bottom", color=REFERENCE)
-    for place, ratio in zip(places, ratios):
-        panel.annotate(f"{ratio:.2g}", (ratio, place), (4, 0), textcoords="offset points", va="center", fontsize=9.0)
+        panel.annotate(name, (level, len(names) - 0.5), fontsize=8.5, ha=side, va="center", color=REFERENCE)
+    for place, ratio, name in zip(places, ratios, names):
+        inside = ratio > _WIDE_BAR * loop.target  # the words fit inside the bar, and not beside it
+        text = short(ratio) + f"  {name}" * (name != "now" and not inside)
+        style: Any = {"textcoords": "offset points", "va": "center", "fontsize": 8.5}
+        panel.annotate(text, (ratio, place), (4, 0), **style).set_in_layout(False)
+        if inside:
+            panel.annotate(name, (ratio, place), (-4, 0), color="white", ha="right", **style).set_in_layout(False)
+    panel.grid(visible=False, axis="y")
     panel.set(xlabel="critical over requested stiffness", ylim=(-0.6, len(names) - 0.1))

@@ -16,7 +16,7 @@ from maglev_mj.studies.diagnosis_picture import free_response
 from maglev_mj.theory import spectral_radius
 
 T60 = 1.0 / 60.0
-CASES: dict[str, tuple[dict[str, float], tuple[float, ...], tuple[float, float] | None, str]] = {
+CASES: dict[str, tuple[dict[str, Any], tuple[float, ...], tuple[float, float] | None, str]] = {
     "pen": (
         {"mass": 0.15, "stiffness": 500.0, "damping": 0.1, "period": 1e-3, "delay": 1e-3},
         (1.002162, 9.171, 321.0, 66.6),
@@ -122,7 +122,8 @@ def test_no_change_without_effect_helps(index: int) -> None:
 
 def test_margins_are_on_the_boundary() -> None:
     values, *_ = CASES["paper"]
-    found, loop = diagnose(**values), {name: values[name] for name in ("period", "delay", "mass")}
+    loop: dict[str, Any] = {name: values[name] for name in ("period", "delay", "mass")}
+    found = diagnose(**values)
     k, b = values["stiffness"], values["damping"]
     ends = [(found.critical_stiffness, b, loop)]
     ends += [(k, end, loop) for end in found.damping_range or ()]
