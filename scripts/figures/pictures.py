@@ -236,6 +236,7 @@ PICTURES: Mapping[str, Picture] = {
     "analysis_contact.png": _analysis("drop", "--mass", "0.75", "--quantize", "5e-6", assumed_mass=0.7),
     "analysis_run.png": _analysis("press"),
     "analysis_sticks.png": _analysis("box", "--friction"),
+    "diagnosis.png": _chart(*"diagnose --stiffness 500 --damping 1 --rate 200 --delay 0.005 --mass 0.15".split()),
     "compare_drop.png": _chart("compare", "drop", *_LAWS),
     "design.png": _chart(*_DESIGN),
     "gallery.png": _chart("scripts/examples/gallery.py"),
