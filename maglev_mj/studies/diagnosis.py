@@ -12,9 +12,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.analysis.oscillation import Oscillation, find_oscillation, matched, read_motion, recorded_motion
 from maglev_mj.control import LowPass
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import with_period
 from maglev_mj.parameters import Parameters, param, transport_delay
@@ -22,6 +21,7 @@ from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.recording import Recording
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
+from maglev_mj.studies.oscillation import Oscillation, find_oscillation, matched, read_motion, recorded_motion
 from maglev_mj.theory import (
     StiffestWall,
     critical_delay,
@@ -76,13 +76,14 @@ class DiagnosedLoop(Parameters):
     device_period: float = param(
         "sample period of a law on the device", "s", default=_DEVICE_PERIOD, above=0.0, at_most=MAX_PERIOD
     )
-    device_delay: float = param("delay of a law on the device", "s", default=_DEVICE_DELAY, at_least=0.0)
+    device_delay: float = param("delay of a law on the device", "s", default=_DEVICE_DELAY, at_least=0.0, at_most=0.01)
 
     def check(self) -> None:
         """See `Parameters`."""
         if self.mass is not None and self.inertia is not None:
             raise ParameterError(f"mass and inertia must not both be given (got {self.mass:g}, {self.inertia:g})")
         transport_delay(self.delay, self.period)
+        transport_delay(self.device_delay, self.device_period)
         get_hand(self.hand)
 
     @property
@@ -299,6 +300,8 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     """
     accepted = [item.name for item in DiagnosedLoop.parameters()]
     values = with_period(accepted, values)
+    if wrong := [name for name in values if name not in accepted]:
+        raise KeywordError(choice_message("argument of diagnose", ("scene", *accepted), wrong[0]))
     assumptions: list[str] = []
     measured: Oscillation | None = None
     if isinstance(scene, str | Path) and Path(scene).suffix in _MOTIONS:

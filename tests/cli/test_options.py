@@ -127,7 +127,7 @@ NEEDED = {
     "analyse": "a.maglev",
     "export": "a.maglev --to csv",
 }
-TIMED = set("sweep view render drop press stick-slip run stability design card compare fidelity twin".split())
+TIMED = set("sweep view render drop press stick-slip run diagnose stability design card compare fidelity twin".split())
 
 
 def test_a_rate_is_understood_where_a_period_is() -> None:

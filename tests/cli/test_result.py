@@ -26,6 +26,7 @@ from maglev_mj.studies import levels
 from maglev_mj.studies.card import device_card
 from maglev_mj.studies.compare import Comparison
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
+from maglev_mj.studies.diagnosis import diagnose
 from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import MARGIN
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, run_stability
@@ -67,6 +68,7 @@ def results() -> dict[str, Result]:
         "recording": recording,
         "samples": recording.samples(),
         "analysed": analysed(recorded(Drop())),
+        "diagnosis": diagnose(stiffness=500.0, damping=1.0, period=0.005, mass=0.15),
         "stability map": run_stability(StabilityParameters(grid=GRID, plant="exact")),
         "drop map": run_drop_map(DropMapParameters(grid=GRID)),
         "design": evaluate_wall(wall, Contact()),

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold, Recording, Sensor, Timing, Wall, record_run
-from maglev_mj.analysis.oscillation import Oscillation, find_oscillation, matched, read_motion, recorded_motion
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.studies.oscillation import Oscillation, find_oscillation, matched, read_motion, recorded_motion
 from maglev_mj.theory.closed_loop import SampledLoop
 
 Loop: TypeAlias = tuple[float, float, float, float, float]

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.analysis.fit import is_inside
 from maglev_mj.control import VelocityEstimator
 from maglev_mj.errors import MaglevError, ParameterError, one_line
 from maglev_mj.frames import AXES, Array, Mask
@@ -331,7 +330,7 @@ def recorded_motion(recording: Recording) -> RecordedMotion:
     metadata = segment.metadata
     axis = AXES.index(metadata.axis)
     position = segment.position[:, axis]
-    contacts = [is_inside(position, face) for face in metadata.faces if face[0] == axis]
+    contacts = [normal * (position - edge) <= 0.0 for index, normal, edge in metadata.faces if index == axis]
     usable = np.logical_or.reduce(contacts) if contacts else np.ones(len(position), dtype=np.bool_)
     usable &= (segment.applied == segment.command)[:, axis] & (segment.applied_pulse[:, axis] == 0.0)
     try:
