@@ -26,7 +26,6 @@ from maglev_mj.interop import gym
 from maglev_mj.keywords import _EVERY_TICK, _INNER
 from maglev_mj.parameters import Parameters
 from maglev_mj.plants.hand import RecordedHand, SpringHand, Trajectory
-from maglev_mj.theory.boundary import gil
 from maglev_mj.theory.closed_loop import SampledLoop
 from tests.all_of import LAWS, SCENES
 from tests.test_all_of import below
@@ -133,7 +132,7 @@ def test_a_rate_is_taken_for_a_period() -> None:
         assert scene(**rate) == scene().replace(**rate) == scene(period=0.002)
     assert theory.critical_delay(6e3, 80.0, **rate) == theory.critical_delay(6e3, 80.0, period=0.002)
     with pytest.raises(KeywordError, match="period and rate must not both be given"):
-        gil(5.0, **rate, period=0.005, delay=0.0)
+        theory.largest_stable_stiffness(5.0, **rate, period=0.005)
     assert maglev_mj.sweep("twist", {"rate": [200.0, 500.0]}, plant="exact").varied == {"period": [0.005, 0.002]}
 
 

@@ -1,4 +1,4 @@
-"""Stability boundary over the gains, and published bounds on the stiffness.
+"""Stability boundary over the gains, and the damping that makes a wall passive.
 
 The boundary is the critical stiffness: all softer walls are stable. Stable ranges above it are islands.
 
@@ -8,9 +8,8 @@ z = exp(i theta), it gives two real equations, so k and b are explicit in theta:
 At a fixed damping, the stiffnesses at which a pole crosses the circle are the roots of one such polynomial, so none is
 missed. A circle of another radius gives the boundary for a margin.
 
-The bounds below are conditions of passivity or of stability, as their docstrings say. They accept and return
-broadcasting arrays. `physical_damping` is that of the device. The levitated flotor has almost none, so no wall on it is
-passive, but many are stable.
+Passivity needs damping of the device itself. The levitated flotor has almost none, so no wall on it is passive, but
+many are stable.
 """
 
 from __future__ import annotations
@@ -26,8 +25,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
-from maglev_mj.keywords import with_hints
-from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers
+from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.theory.closed_loop import ROUNDING, Design, LoopKeywords, SampledLoop, is_stable, pd, rendered_stiffness
 
 _HIGHEST = 8.0
@@ -398,27 +396,3 @@ def least_passive_damping(
     real = step * (wall * z**-whole * (1.0 - share + share / z) * (0.5 + 0.5j / np.tan(0.5 * _ANGLES))).real
     needed = 0.5 * (real + np.sqrt(real**2 + share * (1.0 - share) * (step * np.abs(wall)) ** 2))
     return np.asarray(needed.max(axis=-1))
-
-
-@with_hints
-def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
-    """Return the stiffness of the linear stability condition, (b + B) / (T/2 + T_d).
-
-    Stability without a hand, to first order in B T/m and K T²/m: low damping, short delay, fast sampling. Above about
-    B T/m = 0.1 the exact boundary is lower. Without delay it is B/(K T) > 1/2 of Minsky et al. 1990 (recalled).
-
-    Args:
-        damping: Virtual damping B [N s/m].
-        period: Sample period T [s].
-        delay: Transport delay T_d [s].
-        physical_damping: Damping b [N s/m].
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-
-    Source: Gil, Sanchez, Hulin, Preusche & Hirzinger 2009; not checked against the original, its first order checked in
-    the tests.
-    """
-    b, virtual = numbers("physical_damping", physical_damping, at_least=0.0), numbers("damping", damping)
-    half = 0.5 * numbers("period", period, **SAMPLE_PERIOD)
-    return (b + virtual) / (half + numbers("delay", delay, at_least=0.0))

@@ -201,7 +201,7 @@ def joystick(path: Path, *, period: float = 1.0 / 12.0, size: tuple[int, int] = 
 _PAPER = {2: "stability", 3: "drop", 4: "phase_plane", 6: "press", 8: "stick_slip", 9: "six_axes"}
 _LAWS = "--law pd --law pulse --law half-sample --law observer --law mine.py".split()
 _STUDIES = {
-    "stability_bounds": "stability_bounds stability_steps",
+    "stability_steps": "stability_steps",
     "nonlinear_walls": "stability_nonlinear",
     "two_walls": "two_walls",
     "friction_laws": "friction_laws",
