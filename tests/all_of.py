@@ -73,9 +73,7 @@ LAWS: Mapping[str, list[Law]] = {
     "Hold": [Hold(**ALL, target=[1e-3, 0.0, -1e-3])],
     "PredictiveWall": [PredictiveWall(axes="z", stiffness=1500.0, damping=10.0, period=PERIOD, delay=DELAY)],
     "ObserverWall": [
-        ObserverWall(
-            axes="z", stiffness=500.0, damping=20.0, inertia=0.7, period=PERIOD, delay=DELAY, pole=0.4, disturbance=True
-        )
+        ObserverWall(axes="z", stiffness=500.0, damping=20.0, inertia=0.7, period=PERIOD, delay=DELAY, pole=0.4)
     ],
     "PassivityController": [
         Wall(axes="z", lower=1e-4, stiffness=4000.0, damping=0.0),

@@ -393,7 +393,7 @@ _OfScene: TypeAlias = Annotated[
 def design(
     *,
     requirements: _Requirements,
-    law: Annotated[Literal["pd", "observer", "disturbance-observer"], option("wall law", "wall")] = "pd",
+    law: Annotated[Literal["pd", "observer"], option("wall law", "wall")] = "pd",
     goal: Annotated[
         Literal["static", "dynamic"],
         option("stiffness to maximise: static, or the minimum over frequency (dynamic)", "wall"),

@@ -50,11 +50,10 @@ LAWS: Mapping[str, LawMaker] = {
     "pulse": lambda wall: wall,
     "half-sample": PredictiveWall,
     "observer": ObserverWall,
-    "disturbance-observer": partial(ObserverWall, disturbance=True),
     "colgate": partial(_pd),
 }
 """Laws by name; colgate is pd at the largest passive stiffness, without damping."""
-ORIGINS = dict(zip(LAWS, ("as published", "as published", "modified", "own", "own", "modified"), strict=True))
+ORIGINS = dict(zip(LAWS, ("as published", "as published", "modified", "own", "modified"), strict=True))
 """Whether a law is its source's equation, a modification of it, or the project's own."""
 
 

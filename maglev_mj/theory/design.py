@@ -27,8 +27,8 @@ from maglev_mj.theory.closed_loop import (
     rendered_stiffness,
 )
 
-LAWS = ("pd", "observer", "disturbance-observer")
-"""Names of the wall laws; the last one estimates a disturbance."""
+LAWS = ("pd", "observer")
+"""Names of the wall laws."""
 GOALS = ("static", "dynamic")
 """Stiffness to maximise: static, or least dynamic."""
 
@@ -193,7 +193,7 @@ class DesignedWall:
     @property
     def design(self) -> Design | None:
         """Closed-loop design for any gains; None for PD."""
-        return _design(self.requirements, self.law, self.pole)
+        return _design(self.requirements, self.pole)
 
     def make(self, *, force_limit: float = math.inf) -> Law | None:
         """Return the observer's law along z; None for PD.
@@ -204,7 +204,7 @@ class DesignedWall:
         if self.pole is None:
             return None
         gains = {"stiffness": self.stiffness, "damping": self.damping, "force_limit": force_limit}
-        return _observer(self.requirements, self.law, self.pole, **gains)
+        return _observer(self.requirements, self.pole, **gains)
 
 
 class _Gains(NamedTuple):
@@ -213,16 +213,16 @@ class _Gains(NamedTuple):
     figure: float
 
 
-def _observer(requirements: WallRequirements, law: str, pole: float, **gains: float) -> ObserverWall:
+def _observer(requirements: WallRequirements, pole: float, **gains: float) -> ObserverWall:
     mass, delay = requirements.nominal
     model: dict[str, Any] = {"inertia": mass, "period": requirements.period, "delay": delay, "pole": pole, **gains}
-    return ObserverWall(axes="z", disturbance=law == "disturbance-observer", **model)
+    return ObserverWall(axes="z", **model)
 
 
-def _design(requirements: WallRequirements, law: str, pole: float | None) -> Design | None:
+def _design(requirements: WallRequirements, pole: float | None) -> Design | None:
     if pole is None:
         return None
-    wall = _observer(requirements, law, pole, stiffness=1.0, damping=1.0)
+    wall = _observer(requirements, pole, stiffness=1.0, damping=1.0)
     return lambda stiffness, damping, period: wall.linear(stiffness, damping)
 
 
@@ -264,7 +264,7 @@ def design_wall(
     best: tuple[_Gains, float | None] | None = None
     cases = _first_cases(requirements)
     for chosen in poles:
-        gains = _robust_gains(requirements, _design(requirements, law, chosen), goal, cases)
+        gains = _robust_gains(requirements, _design(requirements, chosen), goal, cases)
         if gains is not None and (best is None or gains.figure > best[0].figure):
             best = gains, chosen
     if best is None:
@@ -432,7 +432,7 @@ def worst_case(
 
 def _evaluated(requirements: WallRequirements, law: str, gains: _Gains, pole: float | None) -> DesignedWall:
     """Return the designed wall with its figures over all combinations of the requirements."""
-    design = _design(requirements, law, pole)
+    design = _design(requirements, pole)
     spectral_radius, worst = worst_case(requirements, gains.stiffness, gains.damping, design)
     cases = [*requirements.grid(_COARSE), worst]
     k, b = np.asarray(gains.stiffness), np.asarray(gains.damping)

@@ -41,7 +41,7 @@ if options.quick:
 GRIPS = tuple(HANDS)[: 2 if options.quick else None]
 DESIGNS: tuple[tuple[str, float | None], ...] = (("pd", None), ("observer", 0.0))
 if not options.quick:
-    DESIGNS += (("observer", 0.4), ("disturbance-observer", 0.0), ("disturbance-observer", 0.4))
+    DESIGNS += (("observer", 0.4),)
 
 
 def requirements(case: str, delay: float) -> WallRequirements:

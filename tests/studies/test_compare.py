@@ -135,9 +135,8 @@ def test_the_page_labels_every_law_by_its_origin() -> None:
 
 @pytest.mark.study
 def test_margins_of_predictive_walls_are_those_of_the_exact_closed_loop() -> None:
-    found = compare(Drop(duration=0.1), ["half-sample", "disturbance-observer"], phases=1).margins
+    found = compare(Drop(duration=0.1), ["half-sample"], phases=1).margins
     check_margin(found["half-sample"], prediction=0.004)
-    assert 0.0 < found["disturbance-observer"]["spectral_radius"] < 1.0 < found["disturbance-observer"]["margin"]
     held = compare(Press(hits=1, duration=1.0), ["observer"], phases=1).margins["observer"]  # beyond tenfold
     loop = SampledLoop(period=0.005, delay=0.0015, mass=0.7, hand="arm", **OBSERVED)
     assert boundary_of(loop, np.array(80.0)) > 10.0 * 6000.0

@@ -14,7 +14,7 @@ from maglev_mj.control.laws.base import Answer, AxisLaw, Face, Gains, LinearCont
 from maglev_mj.control.timeline import check_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Component, Six, clipped
-from maglev_mj.parameters import flag, number, store
+from maglev_mj.parameters import number, store
 from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 
 
@@ -241,7 +241,6 @@ class _Estimate(NamedTuple):
 
     position: Component
     velocity: Component
-    unknown: Component  # acceleration due to unmodelled forces
     forces: tuple[Component, ...]
 
 
@@ -252,7 +251,7 @@ class ObserverWall(_LowerWall):
 
     The model is a mass under the law's own forces, including the delayed ones, so that the delay is part of the state.
     An observer with equal poles corrects it at each sample. An unmodelled force, such as that of a hand, biases the
-    estimate and softens the wall, unless the observer estimates that force too (`disturbance`).
+    estimate and softens the wall.
 
     Each gain is a number, one number per axis, or (N, axes) for N devices.
 
@@ -265,7 +264,6 @@ class ObserverWall(_LowerWall):
         period: Sample period [s].
         delay: Transport delay in the model [s].
         pole: Observer poles, all equal, in [0, 1); 0 for deadbeat.
-        disturbance: True to estimate a constant unknown force.
         force_limit: Force limit [N, N m]; a number. Without it the model assumes forces above saturation, and a hard
             impact throws the flotor out.
 
@@ -287,7 +285,6 @@ class ObserverWall(_LowerWall):
     period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
     delay: float
     pole: float = setting(default=0.0, at_least=0.0, below=1.0)
-    disturbance: bool = False
     force_limit: float = math.inf
 
     _split: tuple[int, float] = field(init=False, repr=False)
@@ -295,7 +292,6 @@ class ObserverWall(_LowerWall):
     def __post_init__(self) -> None:
         super().__post_init__()
         store(self, _split=check_delay(self.delay, self.period))
-        flag("disturbance", self.disturbance)
         if not self.force_limit > 0.0:
             raise ParameterError(f"wall force_limit must be above 0 (got {self.force_limit!r})")
 
@@ -306,7 +302,7 @@ class ObserverWall(_LowerWall):
         """
         offset = x - gains.lower
         if state is None:
-            estimate = _Estimate(offset, 0.0, 0.0, (0.0,) * (self._split[0] + 2))
+            estimate = _Estimate(offset, 0.0, (0.0,) * (self._split[0] + 2))
         else:
             estimate = self._corrected(state, offset, gains.inertia)
         position, velocity = self._at_effect(estimate, gains.inertia)
@@ -322,18 +318,18 @@ class ObserverWall(_LowerWall):
     def linear(self, stiffness: Array, damping: Array) -> LinearController:
         """Return the state space model of the law in contact, for gains (...,) and the inertia of its first axis.
 
-        Its state is position, velocity, unknown acceleration, and the forces, newest first.
+        Its state is position, velocity, and the forces, newest first.
         """
         inertia = np.asarray(self._each[0][1].inertia)
-        size = 3 + self._split[0] + 2
+        size = 2 + self._split[0] + 2
         shape = np.broadcast_shapes(stiffness.shape, damping.shape, inertia.shape)
         columns = []
         for unit in np.eye(size + 1):  # unit vectors of the state, then the position
-            state = _Estimate(unit[0], unit[1], unit[2], tuple(unit[3:size]))
+            state = _Estimate(unit[0], unit[1], tuple(unit[2:size]))
             estimate = self._corrected(state, unit[size], inertia)
             position, velocity = self._at_effect(estimate, inertia)
             force = -(stiffness * position + damping * velocity)
-            rows = (estimate.position, estimate.velocity, estimate.unknown, force, *estimate.forces[:-1], force)
+            rows = (estimate.position, estimate.velocity, force, *estimate.forces[:-1], force)
             columns.append(np.stack([np.broadcast_to(row, shape) for row in rows], axis=-1))
         matrix = np.stack(columns, axis=-1)
         return LinearController(
@@ -342,25 +338,19 @@ class ObserverWall(_LowerWall):
 
     def _corrected(self, estimate: _Estimate, measured: Component | None, inertia: Component) -> _Estimate:
         """Predict the state over one period and correct it by the measured position, if any."""
-        x, v, unknown, forces = estimate
+        x, v, forces = estimate
         pole, period, remainder = self.pole, self.period, self._split[1]
-        x, v = _propagate(x, v, unknown + forces[-1] / inertia, remainder)
-        x, v = _propagate(x, v, unknown + forces[-2] / inertia, period - remainder)
+        x, v = _propagate(x, v, forces[-1] / inertia, remainder)
+        x, v = _propagate(x, v, forces[-2] / inertia, period - remainder)
         residual = 0.0 * x if measured is None else measured - x
-        if self.disturbance:
-            first, second = 1.0 - pole**3, 1.5 * (1.0 - pole) ** 2 * (1.0 + pole)
-            unknown = unknown + (1.0 - pole) ** 3 / period**2 * residual
-        else:
-            first, second = 1.0 - pole**2, (1.0 - pole) ** 2
-            unknown = 0.0 * residual
-        return _Estimate(x + first * residual, v + second / period * residual, unknown, forces)
+        return _Estimate(x + (1.0 - pole**2) * residual, v + (1.0 - pole) ** 2 / period * residual, forces)
 
     def _at_effect(self, estimate: _Estimate, inertia: Component) -> tuple[Component, Component]:
         """Predict position and velocity for the instant at which the command takes effect."""
-        x, v, unknown, forces = estimate
-        x, v = _propagate(x, v, unknown + forces[-2] / inertia, self._split[1])
+        x, v, forces = estimate
+        x, v = _propagate(x, v, forces[-2] / inertia, self._split[1])
         for force in forces[-3::-1]:
-            x, v = _propagate(x, v, unknown + force / inertia, self.period)
+            x, v = _propagate(x, v, force / inertia, self.period)
         return x, v
 
 
