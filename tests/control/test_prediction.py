@@ -15,7 +15,6 @@ from maglev_mj.plants.hand import exponential
 from maglev_mj.plants.trace import PassivityObserver, actuator_work
 from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.spec import GRAVITY
-from maglev_mj.theory import least_dynamic_stiffness
 from maglev_mj.theory.closed_loop import Design, SampledLoop, rendered_stiffness
 from tests.sweeps import sweep
 from tests.theory.impacts import limited_drop
@@ -97,30 +96,6 @@ def test_observer_poles_are_where_they_were_asked_for() -> None:
         wanted = [*np.linalg.eigvals(feedback), pole, pole]
         for value in wanted:  # several poles in one place come out to the square root of rounding
             assert np.abs(values - value).min() < 1e-4
-
-
-def test_the_observer_wall_is_several_times_stiffer_with_errors_of_20_percent_too() -> None:
-    # By least dynamic stiffness, the best of a grid of gains for each design; mass and delay are both off.
-    k = np.geomspace(800.0, 60000.0, 14)[:, None]
-    b = np.linspace(20.0, 280.0, 14)[None, :]
-    law = observer(1.0, 1.0)
-    designs: dict[str, Design | None] = {"pd": None, "observer": design_of(law)}
-    best: dict[tuple[str, str], float] = {}
-    for name, design in designs.items():
-        worst = np.full((14, 14), np.inf)
-        for mass, delay in [(1.0, 1.0), *itertools.product((0.8, 1.2), repeat=2)]:
-            found = least_dynamic_stiffness(k, b, period=T, delay=0.0015 * delay, mass=M * mass, design=design)
-            worst = np.minimum(worst, found)
-            if mass == delay == 1.0:
-                best[name, "nominal"] = float(found.max())
-        best[name, "wrong"] = float(worst.max())
-    # what the stability page says of PD: 4900 N/m, 48 % of the boundary's 10 173
-    fine = least_dynamic_stiffness(
-        np.linspace(4500.0, 5400.0, 16)[:, None], np.linspace(70.0, 100.0, 16), period=T, delay=0.0015
-    )
-    assert fine.max() == pytest.approx(4900.0, rel=0.02)
-    assert best["observer", "nominal"] > 4.0 * best["pd", "nominal"]
-    assert best["observer", "wrong"] > 2.5 * best["pd", "wrong"]
 
 
 @pytest.mark.parametrize("limits", [(8.0,), pytest.param((8.0, 10.0, 20.0, 60.0), marks=pytest.mark.study)])

@@ -19,7 +19,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run_phases
 from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall, growing_cases, hardest_contact
-from maglev_mj.theory import Case, DesignedWall, WallRequirements, design_wall, is_stable, worst_case
+from maglev_mj.theory import DesignedWall, WallRequirements, design_wall, is_stable, worst_case
 from maglev_mj.theory.boundary import ranges_of
 from maglev_mj.theory.closed_loop import SampledLoop
 from tests.sweeps import further
@@ -63,6 +63,8 @@ def test_without_uncertainty_it_is_the_stiffest_wall() -> None:
     wall = design_wall(WallRequirements(spectral_radius=1.0))
     assert wall.stiffness == pytest.approx(10173.44, rel=1e-5)
     assert wall.damping == pytest.approx(87.57, rel=1e-2)
+    dynamic = design_wall(WallRequirements(spectral_radius=1.0), goal="dynamic")
+    assert (dynamic.stiffness, dynamic.dynamic_stiffness) == pytest.approx((4900.0, 4900.0), rel=0.02)
 
 
 FIRST = [(2, "pd"), (4, "observer")]
@@ -173,19 +175,6 @@ def test_the_dynamic_goal_is_reached_within_a_few_per_cent(law: str, hands: tupl
     assert densely(wall, seed=5).max() <= wall.spectral_radius * (1.0 + 1e-6) < 1.0
     cases = needs.random(500, seed=11)
     assert not growing_cases(wall, Contact(force_limit=None), cases, seed=12).any()
-
-
-@pytest.mark.parametrize("gains", [(25731.0, 219.7), pytest.param((24204.0, 209.0), marks=pytest.mark.study)])
-def test_gains_for_each_error_alone_fail_where_errors_come_together(gains: tuple[float, float]) -> None:
-    # Gains searched for over errors and over hands, but not over both at once, are not stable in an arm.
-    needs = WallRequirements(**EVERYTHING)
-    wall = replace(design_wall(WallRequirements(), "observer", pole=0.0), requirements=needs)
-    wall = replace(wall, stiffness=gains[0], damping=gains[1])
-    spectral_radius, case = worst_case(needs, *gains, wall.design)
-    assert spectral_radius > 1.009 and case.hand == "arm" and case.mass == pytest.approx(0.84)
-    arms = [Case(0.84, 0.0012, "arm")] * 5
-    assert growing_cases(wall, Contact(force_limit=None), arms).all()
-    assert growing_cases(wall, Contact(), arms).all()
 
 
 def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:

@@ -169,16 +169,6 @@ def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run
     assert [row["share"] for row in rows] == [[0.0] * 4, [1.0] * 4]
 
 
-@STUDY  # of the script; the claims are those of test_design.py
-def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
-    out = run_script("studies/better_walls.py", "--quick", "--out", str(tmp_path))
-    data = json.loads((tmp_path / "better_walls.json").read_text())
-    assert len(data["designs"]) == 2 and len(data["bounces"]) == 2 and len(data["hum"]) == 2
-    assert "observer, poles at 0" in out
-    for row in data["designs"]:  # in every case of the product, and in simulation
-        assert row["spectral_radius"] < 1.0 and row["growing"] == [0, 0]
-
-
 @STUDY
 def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Path, run_script: Script) -> None:
     def run(*arguments: str) -> str:
