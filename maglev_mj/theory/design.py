@@ -215,8 +215,7 @@ class _Gains(NamedTuple):
 
 def _observer(requirements: WallRequirements, pole: float, **gains: float) -> ObserverWall:
     mass, delay = requirements.nominal
-    model: dict[str, Any] = {"inertia": mass, "period": requirements.period, "delay": delay, "pole": pole, **gains}
-    return ObserverWall(axes="z", **model)
+    return ObserverWall(axes="z", inertia=mass, period=requirements.period, delay=delay, pole=pole, **gains)
 
 
 def _design(requirements: WallRequirements, pole: float | None) -> Design | None:
