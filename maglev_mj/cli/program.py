@@ -48,10 +48,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "press": Command("hand impact and press on a wall (figure 6)", "--hand stylus --hits 2 --json -", "run"),
         "stick-slip": Command("pull against rendered friction (figure 8)", "--law lugre --record run.maglev", "run"),
         "run": Command("any scene, built-in or from your own file", "twist --plant exact --json run.json"),
-        "diagnose": Command(
-            "why a wall shakes, and the change that helps most",
-            "--stiffness 500 --damping 1 --rate 200 --delay 0.005 --mass 0.15",
-        ),
+        "diagnose": Command("why a wall shakes, and what helps most", "drop --stiffness 20000 --out figures"),
         "stability": Command("stability of a wall (figure 2) or of a scene", "--hand arm --delay 0.002 --grid 20"),
         "design": Command("stiffest wall for uncertain mass, delay and hand", "--mass 0.56:0.84 --hand arm,stylus"),
         "compare": Command(
