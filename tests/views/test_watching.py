@@ -3,6 +3,7 @@
 A wall felt through the mouse too.
 """
 
+import os
 import time
 from contextlib import suppress
 from dataclasses import replace
@@ -42,7 +43,7 @@ def test_escape_in_the_window_of_a_twin_cuts_the_currents_in_flight() -> None:
     listen = "twin", "--listen", "udp://127.0.0.1:0", "--watchdog", "1", "--view"
     with VirtualScreen(*SIZE) as screen, started(*listen, env=screen.environment) as twin:
         with started("bridge", twin.wait_for(ADDRESS), *WEAK, "--seconds", "600") as host:
-            window = screen.window("MuJoCo")
+            window = screen.window("maglev-mj")
             host.wait_for("during takeoff")
 
             def cut() -> bool:
@@ -187,10 +188,23 @@ def test_rows_are_thinned_after_a_jump_in_a_recording() -> None:
     assert 350 <= len(sent) <= 400 and sent[-1] == rows[-1, 0] and np.ptp(np.diff(sent)) < 1e-9
 
 
+def killed(source: SnapshotSource) -> None:
+    """Show nothing, and end without a word."""
+    os._exit(3)
+
+
+def failing(source: SnapshotSource) -> None:
+    """Show nothing, and fail."""
+    raise MaglevError("no display")
+
+
 @pytest.mark.machine
 def test_the_session_ends_with_the_viewer_process() -> None:
-    with pytest.raises(MaglevError, match="the viewer process has ended"):
-        show_remotely(Session(), id, 60.0)
+    # As an error that says why, unless the user closed the window.
+    for front, words in ((killed, "the viewer process has ended"), (failing, "no display")):
+        with pytest.raises(MaglevError, match=words):
+            show_remotely(Session(), front, 60.0)
+    assert show_remotely(Session(), id, 60.0).wall_time < 60.0
 
 
 def test_a_flood_of_requests_delays_neither_ticks_nor_the_emergency_stop() -> None:
