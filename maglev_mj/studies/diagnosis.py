@@ -35,7 +35,7 @@ from maglev_mj.theory.two_rates import DeviceLaw, two_rate_radius, two_rate_stif
 COSTS = "gains", "timing", "firmware", "mechanics", "feel"
 """Kinds of cost of a remedy, cheapest first: `feel` renders a softer wall."""
 
-_FACTORS, _BISECTIONS = np.geomspace(1e-2, 1e2, 401), 32
+_FACTORS, _BISECTIONS = np.geomspace(1e-2, 1e2, 201), 24
 _DEVICE_PERIOD, _DEVICE_DELAY = 1e-3, 2e-4
 _DIGITS = 3
 _HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
@@ -580,7 +580,7 @@ def _firmware(loop: DiagnosedLoop, damper: str, spring: str) -> Iterable[Remedy]
         return np.array([float(two_rate_radius(wanted, loop.damping, law, **loop.keywords)) for law in laws])
 
     device = {"period": times["device_period"], "delay": times["device_delay"]}
-    enough = _least(radius, loop.body / times["device_period"], count=16, halvings=12)
+    enough = _least(radius, loop.body / times["device_period"], count=13, halvings=11)
     if enough is not None:
         damping = _rounded(enough, up=True)
         words = f"damper of {damping:g} {damper} {where}, inside the wall"
@@ -588,7 +588,7 @@ def _firmware(loop: DiagnosedLoop, damper: str, spring: str) -> Iterable[Remedy]
 
 
 def _least(
-    radius: Callable[[Array], Array], most: float, *, count: int = 61, halvings: int = _BISECTIONS
+    radius: Callable[[Array], Array], most: float, *, count: int = 41, halvings: int = _BISECTIONS
 ) -> float | None:
     """Return the least value up to `most` at which a spectral radius is below 1; None if there is none.
 
