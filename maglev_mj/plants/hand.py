@@ -143,7 +143,7 @@ def hand_of(values: Sequence[ArrayLike]) -> Hand:
 class Mode:
     """First flexible mode of the flotor, between the coils' force and the sensor.
 
-    For a mass m in all, X/U = (1/m) [1/s² + rho / (s² + 2 zeta w s + w²)], w = 2 pi f. Two masses joined by a spring
+    For a total mass m, X/U = (1/m) [1/s² + rho / (s² + 2 zeta w s + w²)], w = 2 pi f. Two masses joined by a spring
     and a damper, m1 at the coils and m2 at the handle, have rho = m2/m1 with the sensor at the coils and -1 with it at
     the handle. A rigid hand's mass is part of m.
 

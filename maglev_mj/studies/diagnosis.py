@@ -40,7 +40,7 @@ _DEVICE_PERIOD, _DEVICE_DELAY = 1e-3, 2e-4
 _DIGITS = 3
 _HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
 _MODEST = 0.05
-"""Relative change of critical stiffness below which a change has no effect."""
+"""Relative gain in critical stiffness below which a change counts as without effect."""
 
 _LEAST, _SAMPLES = 1e-9, 4096
 _MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
@@ -104,6 +104,11 @@ class DiagnosedLoop(Parameters):
         return keywords | ({} if self.cutoff is None else {"velocity": LowPass(cutoff=self.cutoff)})
 
     @property
+    def device_keywords(self) -> dict[str, Any]:
+        """Keywords of the theory for a wall that is on the device alone."""
+        return self.keywords | {"period": self.device_period, "delay": self.device_delay}
+
+    @property
     def device(self) -> DeviceLaw | None:
         """Law on the device; None for none."""
         if not self.device_damping and not self.device_stiffness:
@@ -116,15 +121,13 @@ class DiagnosedLoop(Parameters):
         """False if the whole wall is on the device."""
         return not self.device_stiffness
 
-    def critical(self, damping: float | None = None) -> float:
-        """Return the critical stiffness at a damping, the present one by default."""
-        b = self.damping if damping is None else damping
+    def critical(self) -> float:
+        """Return the critical stiffness at the present damping."""
         if not self.on_host:
-            keywords = {**self.keywords, "period": self.device_period, "delay": self.device_delay}
-            return float(largest_stable_stiffness(self.device_damping, **keywords))
+            return float(largest_stable_stiffness(self.device_damping, **self.device_keywords))
         if self.device is not None:
-            return float(two_rate_stiffness(b, self.device, **self.keywords))
-        return float(largest_stable_stiffness(b, **self.keywords))
+            return float(two_rate_stiffness(self.damping, self.device, **self.keywords))
+        return float(largest_stable_stiffness(self.damping, **self.keywords))
 
     def stiffest(self) -> tuple[float, float]:
         """Return the largest critical stiffness over all dampings, and its damping."""
@@ -324,13 +327,7 @@ def _of_recording(path: Path, values: dict[str, Any], assumptions: list[str]) ->
     usable, velocity, known = None, None, dict(values)
     if path.suffix == ".maglev":
         motion = recorded_motion(Recording.load(path))
-        time, position, period, usable, velocity = (
-            motion.time,
-            motion.position,
-            motion.period,
-            motion.usable,
-            motion.velocity,
-        )
+        (time, position, period, usable), velocity = motion[:4], motion.velocity
         stated = {"stiffness": motion.stiffness, "damping": motion.damping, "delay": motion.delay}
         stated["inertia" if motion.axis.startswith("r") else "mass"] = motion.mass
         known = {name: value for name, value in stated.items() if value is not None} | known
@@ -404,6 +401,7 @@ def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Osci
     growth = math.log(radius) if radius > 0.0 else -math.inf
     stable, critical = bool(is_stable(radius)), loop.critical()
     remedies, ineffective = _remedies(loop, stable, critical)
+    undelayed = {name: value for name, value in loop.keywords.items() if name != "delay"}
     return Diagnosis(
         loop=loop,
         stable=stable,
@@ -412,7 +410,7 @@ def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Osci
         doubling_time=math.log(2.0) * loop.period / growth if growth else math.inf,
         critical_stiffness=critical,
         damping_range=_range(loop, "damping"),
-        critical_delay=float(critical_delay(loop.stiffness, loop.damping, **_without(loop.keywords, "delay"))),
+        critical_delay=float(critical_delay(loop.stiffness, loop.damping, **undelayed)),
         rate_range=_range(loop, "rate"),
         rate_in_periods=_range(loop, "rate in periods"),
         best=_stiffest(loop),
@@ -434,15 +432,11 @@ def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Osci
     )
 
 
-def _without(keywords: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    return {name: value for name, value in keywords.items() if name not in names}
-
-
 def pole_of(loop: DiagnosedLoop) -> tuple[float, float]:
     """Return the spectral radius per sample of the host, and the frequency of the dominant pole [Hz]."""
     keywords, k, b = loop.keywords, loop.stiffness, loop.damping
     if not loop.on_host:
-        keywords |= {"period": loop.device_period, "delay": loop.device_delay}
+        keywords = loop.device_keywords
         k, b = loop.device_stiffness, loop.device_damping
     elif loop.device is not None:
         return float(two_rate_radius(k, b, loop.device, **keywords)), 0.0
@@ -527,7 +521,7 @@ def _remedies(loop: DiagnosedLoop, stable: bool, critical: float) -> tuple[tuple
     better.sort(key=lambda one: (one.ratio < reached, COSTS.index(one.cost) * (one.ratio >= reached), -one.ratio))
     useless = [f"{one.words}, ratio {short(one.ratio)}" for one in tried if one not in better]
     half = b + 0.5 * k * loop.period
-    if (ratio := loop.critical(half) / k) < max(present * (1.0 + _MODEST), 1.0):
+    if (ratio := loop.replace(damping=half).critical() / k) < max(present * (1.0 + _MODEST), 1.0):
         useless.append(f"half-sample prediction, as {half - b:.3g} {damper} more: ratio {ratio:.2g}")
     return tuple(better), tuple(useless)
 
@@ -569,7 +563,7 @@ def _firmware(loop: DiagnosedLoop, damper: str, spring: str) -> Iterable[Remedy]
     times = {"device_period": loop.period / max(round(loop.period / _DEVICE_PERIOD), 1)}
     times["device_delay"] = _DEVICE_DELAY if loop.delay > _DEVICE_DELAY else loop.delay
     where = f"on the device ({1.0 / times['device_period']:.4g} Hz, {_milliseconds(times['device_delay'])})"
-    best = stiffest_wall(**{**loop.keywords, "period": times["device_period"], "delay": times["device_delay"]})
+    best = stiffest_wall(**loop.replace(**times).device_keywords)
     damping = _rounded(float(best.damping) or _LEAST)
     both = {"device_stiffness": loop.stiffness, "device_damping": damping}
     yield _remedy(loop, f"whole wall {where}, damping {damping:g} {damper}", "firmware", **times, **both)
