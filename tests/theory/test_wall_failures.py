@@ -87,6 +87,10 @@ def test_two_walls_rattle_by_their_pulses_from_many_starts(every: int) -> None:
     # At 1.5 ms more often the closer they are, up to 0.2 mm; one starting speed would have shown 0.03.
     shares = rattling(np.array([1e-5, 5e-5, 2e-4, 5e-4]), 220.0, 0.0015, every)
     assert shares[0] > 0.8 and 0.3 < shares[1] < 0.7 and 0.0 < shares[2] < 0.2 and shares[3] == 0.0
+
+
+@pytest.mark.parametrize("every", [3, *further(1)])
+def test_a_pulse_that_just_stops_the_flotor_does_not_make_two_walls_rattle(every: int) -> None:
     assert rattling(np.array([1e-5, 2e-4]), STOPS, 0.0015, every) == [0.0, 0.0]
 
 
