@@ -561,6 +561,8 @@ def test_only_the_holder_moves_the_knob_and_a_disconnected_one_releases_it() -> 
         said = len(aimed)
         for phase in ("start", "move", "end"):
             await grab._dragged(drag(phase, 2))
+        for keys in ("+x", ""):
+            await grab.push(SimpleNamespace(client_id=2, target=SimpleNamespace(value=keys)))
         assert len(aimed) == said and aimed[-1] is not None
         await grab._dragged(drag("end"))
         assert aimed[-1] is None

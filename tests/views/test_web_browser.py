@@ -351,26 +351,28 @@ def test_escape_stops_from_every_kind_of_input_and_during_a_drag(run: Run, tab: 
     wide.close()
 
 
-def test_arrow_keys_push_the_handle_of_one_browser_until_released(run: Run, tab: Any, browser: Any) -> None:
-    other = opened(browser, run)
-    keys = {"ArrowRight": (0, 1), "ArrowLeft": (0, -1), "ArrowUp": (1, 1), "ArrowDown": (1, -1)}
-    for key, (axis, sign) in {**keys, "PageUp": (2, 1), "PageDown": (2, -1)}.items():
-        tab.locator(".mantine-NumberInput-input").last.focus()
-        tab.keyboard.down(key)  # of the box
-        tab.keyboard.up(key)
+def test_arrow_keys_push_the_handle_until_released(run: Run, tab: Any) -> None:
+    """Except those of a number's box: one still held there has no part in the push that follows.
+
+    The hand of a browser that answers late has no target for a while, so that none is awaited with a force.
+    """
+    keys = {"ArrowRight": (0, 1), "ArrowUp": (1, 1), "PageUp": (2, 1)}
+    keys |= {"ArrowLeft": (0, -1), "ArrowDown": (1, -1), "PageDown": (2, -1)}
+    for (key, (axis, sign)), boxed in zip(keys.items(), [*list(keys)[1:], "ArrowRight"], strict=True):
+        tab.locator(".mantine-NumberInput-input:visible").last.focus()
+        tab.keyboard.down(boxed)
         tab.evaluate("document.activeElement.blur()")
-        assert run.shown.target is None
         tab.keyboard.down(key)
-        run.until(lambda shown, axis=axis, sign=sign: sign * shown.hand[axis] > 1.0)  # type: ignore[misc]
-        other.keyboard.press("ArrowLeft" if axis else "ArrowUp")
+        run.until(lambda shown, at=axis, sign=sign: sign * shown.hand[at] > 1.0)  # type: ignore[misc]
+        target = run.until(lambda shown: shown.target is not None and shown.state == "running").target
+        assert target is not None and abs(target[keys[boxed][0]]) < 5e-3
+        tab.keyboard.up(boxed)
         if sign > 0:
             tab.keyboard.up(key)
         else:
             tab.evaluate("dispatchEvent(new Event('blur'))")
-        shown = run.until(lambda shown: shown.target is None and not shown.hand.any())
-        assert abs(shown.pose[(axis + 1) % 3]) < 1e-3 and shown.state == "running"
+        run.until(lambda shown: shown.target is None and not shown.hand.any())
         tab.keyboard.up(key)
-    other.close()
 
 
 CONTRASTS = """() => {
