@@ -315,6 +315,8 @@ def fidelity(result: FidelityResult) -> Any:
     figure, (panel,) = new_figure((result.headline, details), 1, 1, 4.0)
     names, missing = result.columns()["level"], 1e6 * result.columns()["missing"]
     panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="max. deviation")
+    for name in names[missing == 0.0]:  # which has no place on a log axis
+        panel.text(0.01, name, "0", transform=panel.get_yaxis_transform(), va="center", color=SERIES[0])
     allowed = 1e6 * result.tolerance / MARGIN
     panel.axvline(allowed, color=REFERENCE, linestyle="--", zorder=1, label=f"tolerance / margin, {allowed:g} µm")
     panel.set_yticks(range(len(names)), names)
