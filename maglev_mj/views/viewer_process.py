@@ -6,7 +6,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import islice
@@ -178,27 +178,33 @@ class RemoteViewer:
     def take(self) -> ChangeRequest | None:
         """Apply mouse and keys: update the hand, return a request for a changed scene."""
         requested = None
-        for kind, value in self._requests():
+        for kind, value in self._requests(self.hand):
             if value == EMERGENCY_STOP:
                 self.on_emergency()
-            elif self._watch:
-                continue
-            elif kind == "hand":
-                self._glide.aim(value)
-            elif (scene := self._changed(kind, value)) is not None:
+            elif not self._watch and (scene := self._changed(kind, value)) is not None:
                 self._scene = requested = scene
-        self._check_open()
-        self._glide.move(self.hand)
         return None if requested is None else ChangeRequest(requested)
 
-    def _requests(self) -> Sequence[Request]:
-        """Return the requests that are due; bounded, so that a flood does not delay a tick."""
+    def _requests(self, hand: SpringHand) -> Iterator[Request]:
+        """Yield the actions and parameters that are due, then move the hand.
+
+        Bounded, so that a flood does not delay a tick.
+        """
         for kind, value in islice(self._front.received(), _MAX_MESSAGES):
             if kind == "closed":
                 self.failure = value
             else:
                 self._inbox.put(kind, value)
-        return self._inbox.take()
+        for kind, value in self._inbox.take():
+            if kind != "hand":
+                yield kind, value
+            elif not self._watch:
+                self._glide.aim(value)
+        if self._front.ended and self.is_open:
+            self.is_open = False
+            self._glide.aim(None)
+            self.on_close()
+        self._glide.move(hand)
 
     def _changed(self, kind: str, value: Any) -> Scene | None:
         """Return the changed scene, or None; an invalid request becomes a note and does not end a flight."""
@@ -207,35 +213,23 @@ class RemoteViewer:
             if "rewind" in value:
                 raise ParameterError("rewind needs a simulation: a device cannot be rewound")
             if kind == "change":
-                return session.changed(
-                    scene, {name: value[name] for name in value if name in session.settable_parameters(scene)}
-                )
-            return session.changed(scene, value) if value in actions(type(scene)) else None
+                value = {name: value[name] for name in session.settable_parameters(scene) if name in value}
+            elif value not in actions(type(scene)):
+                return None
+            return session.changed(scene, value)
         except MaglevError as error:
             self._note.say(str(error))
             return None
 
     def serve(self, source: SnapshotSource) -> None:
         """Apply the user's requests to a source and show it; call it between ticks."""
-        for kind, value in self._requests():
+        for kind, value in self._requests(source.hand):
             try:
-                if kind == "hand":
-                    self._glide.aim(value)
-                else:
-                    (source.act if kind == "act" else source.change)(value)
+                (source.act if kind == "act" else source.change)(value)
             except (MaglevError, OSError) as error:  # for example a folder that is not writable
                 self._note.say(str(error))
-        self._check_open()
-        self._glide.move(source.hand)
         if self._front.ready and self._due():
             self.show(source.snapshot())
-
-    def _check_open(self) -> None:
-        """Release the hand when the viewer has been closed."""
-        if self._front.ended and self.is_open:
-            self.is_open = False
-            self._glide.aim(None)
-            self.on_close()
 
     def close(self) -> None:
         """Close the viewer; idempotent."""
@@ -305,7 +299,6 @@ class RemoteSession:
     def __init__(self, pipe: Connection, snapshot: Snapshot) -> None:
         self.hand, self.simulated = SpringHand(), 0.0
         self._pipe, self._snapshot, self._history = pipe, snapshot, session.History()
-        self._closed = False
         self._target: Any = None
         self._due = FrameClock(SILENCE / 5.0)
 
@@ -313,7 +306,7 @@ class RemoteSession:
         """Receive snapshots; return the number of samples since the last call."""
         before = self._snapshot.tick
         try:
-            while not self._closed and self._pipe.poll():
+            while self._pipe.poll():
                 last, self._snapshot = self._snapshot, self._pipe.recv()
                 if self._snapshot.time < last.time:  # restarted
                     self._history.clear()
@@ -323,7 +316,6 @@ class RemoteSession:
                 self._target = self.hand.target
                 self._pipe.send(("hand", self._target))
         except (EOFError, OSError):
-            self._closed = True
             raise MaglevError("the control process has ended") from None
         samples = self._snapshot.tick - before
         self.simulated += samples * self._snapshot.scene.period
@@ -331,13 +323,11 @@ class RemoteSession:
 
     def act(self, action: str) -> None:
         """Send an action."""
-        if not self._closed:
-            self._pipe.send(("act", action))
+        self._pipe.send(("act", action))
 
     def change(self, parameters: Mapping[str, Any]) -> None:
         """Send parameters."""
-        if not self._closed:
-            self._pipe.send(("change", dict(parameters)))
+        self._pipe.send(("change", dict(parameters)))
 
     def snapshot(self) -> Snapshot:
         """Return the newest snapshot."""
