@@ -8,8 +8,15 @@ import pytest
 from maglev_mj.plants.shapes import ARROW, GRIP
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Snapshot
-from maglev_mj.views.arrows import FORCES, ForceArrow, ForceArrows
-from maglev_mj.views.magnifier import MAGNIFICATIONS, magnified, motion_words, true_pose
+from maglev_mj.views.handle import (
+    FORCES,
+    MAGNIFICATIONS,
+    ForceArrow,
+    ForceArrows,
+    dragged_pose,
+    magnified,
+    motion_words,
+)
 
 POSE = np.array([1e-3, -2e-3, 3.4e-3, 0.01, 0.02, -0.03])
 FACES = [(0, -1.0, 1e-3), (2, -1.0, 3.5e-3), (3, 1.0, -0.05)]
@@ -23,7 +30,7 @@ def test_pose_stick_position_and_walls_are_magnified_and_a_drag_is_divided(facto
     assert drawn.pose.tolist() == (factor * POSE).tolist() and drawn.anchors is not None
     assert drawn.anchors[1] == factor * 1e-3 and np.isnan(np.delete(drawn.anchors, 1)).all()
     assert [edge for _, _, edge in drawn.faces] == [factor * edge for _, _, edge in FACES]
-    assert np.allclose(true_pose(drawn.pose, factor), POSE, rtol=1e-15)
+    assert np.allclose(dragged_pose(np.zeros(6), drawn.pose[:3], factor, tilts=False)[:3], POSE[:3], rtol=1e-15)
     for axis, normal, edge in true.faces:  # what is touched is touched in the drawing, too
         met = [n * (drawn.pose[a] - e) <= 0.0 for a, n, e in drawn.faces if a == axis]
         assert met == [normal * (POSE[axis] - edge) <= 0.0]

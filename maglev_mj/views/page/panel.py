@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from functools import partial
 from html import escape
@@ -17,12 +17,14 @@ from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, MAX_REWIND, REWIND_ACTIONS, SCENE_PREFIX, Snapshot
 from maglev_mj.session.snapshot import TourLine
-from maglev_mj.views.magnifier import MAGNIFICATIONS
+from maglev_mj.views.handle import MAGNIFICATIONS
 from maglev_mj.views.page.stage import VIEWS, look, rgb, update
-from maglev_mj.views.readings import GROUPS, RESUME, Reading, banner, grouped, magnitude, readings, round_up
+from maglev_mj.views.readings import GROUPS, RESUME, Range, Reading, banner, grouped, magnitude, readings, round_up
 
 Ask = Callable[[str, Any], object]
 """Request of a user: "act" and an action, or "change" and parameters."""
+
+Add = Callable[..., Any]
 
 SETTLED = 1.0
 """Time after a user's last change before a control shows the current value again [s], longer than its round trip."""
@@ -68,17 +70,18 @@ class Choice(Control):
 
     Args:
         name: See `Control`.
-        handle: See `Control`.
+        add: Function that adds the list: `add_dropdown` with label and tooltip.
+        value: Initial value.
+        values: All values.
         ask: See `Control`.
-        texts: Function that returns the text of a value.
-        values: Value of each text.
+        text: Function that returns the text of a value.
     """
 
     def __init__(
-        self, name: str, handle: Any, ask: Ask, texts: Callable[[Any], str], values: Mapping[str, Any]
+        self, name: str, add: Add, value: Any, values: Iterable[Any], ask: Ask, text: Callable[[Any], str] = str
     ) -> None:
-        self._texts, self._values = texts, dict(values)
-        super().__init__(name, handle, ask)
+        self._text, self._values = text, {text(entry): entry for entry in values}
+        super().__init__(name, add(tuple(self._values), initial_value=text(value)), ask)
 
     def value(self, displayed: Any) -> Any:
         """See `Control`."""
@@ -86,7 +89,7 @@ class Choice(Control):
 
     def to_input(self, value: Any) -> str:
         """See `Control`; a new value is added to the list."""
-        text = self._texts(value)
+        text = self._text(value)
         if text not in self._values:
             self._values[text] = value
             self.handle.options = tuple(self._values)
@@ -97,38 +100,25 @@ class Slider(Control):
     """Slider whose track extends to any value that its box or a program sets.
 
     Args:
-        gui: viser's GUI.
         name: See `Control`.
-        label: Label.
-        hint: Tooltip.
+        add: Function that adds the slider: `add_slider` with label and tooltip.
         value: Initial value.
         bounds: Initial limits of the track.
         ask: See `Control`.
         scale: Displayed number per unit of the value.
-        reference: Value that the initial range includes.
+        usual: Value that the initial range includes.
     """
 
     def __init__(
-        self,
-        gui: Any,
-        name: str,
-        label: str,
-        hint: str,
-        value: float,
-        bounds: tuple[float, float],
-        ask: Ask,
-        scale: float = 1.0,
-        reference: float = 0.0,
+        self, name: str, add: Add, value: float, bounds: Range, ask: Ask, scale: float = 1.0, usual: float = 0.0
     ) -> None:
         self._scale, (lower, self._upper) = scale, bounds
-        high = self._top(max(abs(value), reference)) * scale
+        high = self._top(max(abs(value), usual)) * scale
         step = round_up(high / _STEPS)
         low = max(lower * scale, -high)
         low = 0.0 if 0.0 <= low < step else low  # else every value is offset by it
-        initial = min(max(value * scale, low), high)
-        handle = gui.add_slider(label, low, high, step, initial, hint=hint)
-        handle.precision = _DECIMALS
-        super().__init__(name, handle, ask)
+        super().__init__(name, add(low, high, step, min(max(value * scale, low), high)), ask)
+        self.handle.precision = _DECIMALS
 
     def value(self, displayed: float) -> float:
         """See `Control`."""
@@ -154,27 +144,25 @@ def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None
     if item.kind is bool:
         return Control(item.name, gui.add_checkbox(label, value, hint=hint), ask)
     if item.kind is str and item.choices:
-        handle = gui.add_dropdown(label, item.choices, initial_value=value, hint=hint)
-        return Choice(item.name, handle, ask, str, {text: text for text in item.choices})
+        return Choice(item.name, partial(gui.add_dropdown, label, hint=hint), value, item.choices, ask)
     if item.kind not in (float, int) or value is None or not item.live:
         return None
-    if item.live.among:
-        inverse, unit = item.live.inverse, "Hz" if item.live.inverse and item.unit == "s" else item.unit
+    keys, bounds = item.live, item.bounds
+    if keys.among:
+        inverse, unit = keys.inverse, "Hz" if keys.inverse and item.unit == "s" else item.unit
 
         def text(value: float) -> str:
             return f"{1.0 / value if inverse else value:.4g} {unit}".strip()
 
-        values = sorted({*(1.0 / entry if inverse else entry for entry in item.live.among), value}, reverse=inverse)
-        choices = {text(entry): entry for entry in values}
-        handle = gui.add_dropdown(item.live.word or label, tuple(choices), initial_value=text(value), hint=hint)
-        return Choice(item.name, handle, ask, text, choices)
+        values = sorted({*(1.0 / entry if inverse else entry for entry in keys.among), value}, reverse=inverse)
+        add = partial(gui.add_dropdown, keys.word or label, hint=hint)
+        return Choice(item.name, add, value, values, ask, text)
     scale, unit = (1e3, "ms") if item.unit == "s" else (1.0, unit_of(item.unit, scene.axis, item.along))
-    label += f" [{unit}]" if unit else ""
-    reference = abs(item.default) if isinstance(item.default, float | int) else 0.0
-    bounds, keys = item.bounds, item.live
+    add = partial(gui.add_slider, f"{label} [{unit}]" if unit else label, hint=hint)
+    usual = abs(item.default) if isinstance(item.default, float | int) else 0.0
     lower = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf), keys.least)
     upper = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf), keys.most)
-    return Slider(gui, item.name, label, hint, value, (lower, upper), ask, scale, reference)
+    return Slider(item.name, add, value, (lower, upper), ask, scale, usual)
 
 
 def _hint(item: Parameter, axis: str) -> str:
@@ -226,8 +214,8 @@ class Panel:
         if settings and snapshot.rewound is not None:
             name, hint, end = "rewind", "time before now; pauses the scene", MAX_REWIND
         if end is not None:
-            self._time = Slider(gui, name, f"{name} [s]", hint, 0.0, (0.0, end), ask, reference=end)
-            self._time.handle.order = 1.1
+            add = partial(gui.add_slider, f"{name} [s]", hint=hint, order=1.1)
+            self._time = Slider(name, add, 0.0, (0.0, end), ask, usual=end)
         if EMERGENCY_STOP in snapshot.actions:
             stop = gui.add_button(EMERGENCY_STOP, color=rgb(on_white(BAD)), order=1.05)
             stop.on_click(partial(self._act, lambda: EMERGENCY_STOP))
@@ -280,9 +268,9 @@ class Panel:
         names = [name.removeprefix(SCENE_PREFIX) for name in snapshot.actions if name.startswith(SCENE_PREFIX)]
         with self._parameters:
             if self._settings and scene.name in names:
-                handle = gui.add_dropdown("scene", names, initial_value=scene.name, hint="scene to start")
-                choose = Choice("scene", handle, self._choose, str, {name: name for name in names})
-                self._controls.append((choose, lambda snapshot: snapshot.scene.name))
+                add = partial(gui.add_dropdown, "scene", hint="scene to start")
+                choice = Choice("scene", add, scene.name, names, self._choose)
+                self._controls.append((choice, lambda snapshot: snapshot.scene.name))
             for group, items in (grouped(scene.parameters()) if self._settings else {}).items():
                 with nullcontext() if group == "scene" else gui.add_folder(group, expand_by_default=False):
                     for item in items:
@@ -290,10 +278,11 @@ class Panel:
                             self._controls.append((added, attrgetter(f"scene.{item.name}")))
             with gui.add_folder("more", expand_by_default=False):
                 if self._settings:
-                    hint, bounds = "stiffness of the spring between pointer and knob", (0.0, _MAX_STIFFNESS)
-                    hand, usual = snapshot.hand_stiffness, Snapshot.hand_stiffness
-                    spring = Slider(gui, "hand_stiffness", "hand [N/m]", hint, hand, bounds, self._ask, reference=usual)
-                    self._controls.append((spring, lambda snapshot: snapshot.hand_stiffness))
+                    hint, stiffness = "stiffness of the spring between pointer and knob", attrgetter("hand_stiffness")
+                    add, bounds = partial(gui.add_slider, "hand [N/m]", hint=hint), (0.0, _MAX_STIFFNESS)
+                    usual = stiffness(Snapshot)
+                    spring = Slider("hand_stiffness", add, stiffness(snapshot), bounds, self._ask, usual=usual)
+                    self._controls.append((spring, stiffness))
                 hint = "magnification of the displayed motion"
                 self._motion = gui.add_button_group("motion", tuple(_MOTIONS), hint=hint)
                 self._motion.on_click(self._set_motion)

@@ -20,8 +20,16 @@ from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import GRIP, KNOB, KNOB_BOTTOM, Shape, coil_colour, shapes, wall_box
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
-from maglev_mj.views.arrows import FORCES, ForceArrow, ForceArrows
-from maglev_mj.views.magnifier import dragged_pose, magnified, motion_words, stretched, widening
+from maglev_mj.views.handle import (
+    FORCES,
+    ForceArrow,
+    ForceArrows,
+    dragged_pose,
+    magnified,
+    motion_words,
+    stretched,
+    widening,
+)
 from maglev_mj.views.readings import banner
 from maglev_mj.views.viewer_process import SILENCE
 

@@ -27,7 +27,7 @@ from maglev_mj.recording.export import write_sound
 from maglev_mj.scenes import Scene
 from maglev_mj.session import TIME_SCALES, Pacer, Session, Snapshot
 from maglev_mj.terminal import say
-from maglev_mj.views.magnifier import MAGNIFICATIONS
+from maglev_mj.views.handle import MAGNIFICATIONS
 from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.backend import NEEDS, DisplayError, drawing_library
 from maglev_mj.views.window.layout import Area

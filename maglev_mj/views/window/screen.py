@@ -15,7 +15,7 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
-from maglev_mj.views.magnifier import MAGNIFICATIONS, motion_words
+from maglev_mj.views.handle import MAGNIFICATIONS, motion_words
 from maglev_mj.views.readings import GROUPS, RESUME, Banner, Charts, Line, Range, banner, readings
 from maglev_mj.views.window.keys import AXIS, HAND, KEYS, MAGNIFY, help_rows, key_of
 from maglev_mj.views.window.layout import Area, Layout, Row, arranged, letters, wrapped

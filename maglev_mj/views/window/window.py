@@ -18,7 +18,7 @@ from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
 from maglev_mj.plants.shapes import KNOB
 from maglev_mj.session import FrameClock, Note, SnapshotSource, real_time
-from maglev_mj.views.magnifier import dragged_pose
+from maglev_mj.views.handle import dragged_pose
 from maglev_mj.views.window.backend import DisplayError
 from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT, keys_of
 from maglev_mj.views.window.layout import Area

@@ -1,13 +1,16 @@
-"""Magnified display of the handle's motion; the physics is unaffected."""
+"""Displayed handle: magnified motion, and arrows of the forces at the knob; the same on page and in the window."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from maglev_mj.colours import DEVICE, HAND, STOP
 from maglev_mj.frames import Array, rotation_matrix
-from maglev_mj.plants.shapes import GRIP
+from maglev_mj.plants.shapes import ARROW, GRIP, MIN_ARROW_FORCE, arrow_start
 from maglev_mj.session import Snapshot
 
 MAGNIFICATIONS = 1, 3, 5
@@ -60,11 +63,6 @@ def stretched(ends: Array, pose: Array, factor: float) -> tuple[Array, Array, fl
     return foot, turn / np.linalg.norm(turn), length
 
 
-def true_pose(drawn: Array, factor: float) -> Array:
-    """Return the true pose or displacement of a magnified one [m, rad]."""
-    return drawn / factor
-
-
 def motion_words(factor: float) -> str:
     """Return the label of a magnification; empty for the true motion."""
     return "" if factor == 1 else f"motion x{factor:g}"
@@ -79,8 +77,61 @@ def dragged_pose(start: Array, moved: Array, factor: float, *, tilts: bool) -> A
         factor: Magnification of the displayed motion.
         tilts: True to rotate about the horizontal axes, False to translate.
     """
-    moved = true_pose(moved, factor)
+    moved = moved / factor
     pose: Array = start + np.concatenate(
         [np.zeros(3), np.cross(GRIP, moved) / (GRIP @ GRIP)] if tilts else [moved, np.zeros(3)]
     )
     return pose
+
+
+FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
+"""Forces with an arrow, and their colours."""
+
+_MAX_LENGTH, _FULL_SIZE, _MIN_SIZE = 0.12, 0.014, 0.3
+_MIN_NUMBER, _STEP, _GAP = 0.2, 0.1, 0.009
+"""Smallest force with a number, and resolution of the numbers [N]; distance from a tip to its number [m]."""
+
+
+class ForceArrow(NamedTuple):
+    """Arrow of a force.
+
+    Attributes:
+        start: Start, on the surface of the knob [m], (3,).
+        end: Tip [m], (3,).
+        size: Size of the head, 1 for a long arrow, so that the lengths of short arrows differ visibly.
+        place: Position of the number [m], (3,).
+        text: Number with its unit; empty for a small force.
+    """
+
+    start: Array
+    end: Array
+    size: float
+    place: Array
+    text: str
+
+
+class ForceArrows:
+    """Arrows of a sequence of snapshots: a number changes only with its force, not with noise."""
+
+    def __init__(self) -> None:
+        self._numbers = dict.fromkeys(FORCES, 0.0)
+
+    def of(self, snapshot: Snapshot) -> dict[str, ForceArrow]:
+        """Return the arrows by name; a force too small to see, or NaN, has none."""
+        knob = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ GRIP
+        arrows: dict[str, ForceArrow] = {}
+        for name, wrench in zip(FORCES, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
+            force, size = wrench[:3], float(np.linalg.norm(wrench[:3]))
+            if not MIN_ARROW_FORCE <= size < math.inf:
+                continue
+            start, along, device = arrow_start(knob, force), force / size, arrows.get("device")
+            if name == "stops" and device is not None:
+                # stacked on the device's, so that balanced forces have equal lengths
+                start = start + max(float((device.end - device.start) @ along), 0.0) * along
+            length = min(ARROW * size, _MAX_LENGTH)
+            if abs(size - self._numbers[name]) > _STEP:
+                self._numbers[name] = round(size / _STEP) * _STEP
+            text = f"{self._numbers[name]:.1f} N" if self._numbers[name] >= _MIN_NUMBER else ""
+            end, head = start + length * along, round(min(max(length / _FULL_SIZE, _MIN_SIZE), 1.0), 1)
+            arrows[name] = ForceArrow(start, end, head, end + _GAP * along, text)
+        return arrows
