@@ -29,8 +29,8 @@ from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.interactive import CENTRING, Joystick
 from maglev_mj.session.replay import rebuild
-from maglev_mj.views.window.layout import Area, arranged
 from maglev_mj.views.window.painter import Scenery, default_view, project, zoom
+from maglev_mj.views.window.screen import Area, arranged
 from maglev_mj.views.window.window import fitted_size
 from tests.views.virtual_screen import VirtualScreen, waited
 

@@ -29,9 +29,8 @@ from maglev_mj.session.replay import Replay
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, stop_contacts
 from maglev_mj.views.window.keys import KEYS, MAGNIFY, help_rows
-from maglev_mj.views.window.layout import Area, arranged, letters
 from maglev_mj.views.window.painter import Scenery, default_view, project, zoom
-from maglev_mj.views.window.screen import Screen, message_rows, status_rows
+from maglev_mj.views.window.screen import Area, Screen, arranged, letters, message_rows, status_rows
 from maglev_mj.views.window.window import _Window, fitted_size
 from tests.sweeps import sweep
 

@@ -9,7 +9,7 @@ import glfw
 
 from maglev_mj.session import EMERGENCY_STOP, REWIND_ACTIONS, SCENE_PREFIX
 
-SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY = "screenshot", "plot axis", "camera", "keys", "magnify motion"
+_ALWAYS = SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY = "screenshot", "plot axis", "camera", "keys", "magnify motion"
 """Actions available in every window."""
 
 
@@ -62,27 +62,25 @@ _KEYS = (
 Of two keys with one code, the first with an available action is bound.
 """
 
-_ALWAYS = SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY
-
-_SWITCHES: Mapping[str, tuple[int, str]] = {
-    "6": (glfw.KEY_6, "wall"),
-    "7": (glfw.KEY_7, "pulse"),
-    "8": (glfw.KEY_8, "friction"),
-    "Backslash \\": (glfw.KEY_BACKSLASH, ""),
+_SWITCHES: Mapping[tuple[str, int], str] = {
+    ("6", glfw.KEY_6): "wall",
+    ("7", glfw.KEY_7): "pulse",
+    ("8", glfw.KEY_8): "friction",
+    ("Backslash \\", glfw.KEY_BACKSLASH): "",
 }
-"""Keys of switches: name -> key code and preferred parameter.
+"""Keys of switches: name and code -> preferred parameter.
 
 A key whose parameter is missing from the scene is bound to another switch, as is a key without one.
 """
 
-_PAIRS: Mapping[tuple[str, str], tuple[int, int, str]] = {
-    ("Up", "Down"): (glfw.KEY_UP, glfw.KEY_DOWN, "stiffness"),
-    ("Period .", "Comma ,"): (glfw.KEY_PERIOD, glfw.KEY_COMMA, "damping"),
-    ("F9", "F8"): (glfw.KEY_F9, glfw.KEY_F8, "rate"),
-    ("Quote '", "Semicolon ;"): (glfw.KEY_APOSTROPHE, glfw.KEY_SEMICOLON, "delay"),
-    ("Home", "End"): (glfw.KEY_HOME, glfw.KEY_END, ""),
+_PAIRS: Mapping[tuple[tuple[str, int], tuple[str, int]], str] = {
+    (("Up", glfw.KEY_UP), ("Down", glfw.KEY_DOWN)): "stiffness",
+    (("Period .", glfw.KEY_PERIOD), ("Comma ,", glfw.KEY_COMMA)): "damping",
+    (("F9", glfw.KEY_F9), ("F8", glfw.KEY_F8)): "rate",
+    (("Quote '", glfw.KEY_APOSTROPHE), ("Semicolon ;", glfw.KEY_SEMICOLON)): "delay",
+    (("Home", glfw.KEY_HOME), ("End", glfw.KEY_END)): "",
 }
-"""Keys that raise and lower a parameter: names -> key codes and preferred parameter, as in `_SWITCHES`."""
+"""Keys that raise and lower a parameter -> preferred parameter, as in `_SWITCHES`."""
 
 _Name = TypeVar("_Name")
 _FIXED = {*(key.action for key in _KEYS), *REWIND_ACTIONS}
@@ -101,15 +99,12 @@ def _bound(actions: Sequence[str]) -> list[Key]:
     numbers = [name.removesuffix(" up") for name in actions if name.endswith(" up")]
     switches = [name for name in actions if name not in _FIXED and not name.endswith((" up", " down"))]
     switches = [name for name in switches if not name.startswith(SCENE_PREFIX)]
-    free = {names: pair for names, pair in _PAIRS.items() if not fixed.keys() & {*pair[:2]}}
-    preferred = {name: parameter for name, (_, parameter) in _SWITCHES.items()}
-    preferred_pairs = {names: parameter for names, (*_, parameter) in free.items()}
     # a number gets a switch only if it is the key's preferred parameter, or has no other key
-    assigned = _assign(preferred, switches, numbers).items()
-    keys = [Key(_SWITCHES[name][0], name, word, "switches") for name, word in assigned]
-    for (up, down), word in _assign(preferred_pairs, numbers, ()).items():
-        up_code, down_code, _ = free[up, down]
-        keys += [Key(up_code, up, f"{word} up", word, word), Key(down_code, down, f"{word} down", word, "")]
+    assigned = _assign(_SWITCHES, switches, numbers).items()
+    keys = [Key(code, name, word, "switches") for (name, code), word in assigned]
+    free = {pair: word for pair, word in _PAIRS.items() if fixed.keys().isdisjoint(code for _, code in pair)}
+    for pair, word in _assign(free, numbers, ()).items():
+        keys += [Key(code, name, f"{word} {way}", word, word) for (name, code), way in zip(pair, ("up", "down"))]
     return keys + list(fixed.values())
 
 

@@ -30,9 +30,8 @@ from maglev_mj.terminal import say
 from maglev_mj.views.handle import MAGNIFICATIONS
 from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.backend import NEEDS, DisplayError, drawing_library
-from maglev_mj.views.window.layout import Area
 from maglev_mj.views.window.painter import Painter
-from maglev_mj.views.window.screen import Screen
+from maglev_mj.views.window.screen import Area, Screen
 
 CLIPS = (".gif", ".mp4")
 """File extensions of clips."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from maglev_mj.colours import FIRST, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
@@ -18,8 +18,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.views.handle import FORCES, ForceArrows, magnified, stretched, widening
 from maglev_mj.views.readings import stop_contacts
-from maglev_mj.views.window.layout import Area, arranged
-from maglev_mj.views.window.screen import Screen
+from maglev_mj.views.window.screen import Area, Screen, arranged
 
 _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), 0.40, (*STOP, 0.40)
 _EDGE, _EDGE_WIDTH = 0.45, 3.0
@@ -85,7 +84,7 @@ class Scenery:
         for shape, position, rotation in self._moved(self._knob, snapshot.pose, factor * snapshot.pose):
             data.geom_xpos[shape], data.geom_xmat[shape] = position, rotation.ravel()
 
-    def decorate(self, scene: Any, snapshot: Snapshot, factor: float = 1.0, half_text: ArrayLike = 0.0) -> None:
+    def decorate(self, scene: Any, snapshot: Snapshot, factor: float = 1.0, half_text: Array | float = 0.0) -> None:
         """Add walls, stops, forces, and the stick position or the first attempt, to an MjvScene.
 
         Args:

@@ -1,31 +1,116 @@
-"""Overlay of text, plots, labels and banner for window and pictures."""
+"""Overlay of text, plots, labels and banner for window and pictures.
+
+The layout depends on the size alone, so that nothing moves when states and texts change: readings at the left, device
+in the middle, plots at the right.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import count
+from textwrap import wrap
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from maglev_mj.colours import BAD, GOOD, MEASURED, STOP, Colour
-from maglev_mj.frames import AXES
+from maglev_mj.frames import AXES, Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
 from maglev_mj.views.handle import MAGNIFICATIONS, motion_words
-from maglev_mj.views.readings import GROUPS, RESUME, Banner, Charts, Line, Range, banner, readings
+from maglev_mj.views.readings import GROUPS, RESUME, Charts, Line, Range, banner, readings
 from maglev_mj.views.window.keys import AXIS, HAND, KEYS, MAGNIFY, help_rows, key_of
-from maglev_mj.views.window.layout import Area, Layout, Row, arranged, letters, wrapped
+
+Row: TypeAlias = tuple[str, str]
+"""Name and value, or key and action."""
+
+_GLYPH, _ROW = 0.08, 0.24
+"""Width of a letter of MuJoCo's font, wider than the mean, and height of a row, per font scale [pixels/%]."""
+
+_MARGIN = 0.12
+_TEXT_WIDTH, _PLOT_WIDTH, _NARROW, _PLOT_HEIGHT = 0.27, 0.25, 7.6, 1.3
+
+
+class Area(NamedTuple):
+    """Rectangle in a picture [pixels], from the lower left corner."""
+
+    left: int
+    bottom: int
+    width: int
+    height: int
+
+    @property
+    def top(self) -> int:
+        """First row above the area."""
+        return self.bottom + self.height
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Centre of the area."""
+        return self.left + 0.5 * self.width, self.bottom + 0.5 * self.height
+
+
+class Layout(NamedTuple):
+    """Areas of all elements of a picture.
+
+    Attributes:
+        text: Area of readings (top) and messages (bottom).
+        device: Area of the 3D view; banner, time bar and label cover its edges.
+        plots: Areas of the plots that fit.
+        bar: Area of the time bar of a recording.
+        label: Area of the emergency stop label.
+        row: Height of a row of text [pixels].
+    """
+
+    text: Area
+    device: Area
+    plots: Sequence[Area]
+    bar: Area
+    label: Area
+    row: int
+
+
+def arranged(view: Area, scale: int) -> Layout:
+    """Return the layout of a picture, without plots if it is too narrow for three columns.
+
+    Args:
+        view: The picture.
+        scale: Font scale, 100 to 300 [%].
+    """
+    wide = view.width >= _NARROW * scale
+    text = max(int(_TEXT_WIDTH * view.width), min(int(2.5 * scale), view.width // 2))
+    plot = int(_PLOT_WIDTH * view.width) * wide
+    count = min(max(view.height // int(_PLOT_HEIGHT * scale), 1), 4) * wide
+    high, left, row = view.height // max(count, 1), view.left + text, int(_ROW * scale)
+    device = Area(left, view.bottom, max(view.width - text - plot, 1), view.height)
+    right = device.left + device.width
+    return Layout(
+        text=Area(view.left, view.bottom, text, view.height),
+        device=device,
+        plots=[Area(right, view.top - (index + 1) * high, plot, high) for index in range(count)],
+        bar=Area(left, view.bottom + 2 * row, device.width, row),
+        label=Area(left + device.width // 4, view.bottom + row // 3, device.width // 2, row + row // 3),
+        row=row,
+    )
+
+
+def letters(width: int, scale: int) -> int:
+    """Return the number of letters that fit a width [pixels]."""
+    return max(int((width - _MARGIN * scale) / (_GLYPH * scale)), 1)
+
+
+def wrapped(rows: Sequence[Row], width: int, scale: int) -> list[Row]:
+    """Return rows with values wrapped to a total width [pixels], one row per line."""
+    room = max(letters(width, scale) - max((len(name) for name, _ in rows), default=0) - 2, 8)
+    return [(name * (index == 0), line) for name, text in rows for index, line in enumerate(wrap(text, room) or [""])]
+
 
 _POINTS = 500
-_DOT = 0.018, 0.045
+_DOT, _DIAMOND = np.array([0.018, 0.045]), np.array([[-1, 0], [0, 1], [1, 0], [0, -1], [-1, 0]])
 _MARKS = 80
-
-_Line: TypeAlias = tuple[Colour, ArrayLike, ArrayLike]
-"""Colour, x and y of a polyline."""
 
 
 class Plots:
@@ -35,27 +120,28 @@ class Plots:
         self._charts = Charts(_POINTS)
         self.figures = [_new_figure() for _ in range(4)]
 
-    def update(
-        self, snapshot: Snapshot, axis: int | None = None, *, width: int = 10_000, scale: int = 100
-    ) -> list[Any]:
+    def update(self, snapshot: Snapshot, axis: int | None = None, room: int = 1000) -> list[Any]:
         """Return the figures, updated from a snapshot.
 
         Args:
             snapshot: The snapshot.
             axis: Index into AXES; the scene's axis by default.
-            width: Width of a figure [pixels], to which titles are fitted.
-            scale: Font scale [%].
+            room: Number of letters to which titles are fitted.
         """
-        axis = snapshot.scene.axis_index if axis is None else axis
-        charts, room = self._charts.of(snapshot, axis), letters(width, scale)
+        charts = self._charts.of(snapshot, snapshot.scene.axis_index if axis is None else axis)
         for figure, (title, lines, across, up, foot, side) in zip(self.figures, charts, strict=True):
             (words, colour), *series = title
-            shapes = [shape for line in reversed(lines) for shape in _shapes(line, across, up)]  # the first is on top
             titles = f"{words}: {', '.join(name for name, _ in series)}" if series else words, words
-            _draw(figure, next((text for text in titles if len(text) <= room), words[:room]), shapes, across, up)
+            text = next((text for text in titles if len(text) <= room), words[:room])
+            figure.title = f"{text}\0"  # MuJoCo reads one more character, which may belong to a longer previous title
             figure.textrgb[:] = light(colour) if colour in (GOOD, BAD) else _TEXT
-            foot = f"{side} vs {foot}" if side else foot
-            figure.xlabel = foot[:room]
+            figure.xlabel = (f"{side} vs {foot}" if side else foot)[:room]
+            figure.range[0], figure.range[1] = across, up
+            figure.linepnt[:] = 0
+            shapes = [shape for line in reversed(lines) for shape in _shapes(line, across, up)]  # the first is on top
+            for index, (shade, points) in enumerate(shapes):
+                figure.linergb[index], figure.linepnt[index] = shade, len(points)
+                figure.linedata[index, : points.size] = np.clip(points, *np.transpose((across, up))).ravel()
         return self.figures
 
 
@@ -82,32 +168,15 @@ def _new_figure() -> Any:
     return figure
 
 
-def _draw(figure: Any, title: str, lines: Sequence[_Line], across: Range, up: Range) -> None:
-    figure.title = f"{title}\0"  # MuJoCo reads one more character, which may belong to a longer previous title
-    figure.linepnt[:] = 0
-    for index, (colour, x, y) in enumerate(lines):
-        x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
-        x, y = x[finite := np.isfinite(y)], y[finite]
-        figure.linergb[index] = colour
-        figure.linepnt[index] = x.size
-        figure.linedata[index, : 2 * x.size : 2] = np.clip(x, *across)
-        figure.linedata[index, 1 : 2 * x.size : 2] = np.clip(y, *up)
-    figure.range[0], figure.range[1] = across, up
-
-
-def _shapes(line: Line, across: Range, up: Range) -> list[_Line]:
-    """Return a line, and the outlines of the dot at its last point, clipped to the ranges."""
-    colour, x, y = line[:3]
-    shapes: list[_Line] = [(colour, x, y)]
-    if not line.dot or not np.size(x) or not np.isfinite(np.asarray(y)[-1]):
-        return shapes
-    wide, high = _DOT[0] * (across[1] - across[0]), _DOT[1] * (up[1] - up[0])
-    middle = min(max(float(np.asarray(x)[-1]), across[0] + wide), across[1] - wide)
-    level = min(max(float(np.asarray(y)[-1]), up[0] + high), up[1] - high)
-    for scale in (1.0, 0.66, 0.33):
-        dx, dy = scale * wide, scale * high
-        corners = [middle - dx, middle, middle + dx, middle, middle - dx], [level, level + dy, level, level - dy, level]
-        shapes.append((colour, *corners))
+def _shapes(line: Line, across: Range, up: Range) -> list[tuple[Colour, Array]]:
+    """Return the colours and points, (N, 2), of a line and of the outlines of the dot at its last point."""
+    points = np.column_stack((line.x, line.y))
+    shapes = [(line.colour, points[np.isfinite(points[:, 1])])]
+    if line.dot and np.isfinite(points[-1:, 1]).any():
+        low, high = np.transpose((across, up))
+        size = _DOT * (high - low)
+        centre = np.clip(points[-1], low + size, high - size)
+        shapes += [(line.colour, centre + scale * size * _DIAMOND) for scale in (1.0, 0.66, 0.33)]
     return shapes
 
 
@@ -183,13 +252,11 @@ class Overlay(NamedTuple):
             mujoco.mjr_figure(mujoco.MjrRect(*area), figure, context)
         for area, colour, text in self.boxes:
             mujoco.mjr_label(mujoco.MjrRect(*area), font, text, *colour, 1.0, 1.0, 1.0, 1.0, context)
-        for rows, grid in (
-            (self.upper, mujoco.mjtGridPos.mjGRID_TOPLEFT),
-            (self.lower, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT),
-        ):
+        corners = mujoco.mjtGridPos.mjGRID_TOPLEFT, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
+        for rows, corner in zip((self.upper, self.lower), corners):
             if rows:
                 columns = ("\n".join(column) for column in zip(*rows, strict=True))
-                mujoco.mjr_overlay(font, grid, mujoco.MjrRect(*self.layout.text), *columns, context)
+                mujoco.mjr_overlay(font, corner, mujoco.MjrRect(*self.layout.text), *columns, context)
 
 
 class Screen:
@@ -230,18 +297,16 @@ class Screen:
             notes: Additional notes.
         """
         layout = arranged(view, scale)
-        text, row = layout.text, layout.row
-        plot = (
-            self._plots.update(snapshot, self._axis, width=layout.plots[0].width, scale=scale) if layout.plots else []
-        )
+        text, plots = layout.text, layout.plots
+        figures = self._plots.update(snapshot, self._axis, letters(plots[0].width, scale)) if plots else []
         boxes = [Box(text, _PANEL), *self._bar(snapshot, layout.bar)]
         if self._has_keys and EMERGENCY_STOP in snapshot.actions:
             boxes.append(Box(layout.label, _RED, _STOP_LABEL))
         boxes += self._banner(snapshot, layout, scale)
         table = help_rows(snapshot.actions, hand=moved_by_mouse(snapshot)) if self._keys else status_rows(snapshot)
         lower = wrapped(self._messages(snapshot, notes), text.width, scale)
-        limit = max(text.height // row - 1 - len(lower), 0)
-        return Overlay(layout, list(zip(layout.plots, plot)), boxes, wrapped(table, text.width, scale)[:limit], lower)
+        limit = max(text.height // layout.row - 1 - len(lower), 0)
+        return Overlay(layout, list(zip(plots, figures)), boxes, wrapped(table, text.width, scale)[:limit], lower)
 
     def _messages(self, snapshot: Snapshot, notes: Sequence[str]) -> list[Row]:
         """Return the rows at the lower left; those that stay are last."""
@@ -267,20 +332,11 @@ class Screen:
         content = banner(replace(snapshot, overloaded=bool(self._late.lines)))  # hold the state: no flicker
         if content is None:
             return []
+        title, _, reason = content.text.partition(": ")
+        if content.resume_action and (key := key_of(content.resume_action, snapshot.actions)):
+            title += f": press {key} {RESUME[content.resume_action]}"
+        texts = filter(None, (title, ". ".join(filter(None, (reason, content.remedy)))))
         area, colour = layout.device, BAD if content.bad else STOP
-        lines = [
-            line for text in _banner_texts(content, snapshot) for _, line in wrapped([("", text)], area.width, scale)
-        ]
-        strip = area._replace(bottom=area.top - layout.row, height=layout.row)
-        return [
-            Box(strip._replace(bottom=strip.bottom - index * layout.row), colour, line)
-            for index, line in enumerate(lines)
-        ]
-
-
-def _banner_texts(content: Banner, snapshot: Snapshot) -> list[str]:
-    """Return the heading of a banner with the key that resumes; and its reason."""
-    title, _, reason = content.text.partition(": ")
-    key = key_of(content.resume_action, snapshot.actions) if content.resume_action else ""
-    head = f"{title}: press {key} {RESUME[content.resume_action]}" if key else title
-    return list(filter(None, (head, ". ".join(part for part in (reason, content.remedy) if part))))
+        lines = [line for text in texts for _, line in wrapped([("", text)], area.width, scale)]
+        strips = (area._replace(bottom=area.top - index * layout.row, height=layout.row) for index in count(1))
+        return [Box(strip, colour, line) for strip, line in zip(strips, lines)]

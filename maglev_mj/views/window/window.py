@@ -21,10 +21,9 @@ from maglev_mj.session import FrameClock, Note, SnapshotSource, real_time
 from maglev_mj.views.handle import dragged_pose
 from maglev_mj.views.window.backend import DisplayError
 from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT, keys_of
-from maglev_mj.views.window.layout import Area
 from maglev_mj.views.window.offscreen import write_picture
 from maglev_mj.views.window.painter import Painter
-from maglev_mj.views.window.screen import Screen, moved_by_mouse
+from maglev_mj.views.window.screen import Area, Screen, moved_by_mouse
 
 _SMALL, _LIMITS, _LARGE = (0.92, 0.88), (1200, 800), 2.0 / 3.0
 """Fractions of a small screen, width and height; their limits [pixels]; fraction of a large screen."""
