@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import hmac
-import http
 import logging
 import os
 import re
 import socket
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -34,13 +33,16 @@ from maglev_mj.views.page.plots import Plots
 from maglev_mj.views.page.stage import VIEWS, Grab, Stage, look
 from maglev_mj.views.viewer_process import Inbox, ViewerFunction
 
+# embedded by notebooks on this machine; other origins could be used for clickjacking
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
-"""Origins that may embed the page: notebooks on this machine. Others could be used for clickjacking."""
+_HEADERS = {"Content-Security-Policy": _FRAMES, "Referrer-Policy": "no-referrer"}
 
 _TITLE = b"<title>Viser</title>"
 _HEAD = Path(__file__).with_name("head.html").read_text("utf-8")
 _HEAD = _HEAD.replace("STOP_COLOUR", hex_of(on_white(BAD))).replace("PULL_COLOUR", str(linear(PULL))[1:-1])
 """Replacement of the title of viser's page: title, icon, styles, scripts."""
+
+Process = Callable[[Any, Request], Response | None]
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,29 @@ class Endpoint:
         valid = [hmac.compare_digest(token.encode(), self.token.encode()) for token in tokens]
         return "" if any(valid) else "access token missing or invalid: open the URL printed at startup (?token=...)"
 
+    def answer(self, process: Process, connection: Any, request: Request) -> Response | None:
+        """Return the response to a request; None to accept a WebSocket.
+
+        Args:
+            process: viser's function that returns it.
+            connection: Connection of the request.
+            request: The request.
+        """
+        if reason := self.refusal(request.path, request.headers):
+            refused: Response = connection.respond(HTTPStatus.FORBIDDEN, f"{reason}\n")
+            return refused
+        page = "Upgrade" not in request.headers
+        # without headers the response is uncompressed, so that its head can be replaced
+        answer = process(connection, Request(request.path, Headers()) if page else request)
+        if answer is not None:
+            answer.body = answer.body.replace(_TITLE, _HEAD.encode(), 1)
+            del answer.headers["Content-Length"]
+            answer.headers.update(_HEADERS, **{"Content-Length": str(len(answer.body))})
+            if self.token is not None:
+                attributes = "HttpOnly; SameSite=Strict; Path=/"
+                answer.headers["Set-Cookie"] = f"{self.cookie}={self.token}; {attributes}"
+        return answer
+
     @cached_property
     def _access(self) -> Access:
         """Access check for the host, and for the loopback names if it is a loopback address."""
@@ -92,9 +117,12 @@ class Endpoint:
         return Access(hosts, self.host, allowed=self.origins)
 
 
-@contextmanager
-def guarded(endpoint: Endpoint, listener: socket.socket) -> Iterator[None]:
-    """Apply access control to WebSocket servers that start in this context.
+_FRAME, _PLOT, _BEAT = 1.0 / 30.0, 1.0 / 8.0, 0.5
+_NAP = 0.005
+
+
+class PageServer(viser.ViserServer):
+    """viser's server with access control and without public share URLs.
 
     viser calls `websockets.asyncio.server.serve` and accepts neither a listening socket nor a check of requests before
     the handshake, without which any web page could control a device on this machine. Therefore this replaces `serve`
@@ -107,56 +135,22 @@ def guarded(endpoint: Endpoint, listener: socket.socket) -> Iterator[None]:
     Raises:
         MaglevError: If no server has started through `serve`: it would have no access control.
     """
-    real, started = websockets_server.serve, False
-
-    def serve(handler: Any, host: Any, port: Any, *, process_request: Callable[..., Any], **options: Any) -> Any:
-        nonlocal started
-        started = True
-
-        def check(connection: Any, request: Request) -> Response | None:
-            if reason := endpoint.refusal(request.path, request.headers):
-                text = Headers({"Content-Type": "text/plain; charset=utf-8"})
-                return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", text, f"{reason}\n".encode())
-            page = "Upgrade" not in request.headers
-            # without headers the response is uncompressed, so that its head can be replaced
-            answer: Response | None = process_request(connection, Request(request.path, Headers()) if page else request)
-            if answer is not None:
-                answer.body = answer.body.replace(_TITLE, _HEAD.encode(), 1)
-                del answer.headers["Content-Length"]
-                answer.headers["Content-Length"] = str(len(answer.body))
-                answer.headers["Content-Security-Policy"] = _FRAMES
-                answer.headers["Referrer-Policy"] = "no-referrer"
-                if endpoint.token is not None:
-                    attributes = "HttpOnly; SameSite=Strict; Path=/"
-                    answer.headers["Set-Cookie"] = f"{endpoint.cookie}={endpoint.token}; {attributes}"
-            return answer
-
-        return real(handler, sock=listener, process_request=check, **options)
-
-    websockets_server.serve = serve  # type: ignore[misc, assignment]
-    try:
-        yield
-    finally:
-        websockets_server.serve = real  # type: ignore[misc]
-    if not started:
-        raise MaglevError("the page's server did not start through websockets.serve, access control would be missing")
-
-
-_FRAME, _PLOT, _BEAT = 1.0 / 30.0, 1.0 / 8.0, 0.5
-_NAP = 0.005
-
-
-class PageServer(viser.ViserServer):
-    """viser's server with access control and without public share URLs.
-
-    Args:
-        endpoint: Address and access control.
-        listener: Listening socket.
-    """
 
     def __init__(self, endpoint: Endpoint, listener: socket.socket) -> None:
-        with guarded(endpoint, listener):
+        real, started = websockets_server.serve, False
+
+        def serve(handler: Any, host: Any, port: Any, *, process_request: Process, **options: Any) -> Any:
+            nonlocal started
+            started = True
+            return real(handler, sock=listener, process_request=partial(endpoint.answer, process_request), **options)
+
+        websockets_server.serve = serve  # type: ignore[misc, assignment]
+        try:
             super().__init__(host=endpoint.host, port=endpoint.port, label="maglev-mj", verbose=False)
+        finally:
+            websockets_server.serve = real  # type: ignore[misc]
+        if not started:
+            raise MaglevError("the server did not start through websockets.serve, access control would be missing")
         self._websock_server.unregister_handler(ShareUrlRequest)
 
     def request_share_url(self, verbose: Any = True) -> str | None:
@@ -179,6 +173,7 @@ class Page:
     ) -> None:
         self._server, self._source = server, source
         self._inbox = Inbox()
+        self._frame, self._plot, self._due = FrameClock(_FRAME), FrameClock(_PLOT), FrameClock(_BEAT)
         snapshot, gui = source.snapshot(), server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         gui.main_panel.dock_right()
@@ -187,13 +182,11 @@ class Page:
         if self._grab is not None:
             gui.add_button_group("keys", ("",), visible=False).on_click(self._grab.push)
         self._stage.hint = "drag the knob" if drag else ""
-        magnify = partial(setattr, self._stage, "factor")
-        self._panel = Panel(server, snapshot, self._inbox.put, magnify, settings)
+        self._panel = Panel(server, snapshot, self._inbox.put, partial(setattr, self._stage, "factor"), settings)
         panel = gui.add_panel()
         with panel.add_tab("plots"):
             self._plots = Plots(gui, snapshot.scene)
         panel.dock_left()
-        self._frame, self._plot, self._due = FrameClock(_FRAME), FrameClock(_PLOT), FrameClock(_BEAT)
         self._beat, self._beats, self._pose = gui.add_html("", visible=False), 0, snapshot.pose
         server.on_client_connect(_greet)
 
@@ -206,11 +199,11 @@ class Page:
                 self._show()
 
     def _apply(self) -> None:
-        aim = partial(setattr, self._source.hand, "target")
-        perform: Mapping[str, Callable[[Any], object]]
-        perform = {"hand": aim, "act": self._source.act, "change": self._source.change}
         for kind, value in self._inbox.take():
-            perform[kind](value)
+            if kind == "hand":
+                self._source.hand.target = value
+            else:
+                (self._source.act if kind == "act" else self._source.change)(value)
 
     def _show(self) -> None:
         snapshot = self._source.snapshot()

@@ -7,11 +7,10 @@ import subprocess
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +36,7 @@ CLIPS = (".gif", ".mp4")
 """File extensions of clips."""
 
 Pixels = NDArray[np.uint8]
+Draw = Callable[[Snapshot], Pixels]
 
 
 def checked_name(path: Path) -> Path:
@@ -49,7 +49,7 @@ def checked_name(path: Path) -> Path:
     if path.suffix not in (".png", *CLIPS):
         raise ParameterError(f"out must end in .png, .gif or .mp4 (got {str(path)!r})")
     if path.suffix in CLIPS:
-        _imageio()
+        require(("imageio", "imageio_ffmpeg"), "clips", "clips require imageio with ffmpeg")
     return path
 
 
@@ -64,11 +64,10 @@ def write_picture(pixels: Pixels, path: Path) -> None:
     rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter type, 0: none
     rows[:, 1:] = pixels.reshape(height, -1)
     head = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)
-    parts = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
-    chunks = b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
-    )
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunks)
+    content = b"\x89PNG\r\n\x1a\n"
+    for chunk in (b"IHDR" + head, b"IDAT" + zlib.compress(rows.tobytes(), 6), b"IEND"):
+        content += struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    path.write_bytes(content)
 
 
 def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
@@ -82,11 +81,11 @@ def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
     Raises:
         MissingPackageError: If imageio is not installed.
     """
-    imageio = _imageio()
+    checked_name(path)
     if path.suffix == ".gif":
         _write_gif(frames, path, 1000.0 / rate)
         return
-    with imageio.get_writer(path, fps=rate, macro_block_size=2) as writer:
+    with import_module("imageio.v2").get_writer(path, fps=rate, macro_block_size=2) as writer:
         for frame in frames:
             writer.append_data(np.ascontiguousarray(frame))
 
@@ -101,18 +100,12 @@ def _write_gif(frames: Iterable[Pixels], path: Path, duration: float) -> None:
     next(few).save(path, save_all=True, append_images=few, duration=duration, loop=0)
 
 
-def _imageio() -> Any:
-    require(("imageio", "imageio_ffmpeg"), "clips", "clips require imageio with ffmpeg")
-    import imageio.v2
-
-    return imageio.v2
-
-
 _LARGE = 1500
 
 
-class OffscreenPainter:
-    """Renderer of a scene's snapshots to arrays, with the OpenGL library of `drawing_library`.
+@contextmanager
+def _drawing(scene: Scene, width: int, height: int, *, plots: bool, factor: int) -> Iterator[Draw]:
+    """Yield a function that returns the picture of a snapshot, (height, width, 3).
 
     Args:
         scene: The scene.
@@ -125,36 +118,28 @@ class OffscreenPainter:
         DisplayError: If there is no OpenGL library.
         ModelError: If the model file is missing or invalid.
     """
-
-    def __init__(self, scene: Scene, width: int, height: int, *, plots: bool = True, factor: int = 1) -> None:
-        self._view, self._gl = Area(0, 0, width, height), _context(width, height, drawing_library())
-        self._gl.make_current()
-        screen = Screen(keys=False, factor=factor, plots=plots)
-        # without plots, only the numbers of the forces: larger
-        scale = (150 if height >= _LARGE else 100) if plots else min(max(50 * round(height / 250), 150), 300)
-        self._painter = Painter(scene, screen, scale=scale, size=(width, height))
-
-    def picture(self, snapshot: Snapshot) -> NDArray[np.uint8]:
-        """Return a picture, (height, width, 3)."""
-        STABILITY.of(snapshot, wait=True)
-        self._gl.make_current()
-        self._painter.draw(snapshot, self._view)
-        return self._painter.pixels(self._view)
-
-    def close(self) -> None:
-        """Free the OpenGL resources."""
-        self._painter.close()
-        self._gl.free()
-
-
-def _context(width: int, height: int, library: str) -> Any:
-    """Return an offscreen OpenGL context."""
+    view, library = Area(0, 0, width, height), drawing_library()
     try:
         with interrupts_held(), warnings.catch_warnings():  # a half-created context cannot be freed
             warnings.simplefilter("error", UserWarning)  # glfw only warns of a missing display
-            return import_module(f"mujoco.{library}").GLContext(width, height)
+            context = import_module(f"mujoco.{library}").GLContext(width, height)
     except (ImportError, AttributeError, OSError, RuntimeError, TypeError, UserWarning) as error:
         raise DisplayError(f"cannot render with {library} ({NEEDS[library]}; or set MUJOCO_GL): {error}") from error
+    context.make_current()
+    # without plots, only the numbers of the forces: larger
+    scale = (150 if height >= _LARGE else 100) if plots else min(max(50 * round(height / 250), 150), 300)
+    screen = Screen(keys=False, factor=factor, plots=plots)
+
+    def picture(snapshot: Snapshot) -> Pixels:
+        STABILITY.of(snapshot, wait=True)
+        painter.draw(snapshot, view)
+        return painter.pixels(view)
+
+    try:
+        with closing(Painter(scene, screen, scale=scale, size=(width, height))) as painter:
+            yield picture
+    finally:
+        context.free()
 
 
 _UNLIMITED = 3600.0
@@ -209,21 +194,17 @@ def render(
     check_one_of("magnify", tuple(map(str, MAGNIFICATIONS)), str(magnify))
     moving = path.suffix in CLIPS
     end = seconds if seconds is not None else scene.end if moving else 0.5 * scene.end
-    session = Session(
-        scene,
-        hand=scene.scripted_hand() or SpringHand(),
-        pacer=Pacer(budget=_UNLIMITED, patience=_UNLIMITED),  # no deadline
-    )
+    unlimited = Pacer(budget=_UNLIMITED, patience=_UNLIMITED)  # no deadline
+    session = Session(scene, hand=scene.scripted_hand() or SpringHand(), pacer=unlimited)
     if time_scale is None:
         time_scale = slow_motion(end) if moving else 1.0
     session.change({"time_scale": time_scale})
     drawn, forces = max(round(end * rate / time_scale), 1) if moving else 1, list[Array]()
-    painter = OffscreenPainter(scene, width, height, plots=plots, factor=magnify)
-    with closing(painter), engine_warnings_silenced():
+    with engine_warnings_silenced(), _drawing(scene, width, height, plots=plots, factor=magnify) as picture:
 
         def pictures() -> Iterator[Pixels]:
             for index in range(drawn):
-                yield painter.picture(session.snapshot())
+                yield picture(session.snapshot())
                 if ticks := session.tick(1.0 / rate):
                     forces.append(session.snapshot().history[-ticks:, 13:19])
                 progress(index + 1, drawn)
@@ -231,7 +212,7 @@ def render(
         with atomic_path(path) as partial:
             if not moving:
                 session.tick(end / time_scale)
-                write_picture(painter.picture(session.snapshot()), partial)
+                write_picture(picture(session.snapshot()), partial)
             else:
                 write_clip(pictures(), partial, rate)
             if path.suffix == ".mp4" and forces:
