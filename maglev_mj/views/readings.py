@@ -18,7 +18,7 @@ from maglev_mj.plants.shapes import MIN_ARROW_FORCE
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.stability_check import UNKNOWN
-from maglev_mj.session import DEVICE_PARAMETERS, SHOWN, Snapshot
+from maglev_mj.session import SHOWN, Snapshot, settable_parameters
 from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
 
 _DAMPINGS = 32  # points of a stability boundary
@@ -65,8 +65,7 @@ def margin(
     """
     body, lag = scene.body.inertia if inertia is None else np.array(inertia), scene.delay if delay is None else delay
     try:
-        gains = stated_gains(scene.controller())
-        if gains is None and not linearised:
+        if (gains := stated_gains(scene.controller())) is None and not linearised:
             return _COMPUTING
         verdict = stability(scene, inertia=body, delay=lag)
         if gains is None:
@@ -138,14 +137,12 @@ class StabilityMap:
                     self._answers = SideAnswers(margin, UNKNOWN)
                 self._answers.ask(*arguments)
         if self._waiting:
-            answer: Margin | None = None
             try:
-                answer = self._answers.answer()
+                answer: Margin | None = self._answers.answer()
             except Exception as error:  # the process has ended, or a scene that cannot be pickled
+                answer = _not_computed(error)
                 if self._answers.ended and self._reused:  # perhaps before the question: ask a new one
-                    self._arguments = (None,)
-                else:
-                    answer = _not_computed(error)
+                    answer, self._arguments = None, (None,)
             if answer is not None:
                 self._margin, self._waiting = answer, False
         return self._margin
@@ -241,51 +238,34 @@ class Charts:
         if axis != self._axis:
             self._axis, self._positions, self._speeds = axis, SteadyRange(2.0), SteadyRange(20.0)
             self._forces = SteadyRange(0.02 if axis > 2 else 2.0)
-        rows = snapshot.history
+        rows, first = snapshot.history, snapshot.first
+        past = rows[-1, 0] - rows[0, 0] if len(rows) else 0.0
         rows = rows[:: -max(-(-len(rows) // self._points), 1)][::-1]  # keeps the newest
         now = rows[-1, 0] if len(rows) else 0.0
-        time = rows[:, 0] - now
-        position, speed = 1e3 * rows[:, 1 + axis], 1e3 * rows[:, 7 + axis]
+        time, position, speed = rows[:, 0] - now, 1e3 * rows[:, 1 + axis], 1e3 * rows[:, 7 + axis]
         device, hand = rows[:, 13 + axis], rows[:, 19 + axis]
         walls = [edge * 1e3 for index, _, edge in snapshot.faces if index == axis]
-        past = now - snapshot.history[0, 0] if len(rows) else 0.0
-        name, unit, across = AXES[axis], unit_of("mm", axis), (-round_up(min(max(past, _LEAST_TIME), SHOWN)), 0.0)
-        first = snapshot.first
+        across = -round_up(min(max(past, _LEAST_TIME), SHOWN)), 0.0
         positions, speeds = self._positions(position, walls, 1e3 * first[:, 1 + axis]), self._speeds(speed)
-        place = f"{'angle about' if axis > 2 else 'position along'} {name[-1]} [{unit}]"
-        kind = f"{'torque about' if axis > 2 else 'force along'} {name[-1]} [{unit_of('N', axis)}]"
-        title = [(place, MEASURED), *([("walls", None)] if walls else [])]
-        title += [("first attempt", FIRST)] if len(first) else []
+        name, unit, kinds = AXES[axis], unit_of("mm", axis), ("position along", "force along")
+        if axis > 2:
+            kinds = "angle about", "torque about"
+        place, kind = f"{kinds[0]} {name[-1]} [{unit}]", f"{kinds[1]} {name[-1]} [{unit_of('N', axis)}]"
+        run = (
+            Line(FIRST, first[:, 0] - now, 1e3 * first[:, 1 + axis], dot=True),
+            Line(MEASURED, time, position, dot=True),
+        )
+        forces = Line(DEVICE, time, device, dot=True), Line(HAND, time, hand, dot=True)
+        heights = [Line(BOUNDARY, across, (wall, wall), dashed=True) for wall in walls]
+        edges = [Line(BOUNDARY, (wall, wall), speeds, dashed=True) for wall in walls]
+        phase = Line(MEASURED, position, speed, dot=True)
+        title = [(place, MEASURED), *[("walls", None)] * bool(walls), *[("first attempt", FIRST)] * bool(len(first))]
+        legend = [(kind, None), ("device", DEVICE), ("hand, estimated" if snapshot.hand_estimated else "hand", HAND)]
         return [
-            Chart(
-                title,
-                [
-                    *(Line(BOUNDARY, across, (wall, wall), True) for wall in walls),
-                    Line(FIRST, first[:, 0] - now, 1e3 * first[:, 1 + axis], dot=True),
-                    Line(MEASURED, time, position, dot=True),
-                ],
-                across,
-                positions,
-                "time [s]",
-            ),
-            Chart(
-                [(kind, None), ("device", DEVICE), ("hand, estimated" if snapshot.hand_estimated else "hand", HAND)],
-                [Line(DEVICE, time, device, dot=True), Line(HAND, time, hand, dot=True)],
-                across,
-                self._forces(device, hand, [0.0]),
-                "time [s]",
-            ),
+            Chart(title, [*heights, *run], across, positions, "time [s]"),
+            Chart(legend, forces, across, self._forces(device, hand, [0.0]), "time [s]"),
             self._gains(snapshot),
-            Chart(
-                [(f"velocity, {name} [{unit}/s]", None)],
-                [
-                    *(Line(BOUNDARY, (wall, wall), speeds, True) for wall in walls),
-                    Line(MEASURED, position, speed, dot=True),
-                ],
-                positions,
-                speeds,
-                place,
-            ),
+            Chart([(f"velocity, {name} [{unit}/s]", None)], [*edges, phase], positions, speeds, place),
         ]
 
     def _gains(self, snapshot: Snapshot) -> Chart:
@@ -298,10 +278,8 @@ class Charts:
         boundary, stiffness = factor * margin.stiffnesses, factor * margin.stiffness
         width = max(float(margin.dampings.max(initial=0.0)), 1.1 * margin.damping, _LEAST_GAIN)
         height = max(float(boundary.max(initial=0.0)), 1.1 * stiffness, factor * _LEAST_GAIN)
-        lines = [
-            Line(BOUNDARY, margin.dampings, boundary),
-            Line(margin.colour or BOUNDARY, [margin.damping], [stiffness], dot=True),
-        ]
+        here = Line(margin.colour or BOUNDARY, [margin.damping], [stiffness], dot=True)
+        lines = [Line(BOUNDARY, margin.dampings, boundary), here]
         foot, side = f"damping [{unit_of('N s/m', axis)}], {axis}", f"stiffness [{prefix}{unit_of('N/m', axis)}]"
         return Chart(title, lines, (0.0, round_up(width)), (0.0, round_up(height)), foot, side)
 
@@ -314,10 +292,9 @@ class SteadyRange:
     """
 
     def __init__(self, least: float) -> None:
-        self._least = least
-        self._last: tuple[float, float] | None = None
+        self._least, self._last = least, (math.inf, -math.inf)
 
-    def __call__(self, *values: ArrayLike) -> tuple[float, float]:
+    def __call__(self, *values: ArrayLike) -> Range:
         """Return a range that contains all values.
 
         It shrinks only when half of the last range is enough.
@@ -325,13 +302,13 @@ class SteadyRange:
         low, high = fitted_range(np.concatenate([np.ravel(array) for array in values]), self._least)
         if low < 0.0 < high:  # symmetric, so that zero is the middle tick
             low, high = -max(-low, high), max(-low, high)
-        last = self._last
-        if last is None or low < last[0] or high > last[1] or high - low <= 0.5 * (last[1] - last[0]):
-            last = self._last = low, high
-        return last
+        bottom, top = self._last
+        if low < bottom or high > top or high - low <= 0.5 * (top - bottom):
+            self._last = low, high
+        return self._last
 
 
-def fitted_range(values: Array, least: float) -> tuple[float, float]:
+def fitted_range(values: Array, least: float) -> Range:
     """Return a range whose ends are multiples of the power of ten below its span.
 
     Args:
@@ -374,22 +351,20 @@ class Banner(NamedTuple):
 
 def banner(snapshot: Snapshot) -> Banner | None:
     """Return the banner of a snapshot; None while running normally."""
-    content = _banner(snapshot)
-    return content if content is None or content[1] in snapshot.actions else content._replace(resume_action="")
-
-
-def _banner(snapshot: Snapshot) -> Banner | None:
+    step = snapshot.tour
     if snapshot.state == "stopped":
-        return Banner(f"STOPPED: {snapshot.reason}", "centre", True, snapshot.remedy)
-    if snapshot.state == "paused":
+        content = Banner(f"STOPPED: {snapshot.reason}", "centre", True, snapshot.remedy)
+    elif snapshot.state == "paused":
         position = f", {snapshot.rewound:.1f} s back" if snapshot.rewound else ""
         position += "" if snapshot.duration is None else f": {snapshot.time:.3f} of {snapshot.duration:.3f} s"
-        return Banner(f"PAUSED{position}", "pause", False)
-    if (step := snapshot.tour) is not None and step.done and step.number < step.total:
-        return Banner("DONE", "next", False)
-    if snapshot.overloaded:
-        return Banner("Running slower than real time", "slower", True)
-    return None
+        content = Banner(f"PAUSED{position}", "pause", False)
+    elif step is not None and step.done and step.number < step.total:
+        content = Banner("DONE", "next", False)
+    elif snapshot.overloaded:
+        content = Banner("Running slower than real time", "slower", True)
+    else:
+        return None
+    return content if content.resume_action in snapshot.actions else content._replace(resume_action="")
 
 
 RESUME = {"centre": "to restart", "pause": "to resume", "slower": "for slow motion", "next": "to continue"}
@@ -423,18 +398,14 @@ class StopContacts(NamedTuple):
 
 def stop_contacts(snapshot: Snapshot) -> StopContacts:
     """Return the contacts of the flotor with the metal stops."""
-    pose, wrench = snapshot.pose, snapshot.stops
-    faces, words = [], []
-    for index in range(3):
-        force = float(wrench[index])
+    pose, faces, words = snapshot.pose, [], []
+    for index, force in enumerate(snapshot.stops[:3].tolist()):
         if abs(force) >= MIN_ARROW_FORCE:
-            faces.append((index, float(np.sign(force)), float(pose[index])))
-            words.append(
-                f"{'-' if force > 0.0 else '+'}{AXES[index]} {abs(pose[index]) * 1e3:.1f} mm, {abs(force):.1f} N"
-            )
-    torque = float(np.linalg.norm(wrench[3:]))
-    rotation = torque >= _LEAST_TORQUE
-    if rotation:
+            faces.append((index, math.copysign(1.0, force), float(pose[index])))
+            side = f"{'-' if force > 0.0 else '+'}{AXES[index]}"
+            words.append(f"{side} {abs(pose[index]) * 1e3:.1f} mm, {abs(force):.1f} N")
+    torque = float(np.linalg.norm(snapshot.stops[3:]))
+    if rotation := torque >= _LEAST_TORQUE:
         words.append(f"rotation {np.degrees(np.linalg.norm(pose[3:])):.1f} deg, {torque:.2f} N m")
     return StopContacts(tuple(faces), rotation, f"metal stop: {'; '.join(words)}" if words else "")
 
@@ -483,9 +454,8 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
         notes: Additional notes, such as the file of a screenshot.
     """
     scene = snapshot.scene
-    live = [
-        item for item in scene.parameters() if item.live and item.live.has_keys and item.name not in DEVICE_PARAMETERS
-    ]
+    settable = [scene.parameter(name) for name in settable_parameters(scene)]
+    live = [item for item in settable if item.live and item.live.has_keys]
     enabled = [item.name for item in live if item.kind is bool and getattr(scene, item.name)]
     gains = [_gain(item, getattr(scene, item.name), scene.axis) for item in live if item.kind in (float, int)]
     total = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
@@ -525,9 +495,8 @@ def _force(name: str, wrench: Array, note: str = "") -> Reading:
 def _energy(snapshot: Snapshot, active: bool) -> str:
     parts = {"from the hand": snapshot.work, "generated" if active else "absorbed": abs(snapshot.taken)}
     parts["in motion, height and stops"] = snapshot.work - snapshot.taken
-    words = ", ".join(
-        f"{1e3 * round(value, 4) + 0.0:.1f} mJ {name}" for name, value in parts.items() if not math.isnan(value)
-    )
+    millis = {name: 1e3 * round(value, 4) + 0.0 for name, value in parts.items() if not math.isnan(value)}
+    words = ", ".join(f"{value:.1f} mJ {name}" for name, value in millis.items())
     return f"{words} (delayed forces)" if active else words
 
 

@@ -38,7 +38,7 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, record_run, stick_positions_of
 from maglev_mj.spec import GRAVITY
-from maglev_mj.views.page import panel, plots
+from maglev_mj.views.page import panel
 from maglev_mj.views.readings import Charts
 from maglev_mj.views.window.screen import Plots, status_rows
 from tests.bridge.impaired import ImpairedLine, Impairment
@@ -441,7 +441,7 @@ def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(tmp_path: Path) 
     replay.tick(0.25)
     shown = replay.snapshot()
     assert shown.hand_estimated and "hand, estimated |F|" in panel._gauge(shown)
-    assert "hand, estimated" in plots.drawn(Charts(100).of(shown, 0)[1])
+    assert "hand, estimated" in panel.drawn(Charts(100).of(shown, 0)[1])
 
 
 def test_a_hand_that_is_not_known_is_not_drawn() -> None:
@@ -452,5 +452,5 @@ def test_a_hand_that_is_not_known_is_not_drawn() -> None:
     assert "hand" not in dict(status_rows(shown)).get("energy", "") and "hand" not in panel._gauge(shown)
     force = Plots().update(shown)[1]
     assert force.linepnt[0] == 0 and force.linepnt[1] > 50 and np.isfinite(force.linedata).all()
-    drawn = plots.drawn(Charts(100).of(shown, 0)[1])
+    drawn = panel.drawn(Charts(100).of(shown, 0)[1])
     assert drawn.count("<polyline") == 2 and '<polyline points=""' in drawn and "nan" not in drawn

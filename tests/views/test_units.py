@@ -17,7 +17,7 @@ from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Snapshot
 from maglev_mj.theory.verdict import stability
-from maglev_mj.views.page import plots as page_plots
+from maglev_mj.views.page import panel as page_plots
 from maglev_mj.views.page.panel import control
 from maglev_mj.views.readings import STABILITY, Charts
 from maglev_mj.views.window import screen as window_plots

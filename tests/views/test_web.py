@@ -44,8 +44,7 @@ from maglev_mj.session.access import ListenError, check_origin, listen
 from maglev_mj.session.pacing import FrameClock
 from maglev_mj.session.replay import ACTIONS
 from maglev_mj.views.page.page import Endpoint, Page, PageServer
-from maglev_mj.views.page.panel import Choice, Control, Slider, control
-from maglev_mj.views.page.plots import drawn, ticks
+from maglev_mj.views.page.panel import Choice, Control, Slider, control, drawn, ticks
 from maglev_mj.views.page.stage import Grab, solid
 from maglev_mj.views.readings import Chart, Line
 from maglev_mj.views.viewer_process import SILENCE, Glide, RemoteSession

@@ -28,8 +28,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
 from maglev_mj.session import FrameClock, SnapshotSource, real_time
 from maglev_mj.session.access import LOOPBACK, Access, is_loopback
-from maglev_mj.views.page.panel import Panel
-from maglev_mj.views.page.plots import Plots
+from maglev_mj.views.page.panel import Panel, Plots
 from maglev_mj.views.page.stage import VIEWS, Grab, Stage, look
 from maglev_mj.views.viewer_process import Inbox, ViewerFunction
 

@@ -15,21 +15,12 @@ from trimesh.transformations import quaternion_matrix
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from maglev_mj.colours import FIRST, STUCK, TOUCHED, WALL, Colour
+from maglev_mj.colours import FIRST, STUCK, TOUCHED, WALL
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import GRIP, KNOB, KNOB_BOTTOM, Shape, coil_colour, shapes, wall_box
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
-from maglev_mj.views.handle import (
-    FORCES,
-    ForceArrow,
-    ForceArrows,
-    dragged_pose,
-    magnified,
-    motion_words,
-    stretched,
-    widening,
-)
+from maglev_mj.views.handle import FORCES, ForceArrows, dragged_pose, magnified, motion_words, stretched, widening
 from maglev_mj.views.readings import banner
 from maglev_mj.views.viewer_process import SILENCE
 
@@ -45,17 +36,13 @@ _MIN_SIDES, _SIDES_PER_METRE, _MAX_SIDES = 8, 2000.0, 48
 def glb(shapes: Sequence[Shape]) -> bytes:
     """Return shapes as binary glTF, one mesh per material."""
     scene, looks = trimesh.Scene(), [(shape.material, tuple(shape.colour)) for shape in shapes]
-    for material, rgba in sorted(set(looks)):
-        mesh = _joined([solid(shape) for shape, look in zip(shapes, looks) if look == (material, rgba)])
-        (metallic, roughness), colour = _LOOKS.get(material, _LOOK), rgba
-        mesh.visual = TextureVisuals(
-            material=PBRMaterial(
-                baseColorFactor=[*np.power(colour[:3], _GAMMA), colour[3]],
-                metallicFactor=metallic,
-                roughnessFactor=roughness,
-                alphaMode="OPAQUE" if colour[3] == 1.0 else "BLEND",
-            )
-        )
+    for look in sorted(set(looks)):
+        mesh = _joined([solid(shape) for shape, each in zip(shapes, looks) if each == look])
+        material, (*colour, opacity) = look
+        surface: dict[str, Any] = dict(zip(("metallicFactor", "roughnessFactor"), _LOOKS.get(material, _LOOK)))
+        surface["baseColorFactor"] = [*np.power(colour, _GAMMA), opacity]
+        surface["alphaMode"] = "OPAQUE" if opacity == 1.0 else "BLEND"
+        mesh.visual = TextureVisuals(material=PBRMaterial(**surface))
         scene.add_geometry(mesh)
     data: bytes = scene.export(file_type="glb")
     return data
@@ -265,12 +252,17 @@ class Stage:
         self.knob = scene.add_glb("/handle/knob", glb([ball]), **_PLAIN)
         size = _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[1]
         self._ghost = scene.add_icosphere("/stuck", 1.0, rgb(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN)
-        rim = 0.0, 0.0, KNOB_BOTTOM + _RIM[1]
-        self._rim = scene.add_cylinder(
-            "/handle/rim", _RIM[0], 2.0 * _RIM[1], rgb(TOUCHED), position=rim, visible=False, **_PLAIN
-        )
+        radius, half = _RIM
+        self._rim = scene.add_cylinder("/handle/rim", radius, 2.0 * half, rgb(TOUCHED), visible=False, **_PLAIN)
+        self._rim.position = 0.0, 0.0, KNOB_BOTTOM + half
         self._arrows = ForceArrows()
-        self._forces = {name: _arrow(scene, name, colour) for name, colour in FORCES.items()}
+        points = np.array([[GRIP, 1.001 * GRIP]], dtype=np.float32)  # inside the knob
+        self._forces: dict[str, tuple[Any, Any]] = {}
+        for name, colour in FORCES.items():
+            shade = rgb([part**_GAMMA for part in colour])  # viser expects linear colours for arrows
+            shaft = scene.add_arrows(f"/forces/{name}", points, shade, visible=False, **_ARROW)
+            number = scene.add_label(f"/numbers/{name}", "0.0 N", anchor="center-center", visible=False)
+            self._forces[name] = shaft, number
         self._walls: list[Any] = []
         self._edges = scene.add_line_segments("/edges", np.zeros((1, 2, 3)), rgb(WALL), thickness=_EDGE)
         self._label = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
@@ -295,7 +287,13 @@ class Stage:
         self._set_pose(self._handle, snapshot.pose)
         arrows = self._arrows.of(snapshot)
         for name, (shaft, number) in self._forces.items():
-            _show_arrow(shaft, number, arrows.get(name))
+            if (arrow := arrows.get(name)) is not None:
+                points = np.round([[arrow.start, arrow.end]], 5).astype(np.float32)
+                update(shaft, points=points, **{name: round(arrow.size * size, 6) for name, size in _ARROW.items()})
+                update(number, text=arrow.text or number.text, position=np.round(arrow.place, 4))
+            # last, since a busy browser applies visibility before the rest
+            update(shaft, visible=arrow is not None)
+            update(number, visible=arrow is not None and bool(arrow.text))
         self._show_walls(snapshot)
         if (ghost := snapshot.ghost) is not None:
             self._set_pose(self._ghost, np.concatenate([ghost[:3] + rotation_matrix(ghost[3:]) @ GRIP, ghost[3:]]))
@@ -350,24 +348,6 @@ class Stage:
         colours = [[rgb(_SHADE * np.array(WALL if lit.isdisjoint(walls) else TOUCHED))] * 2 for _, walls in edges]
         points = np.array([ends for ends, _ in edges], np.float32)
         update(self._edges, points=points, colors=np.array(colours, np.uint8))
-
-
-def _arrow(scene: Any, name: str, colour: Colour) -> tuple[Any, Any]:
-    """Return the arrow of a force and its number, not yet visible."""
-    points = np.array([[GRIP, 1.001 * GRIP]], dtype=np.float32)  # inside the knob
-    shade = rgb([part**_GAMMA for part in colour])  # viser expects linear colours for arrows
-    shaft = scene.add_arrows(f"/forces/{name}", points, shade, visible=False, **_ARROW)
-    return shaft, scene.add_label(f"/numbers/{name}", "0.0 N", anchor="center-center", visible=False)
-
-
-def _show_arrow(shaft: Any, number: Any, arrow: ForceArrow | None) -> None:
-    """Show an arrow, or none; visibility last, since a busy browser applies it before the rest."""
-    if arrow is not None:
-        points = np.round([[arrow.start, arrow.end]], 5).astype(np.float32)
-        update(shaft, points=points, **{name: round(arrow.size * size, 6) for name, size in _ARROW.items()})
-        update(number, text=arrow.text or number.text, position=np.round(arrow.place, 4))
-    update(shaft, visible=arrow is not None)
-    update(number, visible=arrow is not None and bool(arrow.text))
 
 
 _PLAIN = {"cast_shadow": False, "receive_shadow": False}

@@ -198,13 +198,7 @@ class Painter:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        screen: Screen,
-        *,
-        scale: int = 100,
-        size: tuple[int, int] | None = None,
-        shadows: bool = True,
+        self, scene: Scene, screen: Screen, *, scale: int, size: tuple[int, int] | None = None, shadows: bool = True
     ) -> None:
         self._screen, self._scale, self._size, self._shadows = screen, scale, size, shadows
         self._option, self.camera = mujoco.MjvOption(), mujoco.MjvCamera()
