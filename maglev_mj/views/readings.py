@@ -247,14 +247,11 @@ class Charts:
         walls = [edge * 1e3 for index, _, edge in snapshot.faces if index == axis]
         across = -round_up(min(max(past, _LEAST_TIME), SHOWN)), 0.0
         positions, speeds = self._positions(position, walls, 1e3 * first[:, 1 + axis]), self._speeds(speed)
-        name, unit, kinds = AXES[axis], unit_of("mm", axis), ("position along", "force along")
-        if axis > 2:
-            kinds = "angle about", "torque about"
-        place, kind = f"{kinds[0]} {name[-1]} [{unit}]", f"{kinds[1]} {name[-1]} [{unit_of('N', axis)}]"
-        run = (
-            Line(FIRST, first[:, 0] - now, 1e3 * first[:, 1 + axis], dot=True),
-            Line(MEASURED, time, position, dot=True),
-        )
+        name, unit = AXES[axis], unit_of("mm", axis)
+        place = f"{'angle about' if axis > 2 else 'position along'} {name[-1]} [{unit}]"
+        kind = f"{'torque about' if axis > 2 else 'force along'} {name[-1]} [{unit_of('N', axis)}]"
+        original = Line(FIRST, first[:, 0] - now, 1e3 * first[:, 1 + axis], dot=True)
+        run = Line(MEASURED, time, position, dot=True)
         forces = Line(DEVICE, time, device, dot=True), Line(HAND, time, hand, dot=True)
         heights = [Line(BOUNDARY, across, (wall, wall), dashed=True) for wall in walls]
         edges = [Line(BOUNDARY, (wall, wall), speeds, dashed=True) for wall in walls]
@@ -262,7 +259,7 @@ class Charts:
         title = [(place, MEASURED), *[("walls", None)] * bool(walls), *[("first attempt", FIRST)] * bool(len(first))]
         legend = [(kind, None), ("device", DEVICE), ("hand, estimated" if snapshot.hand_estimated else "hand", HAND)]
         return [
-            Chart(title, [*heights, *run], across, positions, "time [s]"),
+            Chart(title, [*heights, original, run], across, positions, "time [s]"),
             Chart(legend, forces, across, self._forces(device, hand, [0.0]), "time [s]"),
             self._gains(snapshot),
             Chart([(f"velocity, {name} [{unit}/s]", None)], [*edges, phase], positions, speeds, place),

@@ -76,9 +76,7 @@ class Glide:
 Request: TypeAlias = tuple[str, Any]
 """Kind and value: "hand" (target pose), "act" (action), "change" (parameters by name)."""
 
-_PERIOD = 0.05
-_CAPACITY = 64
-_LOCKOUT = 0.5
+_PERIOD, _CAPACITY, _LOCKOUT = 0.05, 64, 0.5
 
 
 class Inbox:
@@ -96,17 +94,16 @@ class Inbox:
 
     def __init__(self, period: float = _PERIOD, clock: Callable[[], float] = time.monotonic) -> None:
         self._due, self._clock, self._lock = FrameClock(period, clock), clock, threading.Lock()
-        self._stop, self._moved = False, -math.inf
-        self._hand: list[Request] = []
+        self._urgent, self._moved = dict[str, Any](), -math.inf
         self._waiting: list[Request] = []
 
     def put(self, kind: str, value: Any) -> None:
         """Add a request."""
         with self._lock:
             if kind == "hand":
-                self._hand = [(kind, value)]
+                self._urgent[kind] = value
             elif value == EMERGENCY_STOP:
-                self._stop, self._waiting, self._moved = True, [], self._clock()
+                self._urgent["act"], self._waiting, self._moved = value, [], self._clock()
             elif kind == "change" and self._clock() - self._moved < _LOCKOUT:
                 self._moved = self._clock()
             elif kind == "change" and self._waiting and self._waiting[-1][0] == "change":
@@ -117,12 +114,9 @@ class Inbox:
     def take(self) -> Sequence[Request]:
         """Remove and return the requests that are due, by priority."""
         with self._lock:
-            requests: list[Request] = [("act", EMERGENCY_STOP)] if self._stop else []
-            requests += self._hand
-            self._stop, self._hand = False, []
+            requests, self._urgent = sorted(self._urgent.items()), {}  # "act" before "hand"
             if self._waiting and self._due():
-                requests += self._waiting
-                self._waiting = []
+                requests, self._waiting = requests + self._waiting, []
         return requests
 
 

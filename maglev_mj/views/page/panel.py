@@ -29,7 +29,6 @@ from maglev_mj.views.readings import (
     Chart,
     Charts,
     Range,
-    Reading,
     banner,
     grouped,
     magnitude,
@@ -285,7 +284,8 @@ class Panel:
         with self._parameters:
             if self._settings and scene.name in names:
                 add = partial(gui.add_dropdown, "scene", hint="scene to start")
-                choice = Choice("scene", add, scene.name, names, self._choose)
+                choose: Ask = lambda _, values: self._ask("act", SCENE_PREFIX + values["scene"])  # noqa: E731
+                choice = Choice("scene", add, scene.name, names, choose)
                 self._controls.append((choice, lambda snapshot: snapshot.scene.name))
             for group, items in (grouped(scene.parameters()) if self._settings else {}).items():
                 with nullcontext() if group == "scene" else gui.add_folder(group, expand_by_default=False):
@@ -294,19 +294,15 @@ class Panel:
                             self._controls.append((added, attrgetter(f"scene.{item.name}")))
             with gui.add_folder("more", expand_by_default=False):
                 if self._settings:
-                    hint, stiffness = "stiffness of the spring between pointer and knob", attrgetter("hand_stiffness")
+                    hint, usual = "stiffness of the spring between pointer and knob", Snapshot.hand_stiffness
                     add, bounds = partial(gui.add_slider, "hand [N/m]", hint=hint), (0.0, _MAX_STIFFNESS)
-                    usual = stiffness(Snapshot)
-                    spring = Slider("hand_stiffness", add, stiffness(snapshot), bounds, self._ask, usual=usual)
-                    self._controls.append((spring, stiffness))
+                    spring = Slider("hand_stiffness", add, usual, bounds, self._ask, usual=usual)
+                    self._controls.append((spring, attrgetter("hand_stiffness")))
                 hint = "magnification of the displayed motion"
                 self._motion = gui.add_button_group("motion", tuple(_MOTIONS), hint=hint)
                 self._motion.on_click(self._set_motion)
             with gui.add_folder("numbers", expand_by_default=False):
                 self._words = gui.add_html("")
-
-    def _choose(self, _: str, values: Any) -> None:
-        self._ask("act", SCENE_PREFIX + values["scene"])
 
 
 def _banner(snapshot: Snapshot) -> str:
@@ -359,7 +355,7 @@ def _gauge(snapshot: Snapshot) -> str:
 
 def _verdict(snapshot: Snapshot) -> str:
     """Return stability, notes, speed and the step of a tour as HTML, which the page's script has announced."""
-    lines = "".join(_line(row) for row in readings(snapshot) if row.name in ("margin", "", "speed"))
+    lines = "".join(_line(*row) for row in readings(snapshot) if row.name in ("margin", "", "speed"))
     style = "padding:.1em .75em .4em;min-height:3em"  # for a note that comes and goes
     return f'<div class="verdict" style="{style}">{lines}{_tour(snapshot.tour)}</div>'
 
@@ -367,16 +363,14 @@ def _verdict(snapshot: Snapshot) -> str:
 def _words(snapshot: Snapshot, inputs: bool) -> str:
     """Return the other readings as HTML, without those that inputs show."""
     rows = {row.name: row for row in readings(snapshot) if not (inputs and row.name in _INPUTS)}
-    lines = "".join(_line(rows[name]) for name in GROUPS["numbers"] if name in rows)
+    lines = "".join(_line(*rows[name]) for name in GROUPS["numbers"] if name in rows)
     return f'<div style="font-size:.85em;line-height:1.45;padding:.2em .5em">{lines}</div>'
 
 
-def _line(row: Reading) -> str:
-    value = escape(row.value)
-    if row.colour is not None:
-        value = f'<b style="color:{on_page(row.colour)}">{value}</b>'
-    name = "" if row.name in ("margin", "") else f'<span style="opacity:.65">{row.name}</span> '
-    return f"<div>{name}{value}</div>"
+def _line(name: str, value: str, colour: Colour | None) -> str:
+    text = escape(value) if colour is None else f'<b style="color:{on_page(colour)}">{escape(value)}</b>'
+    label = "" if name in ("margin", "") else f'<span style="opacity:.65">{name}</span> '
+    return f"<div>{label}{text}</div>"
 
 
 _WIDTH, _HEIGHT = 320, 160
