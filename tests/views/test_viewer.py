@@ -30,7 +30,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.interactive import CENTRING, Joystick
 from maglev_mj.session.replay import rebuild
 from maglev_mj.views.window.painter import Scenery, default_view, project, zoom
-from maglev_mj.views.window.screen import Area, arranged
+from maglev_mj.views.window.screen import Area, Layout
 from maglev_mj.views.window.window import fitted_size
 from tests.views.virtual_screen import VirtualScreen, waited
 
@@ -163,7 +163,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         geometry = dict(line.split("=") for line in screen.xdotool("getwindowgeometry", "--shell", window).split())
         assert (int(geometry["WIDTH"]), int(geometry["HEIGHT"])) == fitted_size(*SCREEN)
         camera = framed(Joystick(), VIEW)
-        right, up = project(Scenery(Joystick).model, camera, arranged(VIEW, 100).device, GRIP)[0]
+        right, up = project(Scenery(Joystick).model, camera, Layout(VIEW, 100).device, GRIP)[0]
         middle = int(geometry["X"]) + round(right), int(geometry["Y"]) + VIEW.height - round(up)
         screen.xdotool("mousemove", *middle)  # keys go to the window under the mouse
         time.sleep(0.5)
@@ -292,7 +292,7 @@ def framed(scene: Scene, view: Area) -> Any:
     """Return the camera of a window on a scene."""
     model, camera = Scenery(scene).model, mujoco.MjvCamera()
     default_view(model, camera)
-    camera.distance *= zoom(arranged(view, 100).device)
+    camera.distance *= zoom(Layout(view, 100).device)
     return camera
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import glfw
 
@@ -82,7 +82,6 @@ _PAIRS: Mapping[tuple[tuple[str, int], tuple[str, int]], str] = {
 }
 """Keys that raise and lower a parameter -> preferred parameter, as in `_SWITCHES`."""
 
-_Name = TypeVar("_Name")
 _FIXED = {*(key.action for key in _KEYS), *REWIND_ACTIONS}
 HAND = "drag the knob"
 """Mouse gesture that pulls the flotor."""
@@ -108,7 +107,7 @@ def _bound(actions: Sequence[str]) -> list[Key]:
     return keys + list(fixed.values())
 
 
-def _assign(preferred: Mapping[_Name, str], names: Sequence[str], excluded: Sequence[str]) -> Mapping[_Name, str]:
+def _assign(preferred: Mapping[Any, str], names: Sequence[str], excluded: Sequence[str]) -> Mapping[Any, str]:
     """Return a name for each key: the preferred ones first, then the others in order."""
     assigned = {key: name for key, name in preferred.items() if name in names}
     others = [name for name in names if name not in assigned.values() and name not in excluded]

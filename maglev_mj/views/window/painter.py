@@ -18,7 +18,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.views.handle import FORCES, ForceArrows, magnified, stretched, widening
 from maglev_mj.views.readings import stop_contacts
-from maglev_mj.views.window.screen import Area, Screen, arranged
+from maglev_mj.views.window.screen import Area, Layout, Screen
 
 _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), 0.40, (*STOP, 0.40)
 _EDGE, _EDGE_WIDTH = 0.45, 3.0
@@ -224,7 +224,7 @@ class Painter:
 
     def device_area(self, view: Area) -> Area:
         """Return the area of the 3D view in a picture."""
-        return arranged(view, self._scale).device if self._screen.plots else view
+        return Layout(view, self._scale).device if self._screen.plots else view
 
     def draw(self, snapshot: Snapshot, view: Area, notes: Sequence[str] = ()) -> None:
         """Draw a snapshot into a picture."""

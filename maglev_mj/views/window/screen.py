@@ -53,8 +53,12 @@ class Area(NamedTuple):
         return self.left + 0.5 * self.width, self.bottom + 0.5 * self.height
 
 
-class Layout(NamedTuple):
-    """Areas of all elements of a picture.
+class Layout:
+    """Areas of all elements of a picture, without plots if it is too narrow for three columns.
+
+    Args:
+        view: The picture.
+        scale: Font scale, 100 to 300 [%].
 
     Attributes:
         text: Area of readings (top) and messages (bottom).
@@ -65,36 +69,18 @@ class Layout(NamedTuple):
         row: Height of a row of text [pixels].
     """
 
-    text: Area
-    device: Area
-    plots: Sequence[Area]
-    bar: Area
-    label: Area
-    row: int
-
-
-def arranged(view: Area, scale: int) -> Layout:
-    """Return the layout of a picture, without plots if it is too narrow for three columns.
-
-    Args:
-        view: The picture.
-        scale: Font scale, 100 to 300 [%].
-    """
-    wide = view.width >= _NARROW * scale
-    text = max(int(_TEXT_WIDTH * view.width), min(int(2.5 * scale), view.width // 2))
-    plot = int(_PLOT_WIDTH * view.width) * wide
-    count = min(max(view.height // int(_PLOT_HEIGHT * scale), 1), 4) * wide
-    high, left, row = view.height // max(count, 1), view.left + text, int(_ROW * scale)
-    device = Area(left, view.bottom, max(view.width - text - plot, 1), view.height)
-    right = device.left + device.width
-    return Layout(
-        text=Area(view.left, view.bottom, text, view.height),
-        device=device,
-        plots=[Area(right, view.top - (index + 1) * high, plot, high) for index in range(count)],
-        bar=Area(left, view.bottom + 2 * row, device.width, row),
-        label=Area(left + device.width // 4, view.bottom + row // 3, device.width // 2, row + row // 3),
-        row=row,
-    )
+    def __init__(self, view: Area, scale: int) -> None:
+        wide = view.width >= _NARROW * scale
+        text = max(int(_TEXT_WIDTH * view.width), min(int(2.5 * scale), view.width // 2))
+        plot = int(_PLOT_WIDTH * view.width) * wide
+        count = min(max(view.height // int(_PLOT_HEIGHT * scale), 1), 4) * wide
+        high, left, row = view.height // max(count, 1), view.left + text, int(_ROW * scale)
+        width = max(view.width - text - plot, 1)
+        self.row, self.text = row, Area(view.left, view.bottom, text, view.height)
+        self.device = Area(left, view.bottom, width, view.height)
+        self.plots = [Area(left + width, view.top - (index + 1) * high, plot, high) for index in range(count)]
+        self.bar = Area(left, view.bottom + 2 * row, width, row)
+        self.label = Area(left + width // 4, view.bottom + row // 3, width // 2, row + row // 3)
 
 
 def letters(width: int, scale: int) -> int:
@@ -296,7 +282,7 @@ class Screen:
             scale: Font scale, 100 to 300 [%].
             notes: Additional notes.
         """
-        layout = arranged(view, scale)
+        layout = Layout(view, scale)
         text, plots = layout.text, layout.plots
         figures = self._plots.update(snapshot, self._axis, letters(plots[0].width, scale)) if plots else []
         boxes = [Box(text, _PANEL), *self._bar(snapshot, layout.bar)]
