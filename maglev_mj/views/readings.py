@@ -14,7 +14,7 @@ from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, GOOD, HAND, MEASURED
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import Parameter
-from maglev_mj.plants.shapes import MIN_ARROW_FORCE
+from maglev_mj.plants.shapes import MIN_ARROW_FORCE, Face
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.stability_check import UNKNOWN
@@ -379,32 +379,22 @@ _LEAST_TORQUE = 1e-3
 """Threshold of contact with the rotation stop [N m]."""
 
 
-class StopContacts(NamedTuple):
-    """Contacts with the metal stops.
+def stop_contacts(snapshot: Snapshot) -> tuple[list[Face], str]:
+    """Return the contacts of the flotor with the metal stops.
 
-    Attributes:
-        faces: Contacts along x, y, z: index into AXES, normal, edge [m].
-        rotation: True for contact with the rotation stop.
-        words: Description; empty without contact.
+    Returns:
+        Faces in contact, one with the first rotation for the rotation stop; their description, empty without contact.
     """
-
-    faces: tuple[tuple[int, float, float], ...]
-    rotation: bool
-    words: str
-
-
-def stop_contacts(snapshot: Snapshot) -> StopContacts:
-    """Return the contacts of the flotor with the metal stops."""
-    pose, faces, words = snapshot.pose, [], []
+    pose, faces, words = snapshot.pose, list[Face](), []
     for index, force in enumerate(snapshot.stops[:3].tolist()):
         if abs(force) >= MIN_ARROW_FORCE:
             faces.append((index, math.copysign(1.0, force), float(pose[index])))
             side = f"{'-' if force > 0.0 else '+'}{AXES[index]}"
             words.append(f"{side} {abs(pose[index]) * 1e3:.1f} mm, {abs(force):.1f} N")
-    torque = float(np.linalg.norm(snapshot.stops[3:]))
-    if rotation := torque >= _LEAST_TORQUE:
+    if (torque := float(np.linalg.norm(snapshot.stops[3:]))) >= _LEAST_TORQUE:
+        faces.append((3, 1.0, 0.0))
         words.append(f"rotation {np.degrees(np.linalg.norm(pose[3:])):.1f} deg, {torque:.2f} N m")
-    return StopContacts(tuple(faces), rotation, f"metal stop: {'; '.join(words)}" if words else "")
+    return faces, f"metal stop: {'; '.join(words)}" if words else ""
 
 
 _LEAST_ENERGY = 5e-5
@@ -464,7 +454,7 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
     rows = [
         Reading("scene", f"{scene.name}: {scene.describe()}"),
         Reading("margin", margin.words, margin.colour),
-        *(Reading("", note) for note in (stop_contacts(snapshot).words, *snapshot.notes, *notes)),
+        *(Reading("", note) for note in (stop_contacts(snapshot)[1], *snapshot.notes, *notes)),
         Reading("gains", "  ".join(gains)),
         Reading("active", ", ".join(enabled) or "none" * any(item.kind is bool for item in live)),
         Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {1e3 * delay:.1f} ms"),

@@ -43,7 +43,7 @@ class Gui:
 
     def __getattr__(self, _: str) -> Any:
         def add(label: str, *_: Any, hint: str = "", **__: Any) -> Any:
-            self.texts += [label, hint or ""]
+            self.texts += [label.replace("\N{NO-BREAK SPACE}", " ").replace("\N{WORD JOINER}", ""), hint]
             return SimpleNamespace(on_update=lambda function: None, value=0.0, min=0.0, max=1.0)
 
         return add

@@ -173,7 +173,8 @@ def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None
         add = partial(gui.add_dropdown, keys.word or label, hint=hint)
         return Choice(item.name, add, value, values, ask, text)
     scale, unit = (1e3, "ms") if item.unit == "s" else (1.0, unit_of(item.unit, scene.axis, item.along))
-    add = partial(gui.add_slider, f"{label} [{unit}]" if unit else label, hint=hint)
+    whole = unit.replace(" ", "\N{NO-BREAK SPACE}").replace("/", "/\N{WORD JOINER}")  # no line break inside
+    add = partial(gui.add_slider, f"{label} [{whole}]" if unit else label, hint=hint)
     usual = abs(item.default) if isinstance(item.default, float | int) else 0.0
     lower = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf), keys.least)
     upper = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf), keys.most)

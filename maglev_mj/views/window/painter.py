@@ -95,13 +95,9 @@ class Scenery:
         """
         snapshot, wider = magnified(snapshot, factor), widening(factor)
         touched = {face for face in snapshot.faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
-        self._draw_walls(scene, snapshot.faces, touched, _TOUCHED, wider)
-        if any(axis > 2 for axis, _, _ in touched):
-            self._draw_ring(scene, snapshot.pose, _TOUCHED)
-        stops = stop_contacts(snapshot)
-        self._draw_walls(scene, stops.faces, {*stops.faces}, _STOP, wider)
-        if stops.rotation:
-            self._draw_ring(scene, snapshot.pose, _STOP)
+        self._draw_walls(scene, snapshot.pose, snapshot.faces, touched, _TOUCHED, wider)
+        stops, _ = stop_contacts(snapshot)
+        self._draw_walls(scene, snapshot.pose, stops, {*stops}, _STOP, wider)
         if (ghost := snapshot.ghost) is not None:
             self._draw_ghost(scene, snapshot.pose, ghost, FIRST if len(snapshot.first) else STUCK)
         for name, arrow in self._arrows.of(snapshot).items():
@@ -115,20 +111,20 @@ class Scenery:
             _connect(scene, _ORIGIN, _ORIGIN + 2.0 * _AXIS * direction, 0.05 * _AXIS, STOP)
             _write(scene, name, _ORIGIN + 1.25 * _AXIS * direction)  # past the tip
 
-    def _draw_walls(self, scene: Any, faces: Iterable[Face], lit: set[Face], colour: _Shade, wider: float) -> None:
-        """Draw walls along x, y or z, some of them lit in a colour, with their edges."""
+    def _draw_walls(
+        self, scene: Any, pose: Array, faces: Iterable[Face], lit: set[Face], colour: _Shade, wider: float
+    ) -> None:
+        """Draw walls with their edges, some of them lit in a colour; the rim of the knob for one of a rotation."""
         plates, edges = wall_box(faces, wider)
         for face, (centre, size) in plates.items():
             _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour if face in lit else _WALL)
         for ends, walls in edges:
             red, green, blue = (_EDGE * part for part in (_WALL if lit.isdisjoint(walls) else colour)[:3])
             _connect(scene, ends[0], ends[1], _EDGE_WIDTH, (red, green, blue), mujoco.mjtGeom.mjGEOM_LINE)
-
-    def _draw_ring(self, scene: Any, pose: Array, colour: _Shade) -> None:
-        """Highlight the rim of the knob: contact with a wall or stop of a rotation."""
-        rotation = rotation_matrix(pose[3:])
-        centre = pose[:3] + rotation @ [0.0, 0.0, KNOB_BOTTOM + 0.0012]
-        _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
+        if any(axis > 2 for axis, _, _ in lit):
+            rotation = rotation_matrix(pose[3:])
+            centre = pose[:3] + rotation @ [0.0, 0.0, KNOB_BOTTOM + 0.0012]
+            _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
 
     def _draw_ghost(self, scene: Any, pose: Array, ghost: Array, colour: Colour) -> None:
         """Draw the knob at another pose."""
@@ -172,7 +168,7 @@ def _add(
     return shape
 
 
-_HIGH, _WIDE = 0.85, 0.95
+_HIGH, _WIDE = 0.95, 0.95
 """Fractions of the default view's height that stay visible, vertically and horizontally."""
 
 _MAX_GEOMS, _TURN = 2000, 180.0  # [deg] per height of the picture
