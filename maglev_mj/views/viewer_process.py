@@ -147,8 +147,9 @@ class RemoteViewer:
 
     def __init__(self, snapshot: Snapshot, front: ViewerFunction, *, watch: bool = False) -> None:
         self._watch = flag("watch", watch)
-        self.hand, self.on_close, self.frames = SpringHand.of_mouse(), _nothing, 0
-        self.on_emergency: Callable[[], object] = _nothing
+        self.hand, self.frames = SpringHand.of_mouse(), 0
+        self.on_close: Callable[[], object] = lambda: None
+        self.on_emergency: Callable[[], object] = lambda: None
         self._scene, self._sent_time, self.is_open = snapshot.scene, -np.inf, True
         self.failure = "the viewer process has ended"
         self._note, self._due, self._glide = Note(), FrameClock(), Glide()
@@ -330,9 +331,6 @@ class RemoteSession:
     def close(self) -> None:
         """Close the connection."""
         self._pipe.close()
-
-
-def _nothing() -> None: ...
 
 
 def _open(pipe: Connection, snapshot: Snapshot, front: ViewerFunction) -> None:

@@ -155,7 +155,10 @@ class Slider(Control):
 
 def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None:
     """Return an input for a live parameter; None for one that only programs set."""
-    value, label, hint = getattr(scene, item.name), item.name.replace("_", " "), _hint(item, scene.axis)
+    value, label = getattr(scene, item.name), item.name.replace("_", " ")
+    unit = unit_of(item.unit, scene.axis, item.along)
+    limits = [f"{word.replace('_', ' ')} {bound:g} {unit}".strip() for word, bound in item.bounds.items()]
+    hint = f"{item.help} ({', '.join(limits)})" if limits else item.help
     if item.kind is bool:
         return Control(item.name, gui.add_checkbox(label, value, hint=hint), ask)
     if item.kind is str and item.choices:
@@ -164,28 +167,21 @@ def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None
         return None
     keys, bounds = item.live, item.bounds
     if keys.among:
-        inverse, unit = keys.inverse, "Hz" if keys.inverse and item.unit == "s" else item.unit
+        inverse, rate = keys.inverse, "Hz" if keys.inverse and item.unit == "s" else item.unit
 
         def text(value: float) -> str:
-            return f"{1.0 / value if inverse else value:.4g} {unit}".strip()
+            return f"{1.0 / value if inverse else value:.4g} {rate}".strip()
 
         values = sorted({*(1.0 / entry if inverse else entry for entry in keys.among), value}, reverse=inverse)
         add = partial(gui.add_dropdown, keys.word or label, hint=hint)
         return Choice(item.name, add, value, values, ask, text)
-    scale, unit = (1e3, "ms") if item.unit == "s" else (1.0, unit_of(item.unit, scene.axis, item.along))
+    scale, unit = (1e3, "ms") if item.unit == "s" else (1.0, unit)
     whole = unit.replace(" ", "\N{NO-BREAK SPACE}").replace("/", "/\N{WORD JOINER}")  # no line break inside
     add = partial(gui.add_slider, f"{label} [{whole}]" if unit else label, hint=hint)
     usual = abs(item.default) if isinstance(item.default, float | int) else 0.0
     lower = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf), keys.least)
     upper = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf), keys.most)
     return Slider(item.name, add, value, (lower, upper), ask, scale, usual)
-
-
-def _hint(item: Parameter, axis: str) -> str:
-    """Return a parameter's description and bounds."""
-    unit = unit_of(item.unit, axis, item.along)
-    bounds = [f"{word.replace('_', ' ')} {bound:g} {unit}".strip() for word, bound in item.bounds.items()]
-    return f"{item.help} ({', '.join(bounds)})" if bounds else item.help
 
 
 _ROWS = {

@@ -99,7 +99,10 @@ class Scenery:
         stops, _ = stop_contacts(snapshot)
         self._draw_walls(scene, snapshot.pose, stops, {*stops}, _STOP, wider)
         if (ghost := snapshot.ghost) is not None:
-            self._draw_ghost(scene, snapshot.pose, ghost, FIRST if len(snapshot.first) else STUCK)
+            colour = FIRST if len(snapshot.first) else STUCK
+            for shape, position, rotation in self._moved(self._knob, snapshot.pose, ghost):
+                size, kind = self.model.geom_size[shape] * _GHOST_SIZE, int(self.model.geom_type[shape])
+                _add(scene, kind, size, position, rotation.ravel(), (*colour, _GHOST))
         for name, arrow in self._arrows.of(snapshot).items():
             # mjGEOM_ARROW is drawn at half the distance between its points
             _connect(scene, arrow.start, 2.0 * arrow.end - arrow.start, arrow.size * _ARROW_WIDTH, FORCES[name])
@@ -126,19 +129,11 @@ class Scenery:
             centre = pose[:3] + rotation @ [0.0, 0.0, KNOB_BOTTOM + 0.0012]
             _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
 
-    def _draw_ghost(self, scene: Any, pose: Array, ghost: Array, colour: Colour) -> None:
-        """Draw the knob at another pose."""
-        for shape, position, rotation in self._moved(self._knob, pose, ghost):
-            size = self.model.geom_size[shape] * _GHOST_SIZE
-            _add(scene, int(self.model.geom_type[shape]), size, position, rotation.ravel(), (*colour, _GHOST))
-
     def _moved(self, shapes: Sequence[int], start: Array, end: Array) -> list[tuple[int, Array, Array]]:
         """Return geoms with position and rotation, moved from one pose to another."""
-        back, data = rotation_matrix(end[3:]) @ rotation_matrix(start[3:]).T, self.data
-        return [
-            (shape, end[:3] + back @ (data.geom_xpos[shape] - start[:3]), back @ data.geom_xmat[shape].reshape(3, 3))
-            for shape in shapes
-        ]
+        turn, data = rotation_matrix(end[3:]) @ rotation_matrix(start[3:]).T, self.data
+        positions = end[:3] + (data.geom_xpos[shapes] - start[:3]) @ turn.T
+        return list(zip(shapes, positions, turn @ data.geom_xmat[shapes].reshape(-1, 3, 3)))
 
 
 def _connect(
@@ -168,7 +163,7 @@ def _add(
     return shape
 
 
-_HIGH, _WIDE = 0.95, 0.95
+_HIGH, _WIDE = 0.92, 0.95
 """Fractions of the default view's height that stay visible, vertically and horizontally."""
 
 _MAX_GEOMS, _TURN = 2000, 180.0  # [deg] per height of the picture
@@ -295,4 +290,5 @@ def project(model: Any, camera: Any, area: Area, point: Array) -> tuple[Array, A
     across = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
     up, away = np.cross(across, forward), point - (camera.lookat - camera.distance * forward)
     pixel = 2.0 * float(away @ forward) * math.tan(math.radians(0.5 * model.vis.global_.fovy)) / area.height
-    return area.centre + np.array([away @ across, away @ up]) / pixel, pixel * across, pixel * up
+    centre = area.left + 0.5 * area.width, area.bottom + 0.5 * area.height
+    return centre + np.array([away @ across, away @ up]) / pixel, pixel * across, pixel * up

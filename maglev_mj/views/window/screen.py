@@ -47,11 +47,6 @@ class Area(NamedTuple):
         """First row above the area."""
         return self.bottom + self.height
 
-    @property
-    def centre(self) -> tuple[float, float]:
-        """Centre of the area."""
-        return self.left + 0.5 * self.width, self.bottom + 0.5 * self.height
-
 
 class Layout:
     """Areas of all elements of a picture, without plots if it is too narrow for three columns.
@@ -180,20 +175,16 @@ def status_rows(snapshot: Snapshot) -> list[Row]:
 
 def message_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
     """Return the rows of temporary messages: metal stops, notes, slow motion, task of the tour."""
-    return [row[:2] for row in readings(snapshot, notes) if row.name in ("", "speed")] + _tour(snapshot)
+    rows = [row[:2] for row in readings(snapshot, notes) if row.name in ("", "speed")]
+    if (step := snapshot.tour) is not None:
+        text, task = step.words(lambda action: HAND if action == "hand" else key_of(action, snapshot.actions))
+        rows += [(f"{step.number} of {step.total}", text), *([] if step.done else [("task", task)])]
+    return rows
 
 
 def moved_by_mouse(snapshot: Snapshot) -> bool:
     """Return True if the mouse is the hand: neither a recording nor a device."""
     return snapshot.duration is None and snapshot.state != "flying"
-
-
-def _tour(snapshot: Snapshot) -> list[Row]:
-    """Return the rows of the guided tour: step and task."""
-    if (step := snapshot.tour) is None:
-        return []
-    text, task = step.words(lambda action: HAND if action == "hand" else key_of(action, snapshot.actions))
-    return [(f"{step.number} of {step.total}", text), *([] if step.done else [("task", task)])]
 
 
 _RED: Colour = (0.80, 0.05, 0.05)
