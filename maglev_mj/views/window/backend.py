@@ -38,14 +38,11 @@ def check_mujoco_gl() -> str:
     return word
 
 
-def drawing_library(default: str | None = None) -> str:
+def drawing_library() -> str:
     """Return the name of the OpenGL library for offscreen rendering.
 
-    Order: MUJOCO_GL, `default`, the first that works: osmesa, egl, glfw on Linux; cgl, glfw on macOS; glfw on Windows.
+    Order: MUJOCO_GL, the first that works: osmesa, egl, glfw on Linux; cgl, glfw on macOS; glfw on Windows.
     Each is tried in a process of its own, because a process can load only one.
-
-    Args:
-        default: Library if MUJOCO_GL names none; None to try all.
 
     Raises:
         DisplayError: If none works, or MUJOCO_GL disables rendering.
@@ -54,7 +51,7 @@ def drawing_library(default: str | None = None) -> str:
     word = check_mujoco_gl()
     if word in _OFF:
         raise DisplayError(f"MUJOCO_GL={word} disables rendering: unset it, or use one of {', '.join(_LIBRARIES)}")
-    return _WORDS.get(word) or default or _first_working()
+    return _WORDS.get(word) or _first_working()
 
 
 @cache
