@@ -8,15 +8,8 @@ import pytest
 from maglev_mj.plants.shapes import ARROW, GRIP
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Snapshot
-from maglev_mj.views.handle import (
-    FORCES,
-    MAGNIFICATIONS,
-    ForceArrow,
-    ForceArrows,
-    dragged_pose,
-    magnified,
-    motion_words,
-)
+from maglev_mj.views import handle
+from maglev_mj.views.handle import FORCES, MAGNIFICATIONS, ForceArrow, ForceArrows, dragged_pose, magnified
 
 POSE = np.array([1e-3, -2e-3, 3.4e-3, 0.01, 0.02, -0.03])
 FACES = [(0, -1.0, 1e-3), (2, -1.0, 3.5e-3), (3, 1.0, -0.05)]
@@ -35,7 +28,7 @@ def test_pose_stick_position_and_walls_are_magnified_and_a_drag_is_divided(facto
         met = [n * (drawn.pose[a] - e) <= 0.0 for a, n, e in drawn.faces if a == axis]
         assert met == [normal * (POSE[axis] - edge) <= 0.0]
     assert drawn.force is true.force and drawn.history is true.history and true.pose is POSE
-    assert motion_words(factor) == {1: "", 3: "motion x3", 5: "motion x5"}[int(factor)]
+    assert handle.motion_words(factor) == {1: "", 3: "motion x3", 5: "motion x5"}[int(factor)]
 
 
 @pytest.mark.parametrize("name", FORCES)
