@@ -88,8 +88,8 @@ FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
 """Forces with an arrow, and their colours."""
 
 _MAX_LENGTH, _FULL_SIZE, _MIN_SIZE = 0.12, 0.014, 0.3
-_MIN_NUMBER, _STEP, _GAP = 0.2, 0.1, 0.009
-"""Smallest force with a number, and resolution of the numbers [N]; distance from a tip to its number [m]."""
+_MIN_NUMBER, _GAP = 0.2, 0.009
+"""Smallest force with a number [N]; distance from a tip to its number [m]."""
 
 
 class ForceArrow(NamedTuple):
@@ -110,28 +110,20 @@ class ForceArrow(NamedTuple):
     text: str
 
 
-class ForceArrows:
-    """Arrows of a sequence of snapshots: a number changes only with its force, not with noise."""
-
-    def __init__(self) -> None:
-        self._numbers = dict.fromkeys(FORCES, 0.0)
-
-    def of(self, snapshot: Snapshot) -> dict[str, ForceArrow]:
-        """Return the arrows by name; a force too small to see, or NaN, has none."""
-        knob = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ GRIP
-        arrows: dict[str, ForceArrow] = {}
-        for name, wrench in zip(FORCES, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
-            force, size = wrench[:3], float(np.linalg.norm(wrench[:3]))
-            if not MIN_ARROW_FORCE <= size < math.inf:
-                continue
-            start, along, device = arrow_start(knob, force), force / size, arrows.get("device")
-            if name == "stops" and device is not None:
-                # stacked on the device's, so that balanced forces have equal lengths
-                start = start + max(float((device.end - device.start) @ along), 0.0) * along
-            length = min(ARROW * size, _MAX_LENGTH)
-            if abs(size - self._numbers[name]) > _STEP:
-                self._numbers[name] = round(size / _STEP) * _STEP
-            text = f"{self._numbers[name]:.1f} N" if self._numbers[name] >= _MIN_NUMBER else ""
-            end, head = start + length * along, round(min(max(length / _FULL_SIZE, _MIN_SIZE), 1.0), 1)
-            arrows[name] = ForceArrow(start, end, head, end + _GAP * along, text)
-        return arrows
+def force_arrows(snapshot: Snapshot) -> dict[str, ForceArrow]:
+    """Return the arrows of a snapshot by name; a force too small to see, or NaN, has none."""
+    knob = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ GRIP
+    arrows: dict[str, ForceArrow] = {}
+    for name, wrench in zip(FORCES, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
+        force, size = wrench[:3], float(np.linalg.norm(wrench[:3]))
+        if not MIN_ARROW_FORCE <= size < math.inf:
+            continue
+        start, along, device = arrow_start(knob, force), force / size, arrows.get("device")
+        if name == "stops" and device is not None:
+            # stacked on the device's, so that balanced forces have equal lengths
+            start = start + max(float((device.end - device.start) @ along), 0.0) * along
+        length = min(ARROW * size, _MAX_LENGTH)
+        text = f"{size:.1f} N" if size >= _MIN_NUMBER else ""
+        end, head = start + length * along, round(min(max(length / _FULL_SIZE, _MIN_SIZE), 1.0), 1)
+        arrows[name] = ForceArrow(start, end, head, end + _GAP * along, text)
+    return arrows

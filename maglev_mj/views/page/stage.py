@@ -20,7 +20,7 @@ from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import GRIP, KNOB, KNOB_BOTTOM, Shape, coil_colour, shapes, wall_box
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
-from maglev_mj.views.handle import FORCES, ForceArrows, dragged_pose, magnified, motion_words, stretched, widening
+from maglev_mj.views.handle import FORCES, dragged_pose, force_arrows, magnified, motion_words, stretched, widening
 from maglev_mj.views.readings import banner
 from maglev_mj.views.viewer_process import SILENCE
 
@@ -255,7 +255,6 @@ class Stage:
         radius, half = _RIM
         self._rim = scene.add_cylinder("/handle/rim", radius, 2.0 * half, rgb(TOUCHED), visible=False, **_PLAIN)
         self._rim.position = 0.0, 0.0, KNOB_BOTTOM + half
-        self._arrows = ForceArrows()
         points = np.array([[GRIP, 1.001 * GRIP]], dtype=np.float32)  # inside the knob
         self._forces: dict[str, tuple[Any, Any]] = {}
         for name, colour in FORCES.items():
@@ -285,7 +284,7 @@ class Stage:
             update(stem, position=np.round(foot, 6), wxyz=np.round(turn, 6), scale=scale)
         snapshot = magnified(snapshot, self.factor)
         self._set_pose(self._handle, snapshot.pose)
-        arrows = self._arrows.of(snapshot)
+        arrows = force_arrows(snapshot)
         for name, (shaft, number) in self._forces.items():
             if (arrow := arrows.get(name)) is not None:
                 points = np.round([[arrow.start, arrow.end]], 5).astype(np.float32)

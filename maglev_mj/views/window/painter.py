@@ -16,7 +16,7 @@ from maglev_mj.plants.model import load_model
 from maglev_mj.plants.shapes import GRIP, KNOB_BOTTOM, Face, coil_colour, geom_parts, wall_box
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
-from maglev_mj.views.handle import FORCES, ForceArrows, magnified, stretched, widening
+from maglev_mj.views.handle import FORCES, force_arrows, magnified, stretched, widening
 from maglev_mj.views.readings import stop_contacts
 from maglev_mj.views.window.screen import Area, Layout, Screen
 
@@ -65,7 +65,6 @@ class Scenery:
             self.model.geom_rgba[self.model.geom_group == _SIMPLE] = 0.0
         along = self.model.geom_size[self._stem, 1:2] * (0.0, 0.0, 1.0)
         self._ends = self.data.geom_xpos[self._stem] - self.data.xpos[device.flotor] + np.array([-along, along])
-        self._arrows = ForceArrows()
         self._copper = self.model.material("copper").rgba[:3].tolist()
 
     def set_pose(self, snapshot: Snapshot, factor: float = 1.0) -> None:
@@ -103,7 +102,7 @@ class Scenery:
             for shape, position, rotation in self._moved(self._knob, snapshot.pose, ghost):
                 size, kind = self.model.geom_size[shape] * _GHOST_SIZE, int(self.model.geom_type[shape])
                 _add(scene, kind, size, position, rotation.ravel(), (*colour, _GHOST))
-        for name, arrow in self._arrows.of(snapshot).items():
+        for name, arrow in force_arrows(snapshot).items():
             # mjGEOM_ARROW is drawn at half the distance between its points
             _connect(scene, arrow.start, 2.0 * arrow.end - arrow.start, arrow.size * _ARROW_WIDTH, FORCES[name])
             _write(scene, arrow.text, arrow.place - half_text)
