@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -37,7 +39,8 @@ def test_a_force_arrow_is_to_scale_and_has_the_number_of_the_panel(name: str) ->
     drawn = list[ForceArrow]()
     for size in (0.01, np.nan, 0.1, 0.5, 1.0, 7.0, 20.0, 1000.0, 3.249):
         wrench = size * np.array([0.6, 0.0, 0.8, 0.0, 0.0, 0.0])
-        shown = Snapshot(scene=Joystick(), **{{"device": "force"}.get(name, name): wrench})
+        wrenches: dict[str, Any] = {{"device": "force"}.get(name, name): wrench}
+        shown = Snapshot(scene=Joystick(), **wrenches)
         arrow = force_arrows(shown).get(name)
         assert (arrow is None) is (not size >= 0.1)
         if arrow is not None:
