@@ -84,17 +84,19 @@ class HandshakeError(PlantError):
 
 
 class DeviceFault(PlantError):
-    """The device is in the fault state with zero current.
+    """A flight has ended with a fault.
 
     Attributes:
         faults: Faults that the device or host raised.
         path: File with the last 200 cycles; None if it could not be written.
+        off: True if a sample since has shown the device without current; otherwise the message says to cut the power.
     """
 
-    def __init__(self, faults: Fault, message: str, path: Path | None) -> None:
+    def __init__(self, faults: Fault, message: str, path: Path | None, *, off: bool) -> None:
         where = f"; the last cycles are in {path}" if path is not None else ""
-        super().__init__(f"{fault_names(faults)}: {message}{where}")
-        self.faults, self.path = faults, path
+        said = "currents off" if off else "currents not confirmed off: cut the power at the amplifiers"
+        super().__init__(f"{fault_names(faults)}: {message}{where}; {said}")
+        self.faults, self.path, self.off = faults, path, off
 
 
 class LastCycles:

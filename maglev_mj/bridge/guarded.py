@@ -26,6 +26,8 @@ from maglev_mj.plants.sensor import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
 _UNKNOWN = (math.nan,) * 6
+_PROOFS = 20
+"""Samples in which the currents must be off after a cut."""
 _LARGEST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
@@ -367,7 +369,21 @@ class GuardedPlant:
                 answer = self.last_currents, None, 0.0
                 self.cycles.keep(frame, self._located, answer, self.last_delay, self.answer_latency)
             path = self.cycles.write(self.cycles.mark(faults, message, self._about()))
-        raise DeviceFault(faults, message, path)
+        raise DeviceFault(faults, message, path, off=self._shows_off())
+
+    def _shows_off(self) -> bool:
+        """Return True once a sample shows the device without current, after its answer to the last request."""
+        frame = self._frame
+        with suppress(Exception):  # a link that has failed proves nothing
+            for _ in range(_PROOFS):
+                if frame is not None and frame.time > self._connection.settled:
+                    report: StateReport = frame.body  # type: ignore[assignment]
+                    if report.state != _ACTIVE and all(abs(current) <= safety.OFF for current in report.currents):
+                        return True
+                if self.lockstep:  # the device waits for an answer
+                    self._send(ZERO, None, 0.0)
+                frame = self._connection.state()
+        return False
 
     def _about(self) -> dict[str, Any]:
         about = {"first": fault_names(self.first), "fault_time_ns": self.fault_time, "period_ns": self.samples.period}

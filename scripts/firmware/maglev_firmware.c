@@ -453,10 +453,9 @@ static size_t hello(struct maglev_device *d, const struct maglev_frame *f, uint6
             return greet(d, now, nonce, MAGLEV_OTHER_CALIBRATION, answer);
         d->session = d->hardware->random(d->hardware->context);
         d->session += d->session == 0;
-        d->nonce = nonce, d->peer = peer, d->sequence = 0, d->last.any = false;
+        d->nonce = nonce, d->peer = peer, d->heard = now, d->sequence = 0, d->last.any = false;
         d->is_answered = false, d->answers = MAGLEV_NONE;
     }
-    d->heard = now;
     return greet(d, now, nonce, MAGLEV_WELCOME, answer);
 }
 

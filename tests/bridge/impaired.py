@@ -77,6 +77,10 @@ class ImpairedLine(Line):
 
     def __init__(self, impairment: Impairment, start: int = 0) -> None:
         super().__init__()
+        self.impair(impairment, start)
+
+    def impair(self, impairment: Impairment, start: int = 0) -> None:
+        """Impair frames sent from now on."""
         self._impairers = {way: Impairer(impairment, way, start) for way in (TO_HOST, TO_DEVICE)}
 
     def fates(self, direction: int, data: bytes, now: int) -> Sequence[tuple[int, bytes]]:

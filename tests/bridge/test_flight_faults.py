@@ -16,6 +16,7 @@ from maglev_mj.bridge.fault import DeviceFault, load_fault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.preflight import LinkReport, LoopTiming, Preflight, measure_link
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
@@ -153,6 +154,39 @@ def test_so_do_a_recording_a_viewer_and_an_interrupt(error: BaseException, at: i
         flown.check(first)
 
 
+CUTS: dict[str, tuple[dict[str, Any], Impairment, bool]] = {
+    "the line is cut right after arming": ({}, Impairment(loss=1.0), False),
+    "the device answers": ({}, Impairment(), True),
+    "on a slow line": ({}, Impairment(delay=0.004), True),
+    "on a line that loses frames": ({}, Impairment(loss=0.5, seed=3), True),
+    "in lockstep": ({"lockstep": True}, Impairment(), True),
+    "an amplifier is stuck": ({"faults": [InjectedFault(kind="stuck-amplifier", which=0, at=0.1)]}, Impairment(), False),
+    "a meter is broken": ({"faults": [InjectedFault(kind="nan-current", which=0, at=0.1)]}, Impairment(), False),
+    "the line is cut": ({}, Impairment(loss=1.0), False),
+}
+"""What a cut meets: the twin, the line from then on, and whether the currents are seen off."""
+
+
+@pytest.mark.parametrize("met", CUTS)
+@pytest.mark.parametrize("fault", Fault, ids=lambda fault: fault.name)
+def test_currents_are_said_to_be_off_only_after_a_sample_without(met: str, fault: Fault, tmp_path: Path) -> None:
+    parameters, impairment, off = CUTS[met]
+    twin, line = Twin(TwinParameters(**parameters), draw=lambda: 7), ImpairedLine(Impairment())
+    plant = RemotePlant(VirtualLink(twin, line), folder=tmp_path)
+    plant.guards = []
+    plant.read()
+    plant.arm()
+    with pytest.raises(DeviceFault) as caught:
+        for _ in range(0 if "arming" in met else 40):
+            plant.read()
+            plant.drive([1.0] * 6)
+        line.impair(impairment)
+        plant.fail(fault, "for a test")
+    assert caught.value.off == off and ("currents off" in str(caught.value)) == off
+    assert ("cut the power" in str(caught.value)) != off
+    assert not off or not twin.plant.currents.any()
+
+
 def test_a_silent_serial_link_is_reported_with_a_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -163,8 +197,8 @@ def test_a_silent_serial_link_is_reported_with_a_remedy(
     assert cli.main(["bridge", address, "--seconds", "1"]) == 1
     fault = " ".join(capsys.readouterr().err.split())
     assert fault.startswith("maglev-mj bridge: WATCHDOG: reported by the device; the last cycles are in ")
-    assert "a busy machine delays serial data" in fault
-    assert f"the currents are cut; clear the fault with: maglev-mj bridge {shlex.quote(address)} --reset" in fault
+    assert "; currents off; a busy machine delays serial data" in fault
+    assert f"clear the fault with: maglev-mj bridge {shlex.quote(address)} --reset" in fault
 
 
 SCENE = '''
@@ -212,7 +246,7 @@ def test_the_command_reports_cause_and_remedy_in_one_line(
     assert status == 1 and twin.firmware.faults == Fault.HOST and record.exists()
     told = f"mine.py, line 8: ValueError: no square root; the last cycles are in {box}"
     again = "maglev-mj bridge udp://127.0.0.1:1 '--key=a key' --reset"
-    assert fault == f"maglev-mj bridge: HOST: {told}; the currents are cut; clear the fault with: {again}"
+    assert fault == f"maglev-mj bridge: HOST: {told}; currents off; clear the fault with: {again}"
     assert "host latency, arrival to answer" in said.out
     twin.sample()  # without currents
     assert cli.main(shlex.split(again)[1:]) == 0 and twin.firmware.state == State.INACTIVE

@@ -102,11 +102,12 @@ def _drawn(t: Tester) -> str:
     return shown(drawn) if len(steps) == 5 and max(map(abs, steps)) >= 1 << 16 else fail(shown(drawn))
 
 
-@check("another host gets the session after 1 s of silence, not earlier", real_time=True)
+@check("another host gets the session after 1 s of silence, not earlier; a repeated HELLO is silence", real_time=True)
 def _takeover(t: Tester) -> str:
     t.answering, old = False, t.session
     t.states(700_000_000 // t.welcome.period)  # by the device's clock, as a loaded machine stalls
     same("status after 0.7 s", t.greet(draw()).body.status, HelloStatus.BUSY)
+    same("status of the HELLO repeated", t.greet(t.nonce).body.status, HelloStatus.WELCOME)  # by whoever recorded it
     t.states(400_000_000 // t.welcome.period + 1)
     same("status after 1.1 s", t.greet(draw()).body.status, HelloStatus.WELCOME)
     trip = wire.Control(t.request + 1, Operation.TRIP, 0, ZERO)

@@ -171,7 +171,6 @@ class Firmware:
 
     def _hello(self, hello: wire.Hello, now: int, peer: Any) -> bytes:
         if self.session and hello.nonce == self._nonce and peer == self.peer:
-            self._heard = now
             return self._answer_hello(now, hello.nonce, HelloStatus.WELCOME)  # the earlier answer was lost
         if self.session and (self.state == State.ACTIVE or now - self._heard < _SILENCE):
             self.counts["busy"] += 1
