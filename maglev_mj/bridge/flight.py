@@ -66,6 +66,7 @@ class Flight:
         warn: Called once with the reason if the recording ends.
         step_force: Largest force step caused by new settings [N]; see `check_step`.
         critical_delay: Critical delay of the scene [s]; see `preflight` and `delay_limit`.
+        rendered: Wall stiffness of the scene as text, for the recording; see `Preflight`.
         judge: `judge_change` in a separate process, started before the thread becomes real-time; None to accept new
             settings unchecked.
 
@@ -89,6 +90,7 @@ class Flight:
         warn: Callable[[str], object] | None = None,
         step_force: float = STEP_FORCE,
         critical_delay: float = math.inf,
+        rendered: str = "",
         judge: SideAnswers | None = None,
     ) -> None:
         if scene.period != plant.period:
@@ -113,6 +115,7 @@ class Flight:
         self._delay_guard = DelayGuard(delay_limit(critical_delay, plant.period))
         self._power_guard = PowerGuard(plant.period, self._inertia)
         self.reason, self._judge = "", judge
+        self._name = ", ".join(filter(None, (f"{scene.name} on a device", rendered)))
         if file is not None:
             file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
 
@@ -178,11 +181,11 @@ class Flight:
         if self._pending is not None:
             (self._started, self._controller), self._pending = self._pending, None
             self._scene = self._started.scene
+            self._name = f"{self._scene.name} on a device"  # with the stiffness that was just set
         plant, controller, scene, record = self._plant, self._controller, self._scene, None
         if self._file is not None:
             values = {"inertia": self._inertia, "load": self._load, "before": self._force}
-            name = f"{scene.name} on a device"
-            record = session.begin_scene(self._file, scene, plant, controller, kind="device", name=name, **values)
+            record = session.begin_scene(self._file, scene, plant, controller, kind="device", name=self._name, **values)
         loop = ControlLoop(plant, controller, observe=self._observe(controller), record=record)
         while self._pending is None and not self._is_over(last):
             loop.cycle()

@@ -231,6 +231,7 @@ class Preflight(NamedTuple):
         critical_delay: Critical delay of the scene [s], the smallest over no hand and each published hand.
         problem: Reason not to fly, as one line; "" if it may.
         reduction: Message about reduced wall stiffness; "" without.
+        requested: Wall stiffness of the scene before a reduction [N/m]; None without walls of one stiffness.
     """
 
     scene: Scene
@@ -238,6 +239,16 @@ class Preflight(NamedTuple):
     critical_delay: float
     problem: str
     reduction: str
+    requested: float | None = None
+
+    @property
+    def rendered(self) -> str:
+        """Wall stiffness of the flight, and the requested one if it differs, as text; "" without walls of one."""
+        if self.requested is None:
+            return ""
+        stiffness: float = self.scene.stiffness  # type: ignore[attr-defined]
+        asked = f" ({self.requested:.0f} requested)" if self.reduction else ""
+        return f"wall stiffness {stiffness:.0f} N/m{asked}"
 
 
 def preflight(
@@ -257,7 +268,7 @@ def preflight(
         MaglevError: If a law fails.
     """
     report = report or measure_link(plant)
-    scene = scene.replace(period=plant.period, delay=plant.delay)
+    scene, requested = scene.replace(period=plant.period, delay=plant.delay), getattr(scene, "stiffness", None)
     inertia = plant.calibration.body.inertia
     critical_delay, reduction = _critical_delay(scene, inertia), ""
     if (
@@ -272,7 +283,8 @@ def preflight(
             f"{report.delay_95 * 1e3:.2f} ms, so it must be stable up to {report.required_delay * 1e3:.2f} ms; stable "
             f"up to {original * 1e3:.2f} ms before and {critical_delay * 1e3:.2f} ms now"
         )
-    return Preflight(scene, report, critical_delay, _problem(scene, report, critical_delay), reduction)
+    problem = _problem(scene, report, critical_delay)
+    return Preflight(scene, report, critical_delay, problem, reduction, requested)
 
 
 def judge_change(

@@ -116,6 +116,10 @@ def bridge(
         bool,
         option(f"keep the scene's walls even if unstable at the device's delay plus {MARGIN:g} times the link latency"),
     ] = False,
+    require_stiffness: Annotated[
+        float | None,
+        option("refuse to fly with walls softer than this, instead of reducing their stiffness [N/m]", above=0.0),
+    ] = None,
     anyway: Annotated[
         bool, option("fly despite a failed preflight check; a device needs --max-current of at most half its limit")
     ] = False,
@@ -159,6 +163,7 @@ def bridge(
         with scheduled(realtime):  # as in flight, which reports refused settings
             report = measure_link(plant)
         result = preflight(plant, scene, as_written=as_written, report=report)
+        _require(require_stiffness, result)
         anyway = _may_fly(plant, address, result, anyway)
         if result.reduction:
             print("\n".join(wrapped(result.reduction)), flush=True)
@@ -196,6 +201,17 @@ def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "
     )
     print("\n".join(wrapped(verdict)))
     return 1 if result.problem else 0
+
+
+def _require(least: float | None, result: Preflight) -> None:
+    """Raise PlantError if the walls are softer than the least stiffness [N/m]; ParameterError without walls."""
+    if least is None:
+        return
+    if result.requested is None:
+        raise ParameterError(f"--require-stiffness needs a scene with a stiffness (got {result.scene.name})")
+    if result.scene.stiffness < least:  # type: ignore[attr-defined]
+        why = f": {result.reduction}" if result.reduction else ""
+        raise PlantError(f"no takeoff: {result.rendered}, below the required {least:g} N/m{why}")
 
 
 def _may_fly(plant: RemotePlant, address: str, result: Preflight, anyway: bool) -> bool:
@@ -255,6 +271,7 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
             file=file,
             publishers=[] if viewer is None else [viewer],
             warn=_warn,
+            rendered=result.rendered,
             critical_delay=result.report.anyway if result.problem else result.critical_delay,
             judge=judge,
         )
@@ -262,7 +279,8 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
             viewer.on_close, viewer.on_emergency = switch.land, switch.cut
         last.push(plant)  # the device is closed first
         with _punctual(flown.realtime):
-            print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off during takeoff", flush=True)
+            flown_as = ", ".join(filter(None, (f"{scene.name} at {1.0 / plant.period:g} Hz", result.rendered)))
+            print(f"  {flown_as}; keep hands off during takeoff", flush=True)
             try:
                 report = flight.run(flown.seconds)
             except BaseException:

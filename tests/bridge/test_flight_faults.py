@@ -22,6 +22,7 @@ from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.cli import bridge
 from maglev_mj.frames import Sample
+from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.interactive import Joystick
 from tests.bridge.impaired import ImpairedLine, Impairment
@@ -160,7 +161,11 @@ CUTS: dict[str, tuple[dict[str, Any], Impairment, bool]] = {
     "on a slow line": ({}, Impairment(delay=0.004), True),
     "on a line that loses frames": ({}, Impairment(loss=0.5, seed=3), True),
     "in lockstep": ({"lockstep": True}, Impairment(), True),
-    "an amplifier is stuck": ({"faults": [InjectedFault(kind="stuck-amplifier", which=0, at=0.1)]}, Impairment(), False),
+    "an amplifier is stuck": (
+        {"faults": [InjectedFault(kind="stuck-amplifier", which=0, at=0.1)]},
+        Impairment(),
+        False,
+    ),
     "a meter is broken": ({"faults": [InjectedFault(kind="nan-current", which=0, at=0.1)]}, Impairment(), False),
     "the line is cut": ({}, Impairment(loss=1.0), False),
 }
@@ -224,7 +229,7 @@ class Mine(Joystick):
 
 def unchecked(plant: RemotePlant, scene: Scene, **_: Any) -> Preflight:
     scene = scene.replace(period=plant.period, delay=plant.delay)
-    return Preflight(scene, measure_link(plant, 0.1), math.inf, "", "")
+    return Preflight(scene, measure_link(plant, 0.1), math.inf, "", "reduced", 7000.0)
 
 
 def test_the_command_reports_cause_and_remedy_in_one_line(
@@ -248,6 +253,9 @@ def test_the_command_reports_cause_and_remedy_in_one_line(
     again = "maglev-mj bridge udp://127.0.0.1:1 '--key=a key' --reset"
     assert fault == f"maglev-mj bridge: HOST: {told}; currents off; clear the fault with: {again}"
     assert "host latency, arrival to answer" in said.out
+    walls = "wall stiffness 6000 N/m (7000 requested)"
+    assert f"{walls}; keep hands off" in " ".join(said.out.split())
+    assert Recording.load(record).segments[0].metadata.name == f"mine on a device, {walls}"
     twin.sample()  # without currents
     assert cli.main(shlex.split(again)[1:]) == 0 and twin.firmware.state == State.INACTIVE
 

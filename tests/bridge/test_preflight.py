@@ -255,12 +255,28 @@ def test_reduced_stiffness_is_reported_and_as_written_keeps_it(
 ) -> None:
     def checked(plant: RemotePlant, scene: Any, *, as_written: bool, report: LinkReport) -> Preflight:
         scene = scene.replace(period=plant.period, delay=plant.delay)
-        return Preflight(scene, report, 0.01, "", "" if as_written else "stiffness reduced")
+        asked = scene.stiffness
+        if as_written:
+            return Preflight(scene, report, 0.01, "", "", asked)
+        return Preflight(scene.replace(stiffness=5000.0), report, 0.01, "", "stiffness reduced", asked)
 
     monkeypatch.setattr(bridge, "preflight", checked)
-    for options, softer in (([], True), (["--as-written"], False)):
-        status, output, _ = flown(device(tmp_path), *options)
-        assert status == 0 and ("stiffness reduced" in output) == softer and "takeoff" in output
+    for options, softer, flies in (
+        ([], True, True),
+        (["--as-written"], False, True),
+        (["--require-stiffness=5000"], True, True),
+        (["--require-stiffness=5001"], True, False),
+        (["--as-written", "--require-stiffness=6000"], False, True),
+        (["--as-written", "--require-stiffness=6001"], False, False),
+    ):
+        status, output, error = flown(device(tmp_path), *options)
+        said, walls = " ".join(f"{output} {error}".split()), "5000 N/m (6000 requested)" if softer else "6000 N/m"
+        assert (
+            status == (0 if flies else 1)
+            and ("stiffness reduced" in said) == softer
+            and ("no takeoff" in said) != flies
+        )
+        assert flies or f"no takeoff: wall stiffness {walls}, below the required {options[-1][-4:]} N/m" in said
 
 
 @pytest.mark.parametrize(("scene", "way", "status"), [("joystick", 0.0003, 0), ("table", 0.02, 1)])
