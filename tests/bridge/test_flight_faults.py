@@ -155,6 +155,7 @@ def test_so_do_a_recording_a_viewer_and_an_interrupt(error: BaseException, at: i
         flown.check(first)
 
 
+FAILING = [[InjectedFault(kind=kind, which=0, at=0.1)] for kind in ("stuck-amplifier", "nan-current")]
 CUTS: dict[str, tuple[dict[str, Any], Impairment, bool]] = {
     "the line is cut right after arming": ({}, Impairment(loss=1.0), False),
     "the device answers": ({}, Impairment(), True),
@@ -166,7 +167,7 @@ CUTS: dict[str, tuple[dict[str, Any], Impairment, bool]] = {
         Impairment(),
         False,
     ),
-    "a meter is broken": ({"faults": [InjectedFault(kind="nan-current", which=0, at=0.1)]}, Impairment(), False),
+    "a meter is broken": ({"faults": FAILING[1]}, Impairment(), False),
     "the line is cut": ({}, Impairment(loss=1.0), False),
 }
 """What a cut meets: the twin, the line from then on, and whether the currents are seen off."""
