@@ -141,6 +141,12 @@ class SideAnswers(SideProcess):
         super().__init__(_answer, function)
         self._unknown, self._timeout = unknown, timeout
 
+    @property
+    def started(self) -> bool:
+        """True once the process can compute, or has ended; call before the first question only."""
+        self._busy = self._busy and not any(True for _ in self.received())
+        return not self._busy or self.ended
+
     def ask(self, *question: Any) -> None:
         """Set the question that the next `answer` sends; earlier ones are dropped."""
         self._question, self._until = question, time.monotonic() + self._timeout

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, cast
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.parameters import number
 from maglev_mj.plants.hand import HANDS
+from maglev_mj.process import SideAnswers
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller, user_errors_rejected
@@ -33,6 +34,9 @@ _CLOCK = 0.02
 
 _ANSWERED = 0.5
 """Required share of samples answered in time."""
+
+_PATIENCE, _LEAST = 10.0, 40
+"""Longest time of the check beside the flight [s]; least samples that tell a slower link."""
 
 _HALVINGS, _HAND_MARGIN = 7, 1.1
 """Bisections of the stiffness factor; delay factor that covers the least stable hand."""
@@ -187,31 +191,52 @@ def measure_link(plant: RemotePlant, duration: float = 1.0) -> LinkReport:
         PlantError: If the device is not inactive, or its samples end.
     """
     plant.require_inactive()
-    delays, answers, clocks = [], [], []
-    stale, late = plant.limits.stale or math.inf, 0
-    samples = plant.samples
-    first, lost, skipped = samples.tick, samples.lost, samples.skipped
     count = max(round(number("duration", duration, above=0.0) / plant.period), 2)
-    while samples.tick < first + count:
+    measurement = _Measurement(plant)
+    while measurement.samples < count:
+        measurement.cycle()
+    return measurement.report()
+
+
+class _Measurement:
+    """Latencies of an inactive device's samples, answered with zero currents."""
+
+    def __init__(self, plant: RemotePlant) -> None:
+        self._plant, samples = plant, plant.samples
+        self._delays, self._answers, self._clocks = list[float](), list[float](), list[tuple[int, int]]()
+        self._late, self._first, self._lost, self._skipped = 0, samples.tick, samples.lost, samples.skipped
+
+    @property
+    def samples(self) -> int:
+        """Number of samples taken by the device so far."""
+        return self._plant.samples.tick - self._first
+
+    def cycle(self) -> None:
+        """Answer one sample."""
+        plant, samples = self._plant, self._plant.samples
         with suppress(SensingError):  # the device may be open on the bench
             plant.read()
-        clocks.append((samples.time, samples.time + plant.answers.transport))
+        self._clocks.append((samples.time, samples.time + plant.answers.transport))
         if not math.isnan(delay := plant.answers.newest_delay):
-            delays.append(delay)
-            late += delay - plant.delay > stale
+            self._delays.append(delay)
+            self._late += delay - plant.delay > (plant.limits.stale or math.inf)
         plant.drive(ZERO)
-        answers.append(plant.answer_latency)
-    return LinkReport(
-        device_delay=plant.delay,
-        delay=np.array(delays[1:]),
-        answer=np.array(answers[1:][: len(delays) - 1]),
-        samples=samples.tick - first,
-        lost=samples.lost - lost,
-        skipped=samples.skipped - skipped,
-        late=late,
-        clock=1.0 if plant.lockstep else _clock(np.array(clocks, dtype=float)),
-        lockstep=plant.lockstep,
-    )
+        self._answers.append(plant.answer_latency)
+
+    def report(self) -> LinkReport:
+        """Return the latencies so far, of at least two samples."""
+        plant, samples, delays = self._plant, self._plant.samples, self._delays
+        return LinkReport(
+            device_delay=plant.delay,
+            delay=np.array(delays[1:]),
+            answer=np.array(self._answers[1:][: len(delays) - 1]),
+            samples=self.samples,
+            lost=samples.lost - self._lost,
+            skipped=samples.skipped - self._skipped,
+            late=self._late,
+            clock=1.0 if plant.lockstep else _clock(np.array(self._clocks, dtype=float)),
+            lockstep=plant.lockstep,
+        )
 
 
 def _clock(times: Array) -> float:
@@ -252,7 +277,12 @@ class Preflight(NamedTuple):
 
 
 def preflight(
-    plant: RemotePlant, scene: Scene, *, as_written: bool = False, report: LinkReport | None = None
+    plant: RemotePlant,
+    scene: Scene,
+    *,
+    as_written: bool = False,
+    report: LinkReport | None = None,
+    aside: bool = False,
 ) -> Preflight:
     """Measure the loop delay, and check that a scene is stable with it.
 
@@ -262,14 +292,49 @@ def preflight(
         as_written: True to leave the scene unchanged. Else, in a scene with `stiffness` and `damping` whose laws state
             their gains, wall stiffness is reduced to the largest that is stable at `LinkReport.required_delay`.
         report: Latencies measured with the flight's scheduling; by default measured for 1 s.
+        aside: True to compute in a process of its own, within 10 s, while the device is answered and the link measured
+            further: a device gives up a host that is silent. Scene and laws must then be picklable.
 
     Raises:
         PlantError: If the device is not inactive.
-        MaglevError: If a law fails.
+        MaglevError: If a law fails, or its stability is not known in time.
     """
     report = report or measure_link(plant)
-    scene, requested = scene.replace(period=plant.period, delay=plant.delay), getattr(scene, "stiffness", None)
-    inertia = plant.calibration.body.inertia
+    question = scene.replace(period=plant.period, delay=plant.delay), plant.calibration.body.inertia, report, as_written
+    return _assess_aside(plant, *question) if aside else assess(*question)
+
+
+def _assess_aside(plant: RemotePlant, scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -> Preflight:
+    """Assess a scene in a process of its own; measure the link until it answers, and judge by the slower part."""
+    measurement = _Measurement(plant)
+    side = SideAnswers(assess, "no takeoff: stability of the scene not known", _PATIENCE)
+    try:
+        while not side.started:
+            measurement.cycle()
+        side.ask(scene, inertia, report, as_written)
+        while (found := side.answer()) is None:
+            measurement.cycle()
+    finally:
+        side.close(0.0)
+    if measurement.samples >= _LEAST:
+        report = max(report, measurement.report(), key=lambda one: one.delay_95)
+    problem = found.problem or _problem(found.scene, report, found.critical_delay)
+    return cast(Preflight, found._replace(report=report, problem=problem))
+
+
+def assess(scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -> Preflight:
+    """Check that a scene is stable with a measured loop delay; see `preflight`.
+
+    Args:
+        scene: Scene with the device's period and delay.
+        inertia: Mass and moments of inertia of the flotor [kg, kg m²], (6,).
+        report: Latencies of the link.
+        as_written: True to leave the scene unchanged.
+
+    Raises:
+        MaglevError: If a law fails.
+    """
+    requested = getattr(scene, "stiffness", None)
     critical_delay, reduction = _critical_delay(scene, inertia), ""
     if (
         critical_delay < report.required_delay

@@ -162,7 +162,7 @@ def bridge(
         print("  measuring link latency and checking the scene's stability", flush=True)
         with scheduled(realtime):  # as in flight, which reports refused settings
             report = measure_link(plant)
-        result = preflight(plant, scene, as_written=as_written, report=report)
+        result = preflight(plant, scene, as_written=as_written, report=report, aside=True)
         _require(require_stiffness, result)
         anyway = _may_fly(plant, address, result, anyway)
         if result.reduction:

@@ -32,8 +32,7 @@
 #include "simulated_flotor.h"
 
 #define AGAIN UINT64_C(20000000)       /* [ns]; lockstep: a STATE is repeated after this time without an answer */
-#define LET_GO UINT64_C(2000000000)    /* [ns]; lockstep: the host is dropped after this time, */
-#define COMPUTES UINT64_C(60000000000) /* [ns]; or after this time before a flight, while it computes the preflight check */
+#define LET_GO UINT64_C(2000000000)    /* [ns]; lockstep: the host is dropped after this time */
 
 enum { WAITING = 4096 };
 static const struct { const char *name; int count; } FAULTS[NO_FAULT] = {
@@ -124,13 +123,11 @@ static void in_lockstep(uint64_t stop) {
         advance((uint64_t)plant.number * profile.period);
         uint32_t session = device.session;
         size_t length = maglev_sample(&device, data);
-        uint64_t sent = clock_now(), again = sent; /* sent: or last change of state */
-        uint8_t state = device.state;
+        uint64_t sent = clock_now(), again = sent;
         while (!ended && device.session == session && !(device.is_answered && device.answered == plant.number)) {
             if (clock_now() >= again) send_to(device.peer, data, length), again = clock_now() + AGAIN;
             hear(again);
-            if (device.state != state) state = device.state, sent = clock_now();
-            if (clock_now() - sent > (device.state == MAGLEV_INACTIVE ? COMPUTES : LET_GO)) maglev_lose_host(&device);
+            if (clock_now() - sent > LET_GO) maglev_lose_host(&device);
         }
     }
 }

@@ -25,10 +25,12 @@ from maglev_mj.bridge.preflight import (
 )
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge
-from maglev_mj.errors import PlantError
+from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.plants.hand import HANDS
+from maglev_mj.process import SideAnswers
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
+from tests.bridge.conftest import InProcess
 from tests.bridge.impaired import ImpairedLine, Impairment
 from tests.processes import started, twin
 from tests.sweeps import further
@@ -112,6 +114,37 @@ def test_wall_stiffness_is_reduced_to_a_stable_value(name: str, way: float, tmp_
     else:
         assert found.critical_delay >= found.report.required_delay or name == "drop"
         assert found.scene == scene.replace(period=plant.period, delay=plant.delay)
+
+
+@pytest.mark.parametrize(("way", "problem"), [(0.0, ""), (0.002, "up to a loop delay of 4.00 ms, but 5 % of the ans")])
+def test_the_link_is_measured_until_takeoff(
+    way: float, problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A device is answered all the time, though the check takes longer than it waits for a host."""
+    twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment())
+    monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.004)  # takes 0.4 s
+    monkeypatch.setattr(InProcess, "looks", 300)
+    with RemotePlant(VirtualLink(twin, line), folder=tmp_path) as plant:
+        report = measure_link(plant, 0.2)
+        line.impair(Impairment(delay=way))
+        found = preflight(plant, JOYSTICK, report=report, aside=True)
+        assert problem in found.problem and bool(found.problem) == bool(problem)
+        assert plant.samples.tick > 300 and plant.samples.skipped == 0
+        plant.arm()
+
+
+@pytest.mark.machine
+def test_a_check_that_takes_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.bridge.preflight.SideAnswers", SideAnswers)
+    monkeypatch.setattr("maglev_mj.bridge.preflight._PATIENCE", 0.0)
+    plant = device(tmp_path)
+    with plant, pytest.raises(MaglevError, match="no takeoff: stability of the scene not known: timeout after 0 s"):
+        preflight(plant, JOYSTICK, report=measure_link(plant, 0.2), aside=True)
+    monkeypatch.setattr("maglev_mj.bridge.preflight._PATIENCE", 60.0)
+    plant = device(tmp_path)
+    with plant:
+        report = measure_link(plant, 0.2)
+        assert preflight(plant, JOYSTICK, report=report, aside=True) == preflight(plant, JOYSTICK, report=report)
 
 
 @pytest.mark.parametrize("clock", [1.03, 0.5, 0.99])
@@ -253,7 +286,7 @@ def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
 def test_reduced_stiffness_is_reported_and_as_written_keeps_it(
     flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def checked(plant: RemotePlant, scene: Any, *, as_written: bool, report: LinkReport) -> Preflight:
+    def checked(plant: RemotePlant, scene: Any, *, as_written: bool, report: LinkReport, **_: bool) -> Preflight:
         scene = scene.replace(period=plant.period, delay=plant.delay)
         asked = scene.stiffness
         if as_written:

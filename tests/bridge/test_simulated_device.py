@@ -255,14 +255,6 @@ def test_lockstep_sends_again_and_then_lets_go(start: Starter) -> None:
     assert answer.status == HelloStatus.WELCOME and (answer.state, answer.faults) == (State.FAULT, Fault.WATCHDOG)
 
 
-def test_in_lockstep_a_host_may_compute_before_a_flight_for_longer_than_in_it(start: Starter) -> None:
-    host = start("--lockstep").host()
-    time.sleep(2.5)
-    host.ask(Operation.ARM)
-    time.sleep(0.1)  # the device looks at its patience every 20 ms
-    assert answered(host).state == State.ACTIVE
-
-
 @pytest.mark.parametrize(
     ("fault", "named", "samples"),
     [

@@ -18,6 +18,7 @@ from maglev_mj.cli import bridge, main
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.versions import hash_of
+from tests.bridge.conftest import InProcess
 
 EXAMPLE = Path(__file__).parents[2] / "scripts" / "examples" / "detents.py"
 
@@ -89,6 +90,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> str:
     """Return the address of a twin in lockstep, in virtual time, whose flight is checked with a free handle."""
     monkeypatch.setattr(bridge, "_opened", lambda *parameters: RemotePlant(twin_link(), folder=parameters[-1]))
     monkeypatch.setattr("maglev_mj.bridge.preflight.HANDS", ["none"])
+    monkeypatch.setattr("maglev_mj.bridge.preflight.SideAnswers", InProcess)
     return "udp://127.0.0.1:1"
 
 

@@ -299,8 +299,8 @@ def _plant(
 
 
 _AGAIN, _LOOK = 0.02, 0.05
-_LET_GO, _COMPUTES = 2.0, 60.0
-"""Timeout for a host in lockstep [s], in flight and before it, when the host checks the scene's stability."""
+_LET_GO = 2.0
+"""Timeout for a host in lockstep [s]."""
 
 _IGNORED = {
     "short": "too short",
@@ -363,7 +363,7 @@ class TwinServer:
 
     In real time it samples at absolute deadlines; if it is late by whole periods, simulated time stands still for
     them. In lockstep it takes a sample when the last one is answered, repeats it after 20 ms without an answer, and
-    drops the host after 2 s, or after 60 s while inactive. Emergency stops are handled before all other frames.
+    drops the host after 2 s. Emergency stops are handled before all other frames.
 
     Args:
         twin: The device.
@@ -438,12 +438,9 @@ class TwinServer:
     def _await_answer(self, frame: bytes | None) -> None:
         """Wait until the last sample is answered or the host is dropped."""
         twin, clock = self.twin, time.monotonic_ns
-        start, state, timeout = clock(), None, 0
-        again, spun = start + round(_AGAIN * 1e9), start + round(self._spin * 1e9)
+        start = clock()
+        timeout, again, spun = (start + round(span * 1e9) for span in (_LET_GO, _AGAIN, self._spin))
         while not twin.answered and twin.firmware.session and not self._stopped.is_set():
-            if twin.firmware.state is not state:  # the time to compute ends when the device is armed
-                state = twin.firmware.state
-                timeout = clock() + round((_COMPUTES if state is State.INACTIVE else _LET_GO) * 1e9)
             self._receive(0.0 if clock() < spun else _AGAIN)
             if twin.answered:
                 return

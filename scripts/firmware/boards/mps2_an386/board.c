@@ -12,8 +12,7 @@ enum { FULL = 1, CAME = 2 };                     /* bits of a UART's state */
 enum { SENDS = 1, RECEIVES = 2, INTERRUPTS = 12 }; /* bits of its control */
 enum { LEFT_INTERRUPT = 1, CAME_INTERRUPT = 2 };
 #define AGAIN UINT64_C(20000000)    /* [ns]; a STATE is repeated after this time without an answer */
-#define LET_GO UINT64_C(2000000000)   /* [ns]; the host is dropped after this time in flight, */
-#define COMPUTES UINT64_C(60000000000) /* [ns]; or this time before it: it checks the scene's stability */
+#define LET_GO UINT64_C(2000000000) /* [ns]; the host is dropped after this time */
 
 struct uart { volatile uint32_t data, state, control, interrupts, divisor; };
 struct timer { volatile uint32_t control, value, reload; };
@@ -189,10 +188,8 @@ static void run(void) {
     static size_t length;
     static uint64_t first, last; /* first and last transmission */
     static uint32_t session;     /* of that frame */
-    static uint8_t state;        /* of the device at the first transmission */
     uint64_t now = clock_now();
     if (!device.session) return;
-    if (device.state != state) state = device.state, first = now; /* the time to compute ends when it is armed */
     if (device.session != session || (device.is_answered && device.answered == plant.number)) {
         session = device.session, first = last = now, plant.number++;
         advance((uint64_t)plant.number * profile.period);
@@ -200,7 +197,7 @@ static void run(void) {
         length = maglev_sample(&device, frame);
         note(&most.sample, before);
         send(frame, length);
-    } else if (now - first > (device.state == MAGLEV_INACTIVE ? COMPUTES : LET_GO)) maglev_lose_host(&device);
+    } else if (now - first > LET_GO) maglev_lose_host(&device);
     else if (now - last >= AGAIN) last = now, most.again++, send(frame, length);
 }
 
