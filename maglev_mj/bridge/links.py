@@ -388,7 +388,14 @@ class _Line(ABC):
         return frames.popleft()
 
     def _failure(self, error: OSError) -> LinkError:
-        return LinkError(f"{self._name} lost: {error.strerror or error}")
+        return LinkError(f"{self._name} lost: {_cause(error)}")
+
+
+def _cause(error: OSError) -> str:
+    """Return the cause in the system's words; pyserial's own errors repeat each other, or have no number."""
+    if error.errno in (errno.EAGAIN, errno.EBUSY):
+        return "in use by another program"
+    return os.strerror(error.errno) if error.errno else "unplugged, or opened by another program"
 
 
 class SerialLink(_Line):
@@ -413,7 +420,7 @@ class SerialLink(_Line):
         except ValueError:
             raise ParameterError(f"baud must be a rate that {path} supports (got {baud!r})") from None
         except OSError as error:
-            raise LinkError(f"cannot open serial://{path}: {error.strerror or error}") from None
+            raise LinkError(f"cannot open serial://{path}: {_cause(error)}") from None
         # some USB adapters otherwise delay bytes by 16 ms; others, and a pty, do not support it
         with suppress(OSError, ValueError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
@@ -435,7 +442,7 @@ class SerialLink(_Line):
 
     def _opened(self) -> Any:
         if not self._open:  # the descriptor may already be reused
-            raise OSError("closed")
+            raise OSError(errno.EBADF, "closed")
         return self._port
 
     def close(self) -> None:

@@ -3,15 +3,18 @@
 import errno
 import os
 import random
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
+from serial import SerialException
 
 from maglev_mj.bridge.links import (
     LONGEST,
@@ -367,6 +370,32 @@ def test_a_line_that_is_gone_is_an_error() -> None:
         SerialLink("/dev/no such line", 921600)
     with closing(PtyServer()) as another, pytest.raises(ParameterError, match=r"baud must be .* \(got -1"):
         SerialLink(another.path, -1)
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (SerialException("device reports readiness to read but returned no data"), "unplugged, or opened by another"),
+        (SerialException(errno.ENOENT, "could not open port: [Errno 2] No such file"), "No such file or directory"),
+        (SerialException(errno.EAGAIN, "Could not exclusively lock port"), "in use by another program"),
+        (PermissionError(errno.EACCES, "x"), "Permission denied"),
+    ],
+)
+def test_a_failed_serial_line_is_one_sentence_without_the_librarys_words(
+    error: OSError, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("serial.Serial", fail)
+    with pytest.raises(LinkError) as opening:
+        SerialLink("/dev/line", 9600)
+    assert str(opening.value).startswith(f"cannot open serial:///dev/line: {says}")
+    monkeypatch.setattr("serial.Serial", lambda *_, **__: SimpleNamespace(write=fail, close=lambda: None))
+    with closing(SerialLink("/dev/line", 9600)) as link, pytest.raises(LinkError) as writing:
+        link.send(b"frame")
+    assert str(writing.value).startswith(f"/dev/line lost: {says}")
+    assert not re.search(r"Errno|readiness|could not|Could", f"{opening.value}{writing.value}")
 
 
 def test_without_pyserial_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
