@@ -161,8 +161,8 @@ def _shapes(line: Line, across: Range, up: Range) -> list[tuple[Colour, Array]]:
     return shapes
 
 
-_STATUS = *GROUPS["felt"][:2], "arrows", *(name for name in GROUPS["numbers"] if name != "position"), "margin"
-"""Readings from top to bottom, last those with a variable number of lines; the plots show the position."""
+_STATUS = *GROUPS["felt"][:3], "arrows", *(name for name in GROUPS["numbers"] if name != "position")
+"""Readings from top to bottom, first what is felt; the plots show the position."""
 _ARROWS = "arrows", f"blue: hand, orange: device, black: stop; {1e3 * ARROW:.0f} mm/N"
 _HINTS = [("mouse", "drag the knob to pull it"), ("F11", "keys")]
 
