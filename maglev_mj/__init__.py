@@ -9,7 +9,8 @@ Laws, rendered by the controller:
     gain                     declares a gain of an `AxisLaw`
     check_law                checks a law on one device and in a batch
     Wall                     PD wall, with a braking pulse on entry
-    PredictiveWall           wall that applies its predicted mean force over the next period
+    HalfSampleWall           wall with half-sample prediction
+    VirtualCoupling          wall that stops a virtual mass coupled to the flotor
     ObserverWall             wall with an observer that models the delay
     Hold                     PD control of the pose
     Bias                     constant wrench, e.g. weight compensation

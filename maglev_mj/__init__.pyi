@@ -11,13 +11,14 @@ from maglev_mj.bridge.connection import estop as estop
 from maglev_mj.control import AxisLaw as AxisLaw
 from maglev_mj.control import Bias as Bias
 from maglev_mj.control import FiniteDifference as FiniteDifference
+from maglev_mj.control import HalfSampleWall as HalfSampleWall
 from maglev_mj.control import Hold as Hold
 from maglev_mj.control import ImplicitCoulomb as ImplicitCoulomb
 from maglev_mj.control import Law as Law
 from maglev_mj.control import LowPass as LowPass
 from maglev_mj.control import ObserverWall as ObserverWall
-from maglev_mj.control import PredictiveWall as PredictiveWall
 from maglev_mj.control import StickSlip as StickSlip
+from maglev_mj.control import VirtualCoupling as VirtualCoupling
 from maglev_mj.control import Wall as Wall
 from maglev_mj.control import check_law as check_law
 from maglev_mj.control import gain as gain

@@ -20,6 +20,7 @@ from maglev_mj.control import (
     Dahl,
     ElastoPlastic,
     FiniteDifference,
+    HalfSampleWall,
     HaywardArmstrong,
     Hold,
     ImplicitCoulomb,
@@ -28,10 +29,10 @@ from maglev_mj.control import (
     LuGre,
     ObserverWall,
     PassivityController,
-    PredictiveWall,
     SpringReset,
     StickSlip,
     VelocityEstimator,
+    VirtualCoupling,
     Wall,
     Window,
 )
@@ -71,7 +72,8 @@ LAWS: Mapping[str, list[Law]] = {
         )
     ],
     "Hold": [Hold(**ALL, target=[1e-3, 0.0, -1e-3])],
-    "PredictiveWall": [PredictiveWall(axes="z", stiffness=1500.0, damping=10.0, period=PERIOD, delay=DELAY)],
+    "HalfSampleWall": [HalfSampleWall(axes="z", stiffness=1500.0, damping=10.0, period=PERIOD)],
+    "VirtualCoupling": [VirtualCoupling(axes="z", stiffness=900.0, damping=10.0, inertia=0.4, period=PERIOD)],
     "ObserverWall": [
         ObserverWall(axes="z", stiffness=500.0, damping=20.0, inertia=0.7, period=PERIOD, delay=DELAY, pole=0.4)
     ],

@@ -219,7 +219,7 @@ step: next(real_time(1.0, -1.0)); links: conform([]); function: figure("N")(3); 
 pose: TwinParameters(pose="x"); least: Turn(least=5, most=1); default: gain(default="y")
 velocity: Controller([], period=1e-3, velocity=LowPass); pose: (Start(pose=[0.0] * 6), Start(pose=["x"] * 6))
 wall pulse_width: Wall(lower=0.0, stiffness=1.0, damping=1.0, pulse_width=3)
-delay: PredictiveWall(stiffness=1.0, period=0.005, delay=1)
+period: HalfSampleWall(stiffness=1.0, period=2)
 parameters: Session("drop").change(None); law: compare("drop", [3]); observe: run("twist", plant="exact", observe=3)
 arguments of Wall: Wall(6000, 80); arguments of judge: judge(Controller([], period=0.005))
 """

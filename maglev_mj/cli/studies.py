@@ -38,14 +38,14 @@ from maglev_mj.keywords import with_period
 from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import PictureFolder
 from maglev_mj.plants.hand import HANDS
-from maglev_mj.result import plain
+from maglev_mj.result import Result, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.card import device_card
 from maglev_mj.studies.cells import StudyInterrupted, Workers, WorkersError, dask_workers, local_workers
-from maglev_mj.studies.compare import ORIGINS
 from maglev_mj.studies.compare import compare as compare_laws
+from maglev_mj.studies.compare import sweep_laws
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.diagnosis import DiagnosedLoop
 from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
@@ -63,6 +63,7 @@ from maglev_mj.studies.record import Record, json_text
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.studies.sweep import MOST_CELLS, Grid, value_of
 from maglev_mj.studies.sweep import sweep as run_sweep
+from maglev_mj.studies.wall_laws import LAWS
 from maglev_mj.terminal import wrapped
 from maglev_mj.theory import WallRequirements, design_wall
 from maglev_mj.theory import stability as judge
@@ -204,25 +205,50 @@ def _values(cls: type[Scene], name: str, text: str) -> list[Any]:
     return [float(value) for value in np.linspace(low, high, count)]
 
 
-_LAWS = ", ".join(f"{law} ({origin})" for law, origin in ORIGINS.items())
+_LAWS = ", ".join(f"{name} ({law.status})" for name, law in LAWS.items())
+
+
+def _add_compared(parser: Parser) -> None:
+    """Add the scene, and the table of laws to the end of the help."""
+    lines = [line for name, law in LAWS.items() for line in wrapped(law.text, f"  {name:<17}", " " * 19)]
+    parser.epilog = "\n".join(["laws, force f on the flotor at depth x and velocity v:", *lines])
+    add_scene(parser)
 
 
 def compare(
     *,
-    scene: Annotated[Scene, Shared(add_scene, chosen_scene)],
+    scene: Annotated[Scene, Shared(_add_compared, chosen_scene)],
     law: Annotated[list[str], option(f"{_LAWS}, or your own FILE.py[:CLASS] (executed); repeatable", "laws", "LAW")],
     phases: Annotated[int, option("number of sampling phases, evenly spaced")] = 100,
     plant: Annotated[str, option("plant: exact, mujoco", metavar="NAME")] = "exact",
+    vary: Annotated[
+        str | None,
+        option("compare at each value of one parameter: LOW:HIGH:COUNT or A,B,C; also rate", "over", "NAME=VALUES"),
+    ] = None,
+    figure: Annotated[str | None, option("figure in the table of --vary (default: the scene's first)", "over")] = None,
+    map: Annotated[bool, option("map the stable region over damping and stiffness instead", "over")] = False,
+    grid: Annotated[int, option("number of dampings of --map", "over")] = 20,
     json: Json = None,
     pictures: Pictures,
 ) -> int:
-    """Compare wall laws in a scene: contact, noise and margins.
+    """Compare wall laws in a scene: contact, noise, margins and verdicts.
 
     Repeat --law for each law. Contact figures are the median and the 10 to 90 % range over sampling phases.
     """
+    if map and vary is not None:
+        raise ParameterError(f"vary and map are mutually exclusive (got vary {vary})")
+    if figure is not None and vary is None:
+        raise ParameterError(f"figure needs --vary NAME=VALUES (got {figure})")
     with Progress(f"compare {scene.name}") as progress:
-        result = compare_laws(scene, law, phases=phases, plant=plant, progress=progress)
-    write_result(json, result, pictures)
+        around: Any = {"phases": phases, "plant": plant, "progress": progress}
+        if map:
+            result: Result = sweep_laws(scene, law, values=grid, figure="critical_stiffness", **around)
+        elif vary is None:
+            result = compare_laws(scene, law, **around)
+        else:
+            ((name, text),) = _assignments([vary]).items()
+            result = sweep_laws(scene, law, name, _values(type(scene), name, text), figure=figure, **around)
+    write_result(json, result, pictures, f"compare_{scene.name}_{'map' if map else 'vary'}" if map or vary else "")
     return 0
 
 

@@ -21,9 +21,10 @@ from maglev_mj.control.laws.velocity import AdaptiveWindow as AdaptiveWindow
 from maglev_mj.control.laws.velocity import FiniteDifference as FiniteDifference
 from maglev_mj.control.laws.velocity import LowPass as LowPass
 from maglev_mj.control.laws.velocity import Window as Window
+from maglev_mj.control.laws.wall import HalfSampleWall as HalfSampleWall
 from maglev_mj.control.laws.wall import ObserverWall as ObserverWall
 from maglev_mj.control.laws.wall import PassivityController as PassivityController
-from maglev_mj.control.laws.wall import PredictiveWall as PredictiveWall
+from maglev_mj.control.laws.wall import VirtualCoupling as VirtualCoupling
 from maglev_mj.control.laws.wall import Wall as Wall
 from maglev_mj.control.loop import ControlLoop as ControlLoop
 from maglev_mj.control.loop import Plant as Plant

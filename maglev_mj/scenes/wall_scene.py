@@ -59,7 +59,7 @@ def _hold(axes: str | tuple[str, ...], body: tuple[float, ...], period: float, d
 
 
 def wall_controller(
-    law: Law | None = None,
+    law: Law | Controller | None = None,
     *,
     period: float,
     delay: float,
@@ -70,13 +70,16 @@ def wall_controller(
     """Return a controller with one wall along z and a hold of the five other axes.
 
     Args:
-        law: The wall; None for the PD wall with pulses of eq. (3) of Salcudean & Vlaar 1997, which fills z <= 0.
+        law: The wall, or a controller, returned as it is; None for the PD wall with pulses of eq. (3) of Salcudean &
+            Vlaar 1997, which fills z <= 0.
         period: Sample period [s].
         delay: Transport delay [s], for the hold of the other axes.
         mass: Moving mass [kg], for the hold of the other axes.
         velocity: Velocity estimator; None for the finite difference.
         gains: Parameters of `Wall`: numbers, or (N,) for N devices.
     """
+    if isinstance(law, Controller):
+        return law
     if law is None:
         columns: Any = {name: gain if np.ndim(gain) == 0 else np.asarray(gain)[:, None] for name, gain in gains.items()}
         law = Wall(axes="z", lower=0.0, **columns)

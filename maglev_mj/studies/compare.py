@@ -6,29 +6,37 @@ Figures: contact over the sampler's phases, force noise and stability margins at
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
-from functools import partial
-from inspect import Parameter, signature
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import chain
+from time import thread_time
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.control import Law, ObserverWall, PredictiveWall, Wall
-from maglev_mj.errors import ParameterError, check_instance, check_one_of
-from maglev_mj.parameters import number
-from maglev_mj.plants.model import load_model
+from maglev_mj.control import Wall
+from maglev_mj.errors import DivergenceError, ParameterError, TooManyCallsError, check_one_of
+from maglev_mj.keywords import with_period
+from maglev_mj.parameters import number, param, whole
 from maglev_mj.result import Table, plain, with_unit
-from maglev_mj.scenes.find import SceneLike, class_in_file, get_scene
-from maglev_mj.scenes.results import Figure, Variants
-from maglev_mj.scenes.run import run_variants
+from maglev_mj.scenes.find import SceneLike, get_scene
+from maglev_mj.scenes.results import Figure, Variants, figure_head
+from maglev_mj.scenes.run import run_phases, run_variants
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stability_check import wall_margin
-from maglev_mj.scenes.wall_scene import WallScene
-from maglev_mj.spec import Spec
+from maglev_mj.scenes.wall_scene import WallScene, along
+from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.studies.cells import Study, local_workers
 from maglev_mj.studies.designed_wall import hum
-from maglev_mj.theory import least_passive_damping
+from maglev_mj.studies.record import Cell, Record
+from maglev_mj.studies.stability_map import stiffest_in
+from maglev_mj.studies.sweep import Grid, Sweep
+from maglev_mj.studies.wall_laws import LAWS, LawMaker, WallLaw, laws_of, wall_law
+from maglev_mj.theory import stated_gains
+from maglev_mj.theory.closed_loop import SampledLoop, bisect, rendered_stiffness
+from maglev_mj.theory.linearise import linearise
+from maglev_mj.theory.verdict import axis_loop
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
@@ -36,33 +44,19 @@ _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_de
 _PICTURES = "maglev_mj.scenes.pictures"
 _TICKS = 800
 """Samples of a noise measurement."""
-
-LawMaker = Callable[..., Law]
-"""Class of a law, or function that returns one, of numbers that `compare` gives by name."""
-
-
-def _pd(wall: Wall) -> Wall:
-    return replace(wall, pulse=0.0)
-
-
-LAWS: Mapping[str, LawMaker] = {
-    "pd": _pd,
-    "pulse": lambda wall: wall,
-    "half-sample": PredictiveWall,
-    "observer": ObserverWall,
-    "colgate": partial(_pd),
+_FINE, _ROUGH, _SEARCH = (1.2, 14, 13), (2.0, 8, 10), 10.0
+"""Search of a margin, and of each point of a map: factor per step, steps, bisections; and its processor time [s]."""
+_UNITS = {"stiffness": "N/m", "noise": "N", "limit_cycle": "µm", "critical_stiffness": "N/m"}
+_MAPPED = "critical_stiffness"
+_MARGINS: Mapping[str, Figure] = {
+    name: Figure(name, lambda result: None, _UNITS.get(name, ""), scale=1e6 if name == "limit_cycle" else 1.0)
+    for name in ("stiffness", "noise", "limit_cycle", "spectral_radius", "critical_stiffness", "margin")
 }
-"""Laws by name; colgate is pd at the largest passive stiffness, without damping."""
-ORIGINS = dict(zip(LAWS, ("as published", "as published", "modified", "own", "modified"), strict=True))
-"""Whether a law is its source's equation, a modification of it, or the project's own."""
-
-
-_MARGINS = {"stiffness": "N/m", "noise": "N", "spectral_radius": "", "critical_stiffness": "N/m", "margin": ""}
-"""Unit of each figure of `Comparison.margins`."""
+"""Figures of `Comparison.margins`."""
 _MARGIN_HEADS = {"stiffness": "static stiffness", "critical_stiffness": "critical gain"}
 """Column heads that differ from the figure's name."""
 _AT_REST = "at rest in the wall"
-_MARGIN_NOTE = "margin = critical gain / gain in use"
+_MARGIN_NOTE = "margin = critical gain / gain in use; limit cycle: peak to peak, over a quantized sensor"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +65,17 @@ class Comparison(Variants):
 
     Attributes:
         margins: Figures of each law at rest in the wall, in the scene's hand: `stiffness` against a slow push [N/m];
-            `noise`, the standard deviation of the force over a quantized sensor [N], see `hum`; `spectral_radius`,
-            that of the wall alone, below 1 for a stable wall; `critical_stiffness`, the stiffness gain at
+            `noise`, the standard deviation of the force over a quantized sensor [N], and `limit_cycle`, the
+            peak-to-peak motion there [m], see `hum`; `spectral_radius`, that of the wall alone, or of free air if the
+            law acts there and is less stable, below 1 for a stable wall; `critical_stiffness`, the stiffness gain at
             which stability changes, other gains unchanged [N/m]; and `margin`, its ratio to the law's gain. The last
             two are NaN if nothing changes up to ten times the gain, and for a law without a stiffness.
+        laws: Row of each law in the table of laws.
         scene: The scene with its own wall.
     """
 
     margins: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    laws: Mapping[str, WallLaw] = field(default_factory=dict)
     scene: Any = None
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -97,30 +94,43 @@ class Comparison(Variants):
     def units(self) -> dict[str, str]:
         """Unit of each column."""
         units = {name + end: one.si_unit for name, one in self.first.scene.figures.items() for end in _SHARES}
-        return units | _MARGINS
+        return units | {name: one.si_unit for name, one in _MARGINS.items()}
+
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """Verdict on each law at rest in the wall: stable, unstable or not computed."""
+        return {label: _verdict(one["spectral_radius"]) for label, one in self.margins.items()}
 
     def as_json(self) -> dict[str, Any]:
         """Return the columns, and the figures of each law at each phase, ready for JSON."""
         head = {"scene": self.scene.name, "plant": self.first.plant, "parameters": self.scene.as_json()}
-        return {**head, "columns": plain(self.columns()), "laws": plain(self.phases)}
+        columns = plain(self.columns()) | {"verdict": list(self.verdicts.values())}
+        return {**head, "columns": columns, "laws": plain(self.phases)}
 
     def table(self) -> Table:
-        """Return a row for each law: its contact, and below its rest in the wall."""
+        """Return a row for each law: its contact, and below its rest in the wall, and its equation."""
         figures: Mapping[str, Figure] = self.first.scene.figures
-        unstable = [label for label, one in self.margins.items() if one["spectral_radius"] >= 1.0]
-        mark = {label: f"{label}{' (unstable)' * (label in unstable)}" for label in self.margins}
+        verdicts = self.verdicts
+        mark = {label: f"{label}{' (unstable)' * (text == 'unstable')}" for label, text in verdicts.items()}
         rows = [
             [mark[label], *(one.spread(phases.figures[name], _SHARES.values()) for name, one in figures.items())]
             for label, phases in self.phases.items()
         ]
         head = [with_unit(name.replace("_", " "), one.unit) for name, one in figures.items()]
         named = {name: _MARGIN_HEADS.get(name, name.replace("_", " ")) for name in _MARGINS}
-        still = ["law", *(with_unit(named[name], unit) for name, unit in _MARGINS.items())]
-        rest = [[mark[label], *one.values()] for label, one in self.margins.items()]
-        below = Table(_AT_REST, still, rest, _MARGIN_NOTE)
+        still = ["law", "verdict", *(with_unit(named[name], one.unit) for name, one in _MARGINS.items())]
+        rest = [
+            [label, verdicts[label], *(one[name] * figure.scale for name, figure in _MARGINS.items())]
+            for label, one in self.margins.items()
+        ]
+        equations = [[label, law.status, law.text] for label, law in self.laws.items()]
+        below = [
+            Table(_AT_REST, still, rest, _MARGIN_NOTE),
+            Table("laws", ("law", "status", "equation; source"), equations),
+        ]
         count = len(next(iter(self.phases.values())).phases)
         over = f"plant {self.first.plant}: median (10th to 90th percentile) over {count} sampling phases"
-        return Table(f"{self._describe()}, {over}", ["law", *head], rows, below=[below], warnings=self.warnings)
+        return Table(f"{self._describe()}, {over}", ["law", *head], rows, below=below, warnings=self.warnings)
 
     def _describe(self) -> str:
         """Return the scene's description, with its pulse only for the laws that have one."""
@@ -132,9 +142,17 @@ class Comparison(Variants):
         return f"{text}, pulse {self.scene.pulse:g} N s/m for law{'s' * (len(pulsed) > 1)} {', '.join(pulsed)}"
 
 
+def _verdict(radius: float) -> str:
+    return "not computed" if math.isnan(radius) else "stable" if radius < 1.0 else "unstable"
+
+
+Laws = Collection[str | LawMaker] | Mapping[str, str | LawMaker]
+"""Laws to compare; a mapping gives their labels."""
+
+
 def compare(
     scene: SceneLike,
-    laws: Collection[str | LawMaker] | Mapping[str, str | LawMaker],
+    laws: Laws,
     *,
     phases: int | ArrayLike = 100,
     phase: float = 0.5,
@@ -143,14 +161,14 @@ def compare(
 ) -> Comparison:
     """Run laws in place of a scene's wall and compare their contact, noise and margins.
 
-    A user-defined law is a class, or a function that returns a law. Its arguments are filled by name from the scene:
-    any parameter, such as stiffness, damping, period, delay and mass; axes; lower, the edge of the wall; inertia;
-    force_limit, infinite without a limit; and wall, the scene's own `Wall`. Other arguments need defaults.
+    A user-defined law is a class, or a function that returns a law or several. Its arguments are filled by name from
+    the scene: any parameter, such as stiffness, damping, period, delay and mass; axes; lower, the edge of the wall;
+    inertia; force_limit, infinite without a limit; and wall, the scene's own `Wall`. Other arguments need defaults.
 
     Args:
         scene: A scene with a wall, such as drop or press; see `run`.
-        laws: Names from `LAWS`, files as FILE.py or FILE.py:CLASS, which are run, classes or functions; a mapping gives
-            their labels.
+        laws: Names from the table of laws, files as FILE.py or FILE.py:CLASS, which are run, classes or functions; a
+            mapping gives their labels.
         phases: See `run_phases`.
         phase: Phase at which the motion is kept, for a picture.
         plant: Name from PLANTS.
@@ -166,31 +184,131 @@ def compare(
         >>> (1e3 * comparison.columns()["penetration"]).round(2).tolist()  # [mm]
         [2.95, 1.76]
     """
+    chosen, named = _chosen(scene, laws)
+    variants = {label: _with_law(chosen, label, law, plant) for label, law in named.items()}
+    margins = {label: _margins(variant) for label, variant in variants.items()}
+    result = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
+    return Comparison(result.runs, result.phases, chaotic=result.chaotic, margins=margins, laws=named, scene=chosen)
+
+
+def _chosen(scene: SceneLike, laws: Laws) -> tuple[WallScene, dict[str, WallLaw]]:
+    """Return the scene and the row of each law by label."""
     chosen = get_scene(scene)
     if not isinstance(chosen, WallScene) or not isinstance(chosen.laws()[0], Wall):
         raise ParameterError(f"scene must have a wall as its first law, such as drop or press (got {chosen.name})")
     number("stiffness", chosen.stiffness, above=0.0)
     laws = [laws] if isinstance(laws, str) else laws
-    named = [(label, _named(law)[1]) for label, law in laws.items()] if isinstance(laws, Mapping) else map(_named, laws)
-    variants = {label: _with_law(chosen, label, law, plant) for label, law in named}
-    if len(variants) < max(len(laws), 1):
-        raise ParameterError(f"laws must be at least one, without duplicates (got {', '.join(variants) or 'none'})")
-    margins = {label: _margins(variant) for label, variant in variants.items()}
-    result = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
-    return Comparison(result.runs, result.phases, chaotic=result.chaotic, margins=margins, scene=chosen)
+    named = (
+        [(label, wall_law(law)[1]) for label, law in laws.items()] if isinstance(laws, Mapping) else map(wall_law, laws)
+    )
+    rows = dict(named)
+    if len(rows) < max(len(laws), 1):
+        raise ParameterError(f"laws must be at least one, without duplicates (got {', '.join(rows) or 'none'})")
+    return chosen, rows
 
 
-def _named(law: str | LawMaker) -> tuple[str, LawMaker]:
-    """Return the label of a law and the law."""
-    if isinstance(law, str) and ".py" not in law:
-        check_one_of("law", LAWS, law, ", or your own FILE.py[:CLASS]")
-        return law, LAWS[law]
-    own = class_in_file(law, Law) if isinstance(law, str) else law
-    check_instance("law", own, Callable, "a name, FILE.py[:CLASS] or a function that returns a Law")
-    return getattr(own, "__name__", str(own)), own
+class LawSweep(Sweep):
+    """Figure of each law, and its spectral radius at rest in the wall, over one parameter; see `Sweep`."""
+
+    picture: ClassVar = "maglev_mj.studies.pictures:law_sweep"
+
+    def _headline(self) -> str:
+        if self.names[0] != _MAPPED:
+            return super()._headline()
+        most = zip(self.varied["law"], np.fmax.reduce(self.figure(_MAPPED)))
+        stiffest = ", ".join(f"{law} {stiffness:.0f}" for law, stiffness in most)
+        return f"{self.scene.name.capitalize()}: stiffest stable wall {stiffest} N/m"
+
+    def table(self) -> Table:
+        """Return the figure of each law at each value, marked where its wall is unstable."""
+        (name, values), (_, laws) = self.varied.items()
+        figure, one = self.names[0], self.shown(self.names[0])
+        verdicts = np.vectorize(_verdict)(self.figure("spectral_radius"))
+        marks = np.where((verdicts != "stable") & (figure != _MAPPED), np.char.add(" ", verdicts), "")
+        texts = np.char.add(np.vectorize(one.text)(self.figure(figure)), marks).tolist()
+        rows = [[f"{value:.6g}", *row] for value, row in zip(values, texts, strict=True)]
+        title = f"{with_unit(figure_head(figure), one.unit)}, {self.held}"
+        return Table(title, [with_unit(name, self.units[name]), *laws], rows)
 
 
-def _with_law(scene: WallScene, label: str, maker: LawMaker, plant: str) -> WallScene:
+def sweep_laws(
+    scene: SceneLike,
+    laws: Laws,
+    name: str = "damping",
+    values: Sequence[float] | int = 20,
+    *,
+    figure: str | None = None,
+    phases: int | ArrayLike = 100,
+    plant: str = "exact",
+    progress: Callable[[int, int], None] | None = None,
+) -> LawSweep:
+    """Compare one figure of laws at several values of one parameter of a scene.
+
+    A map of the stable region has the figure critical_stiffness over the damping; it is searched from 1/128 to 128
+    times the scene's stiffness.
+
+    Args:
+        scene: See `compare`.
+        laws: See `compare`.
+        name: Parameter of the scene, such as stiffness, damping, rate or delay.
+        values: Its values; for dampings also their number, up to 2.2 times that of the stiffest PD wall.
+        figure: Figure of the contact, its median over the phases, or of `Comparison.margins`; the scene's first by
+            default. NaN for the contact of a law that throws the flotor out.
+        phases: See `compare`.
+        plant: See `compare`.
+        progress: Function called with the number of walls done and the number of all.
+
+    Raises:
+        ParameterError: If there is no such parameter or figure, a law in a map sets its own gains, or as `compare`.
+    """
+    chosen, named = _chosen(scene, laws)
+    base: Any = type(chosen)
+    known: Mapping[str, Figure] = type(_with_law(chosen, "", LAWS["pd"], plant)).figures | _MARGINS
+    shown = figure or next(iter(known))
+    check_one_of("figure", known, shown)
+    if shown == _MAPPED and (fixed := [label for label, law in named.items() if law.gains]):
+        raise ParameterError(f"law {fixed[0]} sets its own gains: it has no critical stiffness over {name}")
+    if isinstance(values, int):
+        count = whole("grid", values, at_least=2, at_most=1000)
+        best = stiffest_in(chosen.period, chosen.delay, float(chosen.body.inertia[2]), "none")
+        high = 2.2 * float(best.damping) or chosen.mass / chosen.period
+        values = list(np.unique([*np.linspace(high / count, high, count), chosen.damping]).tolist())
+
+    class Swept(base):  # type: ignore[misc]
+        __qualname__ = base.__qualname__  # in its text
+        name, figures = base.name, {one: known[one] for one in (shown, "spectral_radius")}
+        law: str = param("law", default=next(iter(named)), choices=tuple(named))
+
+    def value_of(variant: WallScene, at_rest: _AtRest, radius: float) -> float:
+        if shown == _MAPPED:
+            return variant.stiffness * at_rest.critical(radius < 1.0, *_ROUGH)
+        if shown in _MARGINS:
+            return _margins(variant)[shown]
+        with suppress(DivergenceError):
+            each = run_phases(variant, phases, plant=plant).figures[shown]
+            return float(known[shown].percentile(np.ravel(each), 50.0))
+        return math.nan
+
+    def figures_of(some: Sequence[Cell]) -> list[dict[str, Any]]:
+        rows = []
+        for cell in some:
+            one = chosen.replace(**{name: cell[name] for name in vary})
+            variant = _with_law(one, cell["law"], named[cell["law"]], plant)
+            at_rest = _AtRest(variant)
+            radius = at_rest.loop()[1]
+            rows.append(plain({shown: value_of(variant, at_rest, radius), "spectral_radius": radius}))
+        return rows
+
+    names = [one.name for one in chosen.parameters()]
+    vary = with_period(names, {name: values})
+    check_one_of("parameter", names, next(iter(vary)))
+    grid: dict[str, Any] = {**vary, "law": list(named)}
+    cells = Grid(Swept(**chosen.independent_values()), grid, plant=plant)
+    results = Study(figures_of, cells, Record(None), local_workers(0), progress).run(1)
+    return LawSweep(Swept, grid, cells, results, 0, None)
+
+
+def _with_law(scene: WallScene, label: str, law: WallLaw, plant: str) -> WallScene:
     """Return a scene with another law as its wall, and perceived hardness among its figures."""
     base: Any = type(scene)
 
@@ -204,39 +322,71 @@ def _with_law(scene: WallScene, label: str, maker: LawMaker, plant: str) -> Wall
         }
 
         def laws(self) -> list[Any]:
-            return [_law_of(label, maker, self, one) if isinstance(one, Wall) else one for one in base.laws(self)]
+            parts = (laws_of(label, law.make, self, x) if isinstance(x, Wall) else [x] for x in base.laws(self))
+            return list(chain.from_iterable(parts))
 
-    return Compared(**scene.independent_values() | (_passive(scene, plant) if maker is LAWS["colgate"] else {}))
+        def velocity_estimator(self) -> Any:
+            return law.velocity or base.velocity_estimator(self)
 
-
-def _passive(scene: WallScene, plant: str) -> dict[str, float]:
-    """Return the gains of the stiffest passive spring, without damping, on a device with damping of its own."""
-    model, damping = scene.plant_options().get("model"), 0.0
-    if plant != "exact" and model is not None:
-        device = load_model(model)
-        damping = float(device.model.dof_damping[device.velocity_address + scene.axis_index])
-    if not damping:
-        raise ParameterError(
-            "no passive spring: the device has no damping of its own; law colgate needs joint damping in the model of "
-            f"plant mujoco (got {damping:g} N s/m on {scene.axis})"
-        )
-    least = least_passive_damping(1.0, period=scene.period, delay=scene.delay)
-    return {"stiffness": damping / float(least), "damping": 0.0, "pulse": 0.0}
+    return Compared(**scene.independent_values() | (law.gains(scene, plant) if law.gains else {}))
 
 
-def _hand(scene: WallScene) -> Any:
-    return getattr(scene.scripted_hand(), "hand", None)
+class _AtRest:
+    """Loop of a scene's law at rest in the wall, and in free air if the law acts there.
 
+    A law with a method `linear`, see `ObserverWall`, or declared gains is exact. Others are linearised at the depth at
+    which the scene's wall carries the weight.
+    """
 
-def _law_of(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> Law:
-    """Return a maker's law for the numbers of a scene."""
-    numbers = scene.independent_values() | {"axes": scene.axis, "lower": 0.0, "inertia": scene.mass, "wall": wall}
-    numbers["force_limit"] = math.inf if scene.force_limit is None else scene.force_limit
-    takes, fixed = signature(maker).parameters, getattr(maker, "keywords", {})
-    for name, one in takes.items():
-        if one.default is Parameter.empty and name not in numbers:
-            raise ParameterError(f"law {label} must have a default for {name}; {scene.name} has {', '.join(numbers)}")
-    return maker(**{name: value for name, value in numbers.items() if name in takes and name not in fixed})
+    def __init__(self, scene: WallScene) -> None:
+        self.scene, self.hand = scene, getattr(scene.scripted_hand(), "hand", None)
+        controller, depth = scene.controller(), float(scene.body.inertia[0]) * GRAVITY / scene.stiffness
+        inside, free = (along(scene.axis, place) for place in (-depth, depth))
+        self._around: Any = {"delay": scene.delay, "inertia": scene.body.inertia, "hand": self.hand}
+        self._poses = [inside]
+        with suppress(TooManyCallsError):
+            if stated_gains(controller) is None:
+                (near,) = linearise(controller, free, axes=scene.axis)
+                self._poses += [free] * bool(near.response.any() or not near.settled.all())
+
+    def loop(self, **gains: float) -> tuple[float, float]:
+        """Return static stiffness and spectral radius of the worst of the poses, with other gains of the scene."""
+        scene, controller = self.scene, self.scene.replace(**gains).controller()
+        law: Any = controller.laws[0]
+        if hasattr(law, "linear"):
+            model = law.linear(*(np.array(float(one)) for one in (law.stiffness, law.damping)))
+            around: Any = {"period": scene.period, "delay": scene.delay, "mass": scene.body.inertia[scene.axis_index]}
+            loop = SampledLoop(hand=self.hand, design=lambda *_: model, **around)
+            return float(rendered_stiffness(model)), float(loop.spectral_radius(law.stiffness, law.damping))
+        loops = [axis_loop(controller, scene.axis_index, pose=pose, **self._around) for pose in self._poses]
+        return loops[0][0], float(np.max([radius for _, radius in loops]))
+
+    def critical(self, stable: bool, factor: float, most: int, halvings: int) -> float:
+        """Return the ratio to the scene's stiffness at which stability changes.
+
+        Infinite if stiffer walls are stable up to the last step, 0 if softer ones are unstable, NaN if not computed.
+
+        Args:
+            stable: Whether the loop is stable at the scene's stiffness.
+            factor: Factor of the stiffness from step to step.
+            most: Number of steps.
+            halvings: Number of bisections of the last step.
+        """
+        begin = thread_time()
+
+        def changed(ratio: Any) -> Any:
+            radius = self.loop(stiffness=float(ratio) * self.scene.stiffness)[1]
+            if math.isnan(radius) or thread_time() - begin > _SEARCH:
+                raise TooManyCallsError("critical stiffness not computed")
+            return (radius < 1.0) != stable
+
+        ratios = (factor if stable else 1.0 / factor) ** np.arange(most)
+        with suppress(ParameterError):  # outside the scene's bounds, or not computed
+            last = next((index for index, ratio in enumerate(ratios[1:]) if changed(ratio)), None)
+            if last is None:
+                return math.inf if stable else 0.0
+            return float(bisect(changed, ratios[last], ratios[last + 1], halvings))
+        return math.nan
 
 
 def _margins(scene: WallScene) -> dict[str, float]:
@@ -244,13 +394,14 @@ def _margins(scene: WallScene) -> dict[str, float]:
 
     Laws that state no gains rest at the depth at which the scene's own wall carries the weight.
     """
-    at_rest = wall_margin(scene, held=True)
-    assert at_rest is not None
-    stiffness, spectral_radius, margin = at_rest
+    at_rest = _AtRest(scene)
+    stiffness, radius = at_rest.loop()
+    margin = math.nan if math.isnan(radius) else at_rest.critical(radius < 1.0, *_FINE)
+    margin = margin if 0.0 < margin < math.inf else math.nan
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
-    around |= {"hand": _hand(scene), "quantum": scene.quantize or Spec.translation_resolution.value}
+    around |= {"hand": at_rest.hand, "quantum": scene.quantize or Spec.translation_resolution.value}
     rest = stiffness if 1.0 < stiffness < 1e9 else scene.stiffness
-    noise = hum(0.0, law=law, stiffness=rest, duration=_TICKS * scene.period, **around).force.item()
+    swing, force = hum(0.0, law=scene.controller(), stiffness=rest, duration=_TICKS * scene.period, **around)
     gain = margin * float(getattr(law, "stiffness", math.nan))
-    return dict(zip(_MARGINS, (stiffness, noise, spectral_radius, gain, margin), strict=True))
+    return dict(zip(_MARGINS, (stiffness, force.item(), swing.item(), radius, gain, margin), strict=True))

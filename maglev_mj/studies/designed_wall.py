@@ -272,7 +272,7 @@ class Hum(NamedTuple):
 def hum(
     frictions: ArrayLike,
     *,
-    law: Law | None = None,
+    law: Law | Controller | None = None,
     stiffness: float = 6000.0,
     damping: float = 80.0,
     quantum: float = Spec.translation_resolution.value,
@@ -289,7 +289,7 @@ def hum(
 
     Args:
         frictions: Coulomb friction of the device itself [N], (M,).
-        law: The wall along z; None for PD.
+        law: The wall along z, or a controller; None for PD.
         stiffness: Wall stiffness, the rendered one of another law [N/m].
         damping: Wall damping [N s/m].
         quantum: Step of the sensor [m].

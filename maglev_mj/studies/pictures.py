@@ -26,6 +26,7 @@ from maglev_mj.pictures import (
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import figure_head, parameter_texts
 from maglev_mj.studies.card import DeviceCard
+from maglev_mj.studies.compare import LawSweep
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.drop_map import DropMap
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
@@ -301,6 +302,19 @@ def _heat_maps(
     if missing:
         figure.axes[0].plot([], [], "s", color=GRID, markersize=9, label=" or ".join(sorted(missing)))
         name_curves(figure, figure.axes[:1])
+    return figure
+
+
+def law_sweep(result: LawSweep) -> Any:
+    """Draw figure and spectral radius of each law over the varied parameter; for a map, also the scene's wall."""
+    figure = sweep(result)
+    p: Any = result.cells.scene
+    if (*result.varied, result.names[0]) == ("damping", "law", "critical_stiffness"):
+        panel, name = figure.axes[0], f"scene: {p.stiffness:g} N/m, {p.damping:g} N s/m"
+        panel.plot(p.damping, p.stiffness, "D", color=FIRST, markeredgecolor="white", label=name, zorder=5)
+        panel.set_ylim(0.0, None)
+        figure.legends[0].remove()
+        name_curves(figure, figure.axes)
     return figure
 
 

@@ -13,10 +13,10 @@ from maglev_mj import AXES, Controller, Sample
 from maglev_mj.control import (
     AxisLaw,
     Bias,
+    HalfSampleWall,
     Hold,
     Law,
     PassivityController,
-    PredictiveWall,
     StickSlip,
     Wall,
     check_law,
@@ -83,7 +83,7 @@ def test_gains_may_differ_by_axis_and_by_device() -> None:
 
 def test_a_controller_tells_what_its_laws_are() -> None:
     friction = [StickSlip(axes=axis, v_min=0.01, **FRICTION) for axis in ("x", "rz")]
-    ahead = PredictiveWall(axes="z", lower=-2e-3, period=T, **GAINS)
+    ahead = HalfSampleWall(axes="z", lower=-2e-3, period=T, **GAINS)
     watch = PassivityController(axes="y", period=T, most=10.0)
     laws = [
         Bias([0, 0, 6.9, 0, 0, 0]),

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from maglev_mj import Controller, ExactPlant, Timing, Wall, drive
-from maglev_mj.control import Law, ObserverWall, PassivityController, PredictiveWall
+from maglev_mj import Controller, ExactPlant, Sample, Timing, Wall, drive
+from maglev_mj.control import HalfSampleWall, Law, ObserverWall, PassivityController
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import exponential
 from maglev_mj.plants.trace import PassivityObserver, actuator_work
@@ -49,9 +49,9 @@ def plain(stiffness: float) -> Wall:
 
 
 @pytest.mark.parametrize("stiffness", [1000.0, 4000.0])
-def test_prediction_gives_back_what_it_took(stiffness: float) -> None:
+def test_half_sample_prediction_gives_back_what_it_took(stiffness: float) -> None:
     # The ideal spring returns all; the sampled one makes a third to four fifths more, prediction at most 4 %.
-    ahead = PredictiveWall(axes="z", stiffness=stiffness, period=T)
+    ahead = HalfSampleWall(axes="z", stiffness=stiffness, period=T)
     predicted, sampled = bounce([ahead], 0.0)[0], bounce([plain(stiffness)], 0.0)[0]
     assert np.abs(predicted - 1.0).max() < 1e-5 * stiffness
     formula = math.exp(math.pi * 0.5 * T * math.sqrt(stiffness / M))
@@ -61,11 +61,11 @@ def test_prediction_gives_back_what_it_took(stiffness: float) -> None:
 
 def test_the_line_across_the_edge_counts_for_its_part_inside() -> None:
     # Against the mean over the hold by quadrature, for every way of crossing, resting and missing the edge.
-    law = PredictiveWall(axes="z", lower=1e-3, stiffness=3000.0, damping=20.0, period=T, delay=0.0015)
+    law = HalfSampleWall(axes="z", lower=1e-3, stiffness=3000.0, damping=20.0, period=T)
     for place, speed in itertools.product(np.linspace(-2e-3, 4e-3, 25), (-0.4, -0.1, 0.0, 0.1, 0.4)):
         wrench: list[Any] = [0.0] * 6
         law([0.0, 0.0, place, 0.0, 0.0, 0.0], [0.0, 0.0, speed, 0.0, 0.0, 0.0], law.start(), wrench)
-        time = 0.0015 + T * (np.arange(20000) + 0.5) / 20000
+        time = T * (np.arange(20000) + 0.5) / 20000
         line = place - 1e-3 + speed * time
         mean = np.where(line <= 0.0, -3000.0 * line - 20.0 * speed, 0.0).mean()
         assert wrench[2] == pytest.approx(mean, abs=2e-3)
@@ -123,6 +123,18 @@ def test_passivity_control_takes_away_what_the_wall_makes(stiffness: float, dela
     kept, controlled, _ = bounce([plain(stiffness), control], delay)
     assert made.min() > 1.2 and (watch.energy[:, 2] < 0.0).all()
     assert kept.max() < 1.0 + 1e-9 and controlled.energy[:, 2].min() > -1e-12
+
+
+def test_passivity_control_of_2002_sees_no_energy_made_by_the_hold() -> None:
+    # A force times the backward difference at its own sample counts K dx²/2 too much.
+    watch = PassivityController(axes="z", period=T, most=60.0, paired=False)
+    made, kept = bounce([plain(4000.0)], 0.0)[0], bounce([plain(4000.0), watch], 0.0)[0]
+    np.testing.assert_array_equal(kept, made)
+    assert (kept.min(), kept.max()) == pytest.approx((1.73, 1.85), abs=0.01)
+    pushing = Controller([lambda x, v: [0.0, 0.0, 10.0 * v[2], 0.0, 0.0, 0.0], watch], period=T)
+    forces = [pushing.step(Sample(tick, tick * T, [0.0, 0.0, 1e-3 * tick, 0.0, 0.0, 0.0])) for tick in range(3)]
+    assert [command.force[2] for command in forces] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)  # its deficit at once
+    assert pushing.signals["energy"] == pytest.approx([0.0], abs=1e-12)
 
 
 @pytest.mark.parametrize(

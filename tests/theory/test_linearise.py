@@ -21,9 +21,9 @@ from maglev_mj.control import (
     Law,
     LowPass,
     ObserverWall,
-    PredictiveWall,
     StickSlip,
     VelocityEstimator,
+    VirtualCoupling,
     Window,
     gain,
 )
@@ -216,9 +216,9 @@ def test_axes_that_act_on_each_other_are_judged_together() -> None:
 def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
     common: dict[str, Any] = {"axes": "x", "lower": -0.00447, "damping": 80.0, "period": T}
     for stiffness in (4000.0, 20000.0):
-        ahead = PredictiveWall(**common, delay=DELAY, stiffness=stiffness)
-        assert [face[0] for face in ahead.faces()] == [0]
-        found = verdict(ahead, Bias([0.0] * 6))
+        coupled = VirtualCoupling(**common, inertia=INERTIA[0], stiffness=stiffness)
+        assert [face[0] for face in coupled.faces()] == [0]
+        found = verdict(coupled, Bias([0.0] * 6))
         assert found.stable is (stiffness < 9000.0), found.spectral_radius
     observer = ObserverWall(**common, delay=DELAY, stiffness=4000.0, inertia=INERTIA[0], pole=0.4)
     loop: Any = {"period": T, "delay": DELAY, "mass": INERTIA[0], "design": lambda k, b, _: observer.linear(k, b)}

@@ -1,4 +1,4 @@
-"""Walls: PD wall with braking pulse, predictive walls, and a passivity controller."""
+"""Walls: PD wall with braking pulse, half-sample prediction, virtual coupling, observer, passivity controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from maglev_mj.control.laws.base import Answer, AxisLaw, Face, Gains, LinearCont
 from maglev_mj.control.timeline import check_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Component, Six, clipped
-from maglev_mj.parameters import number, store
+from maglev_mj.parameters import flag, number, store
 from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 
 
@@ -187,12 +187,11 @@ class _LowerWall(AxisLaw):
         return [(axis, 1.0, law.lower) for axis, law in self._each]
 
 
-class PredictiveWall(_LowerWall):
-    """Wall that renders the predicted mean force over the zero-order hold.
+class HalfSampleWall(_LowerWall):
+    """Wall with half-sample prediction, and the time at which its edge is crossed.
 
-    The force of the ideal wall is averaged along the extrapolated position x + v t, T_d <= t <= T_d + T. Inside the
-    wall this is half-sample prediction, f = -K (x + v (T_d + T/2)) - B v; if the line crosses the edge, only its part
-    inside the wall counts.
+    Inside, f = -K (x + v T/2) - B v: the mean of the ideal force over the hold. If the line x + v t crosses the edge
+    within the hold, only the part of the hold inside the wall counts. A delay is not predicted.
 
     Each gain is a number, one number per axis, or (N, axes) for N devices.
 
@@ -202,38 +201,79 @@ class PredictiveWall(_LowerWall):
         stiffness: Stiffness K [N/m, N m/rad].
         damping: Damping B [N s/m, N m s/rad].
         period: Sample period T [s].
-        delay: Transport delay T_d [s].
 
     Raises:
         ParameterError: If a value is outside its bounds or shapes do not match.
 
-    Source: after Gillespie & Cutkosky 1996, who use half-sample prediction and deadbeat control of the crossing; the
-        mean over the hold is this project's.
+    Source: Gillespie & Cutkosky 1996 (recalled, not verified).
 
     Example:
-        >>> from maglev_mj import Controller, PredictiveWall, Sample
-        >>> wall = PredictiveWall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, period=0.005, delay=0.0015)
+        >>> from maglev_mj import Controller, HalfSampleWall, Sample
+        >>> wall = HalfSampleWall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, period=0.005)
         >>> round(Controller([wall], period=0.005).step(Sample(0, 0.0, [0, 0, -0.001, 0, 0, 0])).force[2], 3)
         6.0
     """
 
     damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
     period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
-    delay: float = setting(default=0.0, at_least=0.0)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_delay(self.delay, self.period)
+    def gains(self) -> Iterable[Gains]:
+        """Return stiffness and damping in contact, B + K T/2."""
+        damping = np.asarray(self.damping) + 0.5 * self.period * np.asarray(self.stiffness)
+        return (Gains("contact", self.on_axes(self.stiffness), self.on_axes(damping)),)
 
     def force(self, x: Component, v: Component, gains: Any, state: None) -> Component:
         """Return the force on one axis; see `AxisLaw`."""
-        begin = x - gains.lower + v * self.delay
+        begin = x - gains.lower
         end = begin + v * self.period
         first, last = begin * (begin < 0.0), end * (end < 0.0)
         travel = begin - end
         static = travel == 0.0
         share = (first - last) / (travel + static) + static * (begin <= 0.0)
         return -(share * (0.5 * gains.stiffness * (first + last) + gains.damping * v))
+
+
+class VirtualCoupling(_LowerWall):
+    """Spring and damper between the flotor and a virtual mass, which the wall stops.
+
+    f = -K (x - y) - B (v - w) and M w' = -f, by the semi-implicit Euler method: w[k+1] = w[k] - f[k] T/M and
+    y[k+1] = y[k] + T w[k+1]. At the edge the virtual mass stops, y = lower and w = 0. In contact the law is the PD
+    wall, and in free air the flotor drags the virtual mass along: a stable coupling needs both loops stable.
+
+    Each gain is a number, one number per axis, or (N, axes) for N devices.
+
+    Args:
+        axes: Names from AXES; all six by default.
+        lower: The wall fills y <= lower [m, rad].
+        stiffness: Stiffness K of the coupling [N/m, N m/rad].
+        damping: Damping B of the coupling [N s/m, N m s/rad].
+        inertia: Virtual mass or moment of inertia M [kg, kg m²].
+        period: Sample period T [s].
+
+    Raises:
+        ParameterError: If a value is outside its bounds or shapes do not match.
+
+    Source: Colgate, Stanley & Brown 1995; Adams & Hannaford 1999 (recalled, not verified).
+
+    Example:
+        >>> from maglev_mj import Controller, Sample, VirtualCoupling
+        >>> wall = VirtualCoupling(axes="z", stiffness=6000.0, damping=80.0, inertia=0.7, period=0.005)
+        >>> round(Controller([wall], period=0.005).step(Sample(0, 0.0, [0, 0, -0.001, 0, 0, 0])).force[2], 3)
+        6.0
+    """
+
+    damping: ArrayLike = gain(unit="N s/m, N m s/rad")
+    inertia: ArrayLike = gain(unit="kg, kg m²", above=0.0)
+    period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
+
+    def force(self, x: Component, v: Component, gains: Any, state: Any) -> tuple[Component, Any]:
+        """Return the force on one axis, and position and velocity of the virtual mass; see `AxisLaw`."""
+        y, w = (choose(x > gains.lower, x, gains.lower + 0.0 * x), 0.0 * x) if state is None else state
+        pull = gains.stiffness * (x - y) + gains.damping * (v - w)
+        w = w + self.period / gains.inertia * pull
+        y = y + self.period * w
+        free = y > gains.lower
+        return -pull, (choose(free, y, gains.lower + 0.0 * y), choose(free, w, 0.0 * w))
 
 
 class _Estimate(NamedTuple):
@@ -363,43 +403,51 @@ _AxisState: TypeAlias = tuple[Component, Component, tuple[Component, ...]]
 
 
 class PassivityController(AxisLaw):
-    """Time-domain passivity controller; must be the last law.
+    """Time-domain passivity controller of the laws before it.
 
-    It observes the energy absorbed by the laws before it, its own damping included,
-    E[k] = E[k-1] - f (x[k] - x[k-1]), and dissipates a deficit.
+    It observes the energy that they absorb, their own damping included, and dissipates a deficit. While E < 0, the
+    damper b = -E / (T v²) is added, up to `most`: more would be unstable under the delay. At rest, with E > 0, it has
+    no gains.
 
-    f is the force in effect; with a delay, the weighted mean of the two forces in effect. While E < 0, the damper
-    b = -E / (T v²) is added, up to `most`: more would be unstable under the delay.
+    With `paired`, E[k] = E[k-1] - f (x[k] - x[k-1]), f the force in effect; with a delay, the weighted mean of the two
+    forces in effect. This balances the energy after a contact, not at every instant: a deficit is observed at the next
+    sample and dissipated after it, outside the wall too. Measured without delay at 200 Hz and 0.7 kg, `most` 60 N s/m:
+    from the third sample outside on, springs up to 4000 N/m have returned at most 1.002 times the absorbed energy (20
+    kN/m 1.15), but up to 1.58 (3.41) times before. With a delay the damper acts later.
 
-    This balances the energy after a contact, not at every instant: a deficit is observed at the next sample and
-    dissipated after it, outside the wall too. Measured without delay at 200 Hz and 0.7 kg, `most` 60 N s/m: from the
-    third sample outside on, springs up to 4000 N/m have returned at most 1.002 times the absorbed energy (20 kN/m
-    1.15), but up to 1.58 (3.41) times before. With a delay the damper acts later.
+    Without `paired`, E[k] = E[k-1] - T f[k] v[k] + T b v[k]², a force with the velocity at its own sample. It detects
+    no energy generated by the hold: over the finite difference, -T f v of a spring is its change of energy and
+    K (x[k] - x[k-1])²/2, never less.
 
     Args:
         axes: Names from AXES; all six by default.
         period: Sample period [s].
         most: Largest added damping [N s/m, N m s/rad]; a number, one per axis, or (N, axes).
-        delay: Transport delay [s].
+        delay: Transport delay [s]; only with `paired`.
         slow: Lowest speed with added damping [m/s, rad/s]; below it the damping would tend to infinity.
+        paired: True for the force in effect, False for the series controller of 2002.
 
     Raises:
         ParameterError: If a value is outside its bounds or shapes do not match.
 
-    Source: this project's form of the series controller of Hannaford & Ryu 2002 (recalled), whose sum T f[k] v[k] pairs
-        a force with the velocity at its own sample: it detects no energy generated by the hold.
+    Source: Hannaford & Ryu 2002 (recalled, not verified); `paired` is this project's form.
     """
 
     period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
     most: ArrayLike = gain(unit="N s/m, N m s/rad")
     delay: float = 0.0
     slow: float = setting(default=1e-4, above=0.0)
+    paired: bool = True
 
     _split: tuple[int, float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        store(self, _split=check_delay(self.delay, self.period))
+        store(self, _split=check_delay(self.delay, self.period), paired=flag("paired", self.paired))
+
+    def gains(self) -> Iterable[Gains]:
+        """Return no gains: at rest no energy is missing."""
+        return ()
 
     def start(self) -> list[_AxisState]:
         """Return the state before the first sample."""
@@ -421,14 +469,18 @@ class PassivityController(AxisLaw):
             most = gains.most
             now, rendered = position[axis], wrench[axis]
             travel = choose(last == last, now - last, 0.0 * now)  # NaN before the first sample: no energy
-            share = self._split[1] / self.period
-            energy = energy - (share * forces[-1] + (1.0 - share) * forces[-2]) * travel
-            speed = velocity[axis]
+            share, speed = self._split[1] / self.period, velocity[axis]
+            if self.paired:
+                energy = energy - (share * forces[-1] + (1.0 - share) * forces[-2]) * travel
+            else:
+                energy = energy - self.period * rendered * speed
             fast = (speed > self.slow) | (speed < -self.slow)
             power = self.period * speed * speed
             required = choose(fast & (energy < 0.0), -energy / (power + (power == 0.0)), 0.0 * now)
             damping = choose(required < most, required, most + 0.0 * now)
             total = rendered - damping * speed
             wrench[axis] = total
+            if not self.paired:
+                energy = energy + damping * power
             following.append((energy, now, (total, *forces[:-1])))
         return following, None
