@@ -100,17 +100,6 @@ def test_render_device_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
     assert picture[..., :3].std() > 0.1  # a device, not an empty sky
 
 
-@pytest.mark.parametrize(("options", "tables"), [(["--quick"], 1), pytest.param([], 8, marks=STUDY)])
-def test_pulse_effect_prints_the_table_of_its_page(options: list[str], tables: int, run_script: Script) -> None:
-    out = run_script("figures/pulse_effect.py", *options).splitlines()
-    assert sum(line.startswith("| from") for line in out) == tables
-    page = (ROOT / "docs" / "explanation" / "drop.md").read_text(encoding="utf-8")
-    (table,) = re.findall(r"^\| from 4\.5 mm (?:.*\n)+?\n", page, re.MULTILINE)
-    rows = table.splitlines()[:-1]
-    assert len(rows) > 8
-    assert [row for row in rows if row not in out] == []
-
-
 def test_friction_laws_stick_slip_is_nearest_exact_friction_and_does_not_creep(
     tmp_path: Path, run_script: Script
 ) -> None:
