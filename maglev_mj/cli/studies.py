@@ -227,7 +227,7 @@ def compare(
     ] = None,
     figure: Annotated[str | None, option("figure in the table of --vary (default: the scene's first)", "over")] = None,
     map: Annotated[bool, option("map the stable region over damping and stiffness instead", "over")] = False,
-    grid: Annotated[int, option("number of dampings of --map", "over")] = 20,
+    grid: Annotated[int, option("number of dampings of --map", "over", at_least=2, at_most=1000)] = 20,
     json: Json = None,
     pictures: Pictures,
 ) -> int:

@@ -362,15 +362,9 @@ class _AtRest:
         return loops[0][0], float(np.max([radius for _, radius in loops]))
 
     def critical(self, stable: bool, factor: float, most: int, halvings: int) -> float:
-        """Return the ratio to the scene's stiffness at which stability changes.
+        """Return the ratio to the scene's stiffness at which stability changes, from `stable` there; see `_FINE`.
 
         Infinite if stiffer walls are stable up to the last step, 0 if softer ones are unstable, NaN if not computed.
-
-        Args:
-            stable: Whether the loop is stable at the scene's stiffness.
-            factor: Factor of the stiffness from step to step.
-            most: Number of steps.
-            halvings: Number of bisections of the last step.
         """
         begin = thread_time()
 

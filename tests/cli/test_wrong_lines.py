@@ -161,6 +161,11 @@ compare drop --law pd --law pd                      | pd
 compare drop --law pd --law nofile.py               | nofile.py
 compare box --law pd                                | box
 compare drop --law pd --law colgate                 | colgate
+compare drop --law pd --vary stiffness=1000 --map   | vary and map are mutually exclusive (got vary stiffness=1000)
+compare drop --law pd --figure noise                | figure needs --vary NAME=VALUES (got noise)
+compare drop --law pd --vary rate=200 --figure glow | figure must be one of penetration
+compare drop --law pd --vary plant=exact            | parameter must be one of period
+compare drop --law colgate --map                    | law colgate sets its own gains
 card glue                                           | glue
 lessons notes.jsonl                                 | notes.jsonl
 twin --fault glue:1@2                               | fault must be one of
