@@ -269,6 +269,8 @@ def sweep_laws(
     if shown == _MAPPED and (fixed := [label for label, law in named.items() if law.gains]):
         raise ParameterError(f"law {fixed[0]} sets its own gains: it has no critical stiffness over {name}")
     if isinstance(values, int):
+        if name != "damping":
+            raise ParameterError(f"values of {name} must be a list of numbers (got {values})")
         count = whole("grid", values, at_least=2, at_most=1000)
         best = stiffest_in(chosen.period, chosen.delay, float(chosen.body.inertia[2]), "none")
         high = 2.2 * float(best.damping) or chosen.mass / chosen.period
