@@ -174,6 +174,22 @@ class Mode:
         store(self, shape=common_shape("mode values", *map(np.shape, self.values)))
 
 
+def get_mode(text: str | Mode | None) -> Mode | None:
+    """Return a mode from "frequency,damping ratio,participation"; a `Mode` or None is returned unchanged.
+
+    Raises:
+        ParameterError: If the text is not three numbers, or one is outside its bounds.
+    """
+    if not isinstance(text, str):
+        return text
+    try:
+        return Mode(*map(float, text.split(",")))
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ParameterError):
+            raise
+        raise ParameterError(f"mode must be HZ,ZETA,RHO, such as 1000,0.01,-1 (got {text!r})") from None
+
+
 def motion(
     mass: ArrayLike,
     hand: Hand | None = None,

@@ -20,8 +20,6 @@ from maglev_mj.theory.ideal import karnopp as karnopp
 from maglev_mj.theory.linearise import ClosedLoop as ClosedLoop
 from maglev_mj.theory.linearise import Linearised as Linearised
 from maglev_mj.theory.two_rates import DeviceLaw as DeviceLaw
-from maglev_mj.theory.two_rates import two_rate_radius as two_rate_radius
-from maglev_mj.theory.two_rates import two_rate_stiffness as two_rate_stiffness
 from maglev_mj.theory.verdict import Verdict as Verdict
 from maglev_mj.theory.verdict import judge as judge
 from maglev_mj.theory.verdict import stability as stability

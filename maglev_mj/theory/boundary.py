@@ -26,14 +26,25 @@ from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import common_shape, number, numbers
-from maglev_mj.theory.closed_loop import ROUNDING, Design, LoopKeywords, SampledLoop, is_stable, pd, rendered_stiffness
+from maglev_mj.theory.closed_loop import (
+    ROUNDING,
+    Design,
+    LoopKeywords,
+    SampledLoop,
+    bisect,
+    is_stable,
+    pd,
+    rendered_stiffness,
+)
 
-_HIGHEST = 8.0
+_HIGHEST, _HIGHER = 8.0, 64.0
+"""Largest stiffness searched, and largest one beside a device law [m/T²]."""
 _NEAR = np.array([-1e-4, -1e-7, 1e-7, 1e-4])
 _CLOSE = np.array([-1e-4, -2e-7, 2e-7, 1e-4])
 _ALIKE = 2e-15  # spectral radii equal to within rounding
 _EVEN = np.array([0.0, 0.3, 0.7, 1.0])
 _LOWEST, _ROUGH, _FINEST = 8e-5, 1e-5, 1e-7
+_SCANNED, _HALVINGS = 240, 40
 _GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 720)])
 _FINER, _FLAT = 16, 1e-10
 _SOFTEST = 1e-9
@@ -79,9 +90,12 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
         damping: (N,).
         limit: Spectral radius allowed.
     """
-    stiff, damp = scales(loop)
-    crossed = np.minimum(crossings(characteristic(loop, limit), damping / damp), _HIGHEST)
-    edges = np.pad(crossed, ((0, 0), (1, 1)), constant_values=(0.0, _HIGHEST))
+    (stiff, damp), highest = scales(loop), _HIGHEST if loop.device is None else _HIGHER
+    if loop.affine:
+        crossed = np.minimum(crossings(characteristic(loop, limit), damping / damp), highest)
+    else:
+        crossed = _scanned(loop, damping, limit)
+    edges = np.pad(crossed, ((0, 0), (1, 1)), constant_values=(0.0, highest))
     edges = edges * np.broadcast_to(stiff, damping.shape)[:, None]
     low, high = edges[:, :-1], edges[:, 1:]
     rows, column = np.nonzero(high > low)
@@ -89,6 +103,27 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
     middle = 0.5 * (low + high)[rows, column]
     good[rows, column] = is_stable(loop.part(damping.shape, rows).spectral_radius(middle, damping[rows]), limit)
     return edges, good
+
+
+def _scanned(loop: SampledLoop, damping: Array, limit: float) -> Array:
+    """Return the stiffnesses at which stability changes [m/T²], (N, c), ascending, padded with the highest one.
+
+    By a grid and bisection, for a polynomial that is not linear in the gains: a narrower range may be missed.
+    """
+    grid = np.geomspace(_LOWEST, _HIGHER, _SCANNED)
+    stiff = np.broadcast_to(scales(loop)[0], damping.shape)
+    good = is_stable(loop.widened().spectral_radius(stiff[:, None] * grid, damping[:, None]), limit)
+    rows, columns = np.nonzero(good[:, 1:] != good[:, :-1])
+    result = np.full((len(damping), int(np.bincount(rows, minlength=1).max(initial=0))), _HIGHER)
+    if rows.size:
+        part, was = loop.part(damping.shape, rows), good[rows, columns]
+
+        def changed(stiffness: Array) -> Mask:
+            return is_stable(part.spectral_radius(stiffness * stiff[rows], damping[rows]), limit) != was
+
+        places = np.arange(rows.size) - np.searchsorted(rows, rows)
+        result[rows, places] = bisect(changed, grid[columns], grid[columns + 1], _HALVINGS)
+    return result
 
 
 def ranges_of(loop: SampledLoop, damping: float, limit: float = 1.0) -> list[tuple[float, float]]:
@@ -142,7 +177,8 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
         loop: Keywords of `SampledLoop`; they broadcast with the damping.
 
     Returns:
-        The stiffness (...,), 0 if no soft wall is stable, and 8 m/T² at most; for `damping=None` a `StiffestWall`.
+        The stiffness (...,), 0 if no soft wall is stable, and 8 m/T² at most, 64 beside a device law; for
+        `damping=None` a `StiffestWall`.
 
     Raises:
         ParameterError: If a value is outside its bounds.

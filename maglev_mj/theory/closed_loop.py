@@ -22,6 +22,7 @@ from maglev_mj.keywords import with_hints
 from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, number, numbers, store, transport_delay
 from maglev_mj.plants.hand import Hand, Mode, get_hand, hand_of, motion, transition
 from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
+from maglev_mj.theory.two_rates import DeviceLaw, TwoRates, rates_of
 
 _CHUNK = 1 << 16
 _BATCHED = "period", "delay", "mass", "prediction", "own_damping"
@@ -43,6 +44,7 @@ class LoopKeywords(TypedDict, total=False):
     design: Design | None
     own_damping: ArrayLike
     mode: Mode | None
+    device: DeviceLaw | None
 
 
 def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -> Design:
@@ -96,6 +98,8 @@ class SampledLoop:
         design: Linear controller in place of the PD wall.
         own_damping: Viscous damping b of the device itself, a force -b v on its mean motion [N s/m].
         mode: Flexible mode; None for a rigid flotor.
+        device: Law on the device, beside that of the host, to which gains, period, delay and velocity belong; None for
+            none. Its matrix is that of a hyperperiod, `rates_of(...).host` host periods long.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -111,6 +115,7 @@ class SampledLoop:
     design: Design | None = None
     own_damping: ArrayLike = 0.0
     mode: Mode | None = None
+    device: DeviceLaw | None = None
     shape: tuple[int, ...] = field(init=False)
     """Broadcast shape of period, delay, mass, prediction, own damping, hand and mode."""
 
@@ -128,13 +133,100 @@ class SampledLoop:
     def matrix(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
         """Return the closed-loop matrix (..., n, n).
 
-        Its state is that of `motion`, then the delayed commands, newest first, then the controller's state.
+        Its state is that of `motion`, then the delayed commands, newest first, then the controller's state; beside a
+        device law that of `TwoRates`.
         """
         k, b = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
+        if self.device is not None:
+            return self._hyperperiod(k, b)[..., :-1, :-1]
         law = self.law(k, b)
         phi, old, new, whole, waiting = self.flotor()
         system = law.advance, law.take[..., None], law.give[..., None, :], law.direct[..., None, None]
         return loop_matrix(phi, old[..., None], new[..., None], whole, waiting, *system)
+
+    def _hyperperiod(self, stiffness: Array, damping: Array) -> Array:
+        """Return the matrix with a device law, (..., n + 1, n + 1); delays differ in the number of states, so pad."""
+        shape = np.broadcast_shapes(stiffness.shape, damping.shape, self.shape)
+        k, b = (np.broadcast_to(gain, shape).reshape(-1) for gain in (stiffness, damping))
+        parts = [(rows, loop.two_rates().matrix(loop.law(k[rows], b[rows]))) for rows, loop in self.uniform(shape)]
+        size = max(part.shape[-1] for _, part in parts)
+        result = np.zeros((k.size, size, size))
+        for rows, part in parts:
+            own = np.r_[: part.shape[-1] - 1, size - 1]
+            result[np.arange(k.size)[rows][:, None, None], own[:, None], own] = part
+        return result.reshape(*shape, size, size)
+
+    def uniform(self, shape: tuple[int, ...]) -> Iterator[tuple[Any, SampledLoop]]:
+        """Yield parts of equal period and delay, with their indices into the flattened gains of a shape."""
+        times = [np.asarray(getattr(self, name)) for name in ("period", "delay")]
+        if not any(part.ndim for part in times):
+            yield slice(None), self.part(shape, slice(None))
+            return
+        pairs, index = np.unique(np.array([np.broadcast_to(part, shape).ravel() for part in times]), axis=1, return_inverse=True)
+        for place, (period, delay) in enumerate(pairs.T.tolist()):
+            rows = np.flatnonzero(index.reshape(-1) == place)
+            yield rows, replace(self.part(shape, rows), period=period, delay=delay)
+
+    def two_rates(self, phase: float = 0.0) -> TwoRates:
+        """Return the maps of a hyperperiod beside a device law; period and delay must be numbers."""
+        assert self.device is not None
+        period, zero = float(np.asarray(self.period)), np.zeros(())
+        rates, states = rates_of(period, self.device), self.law(zero, zero).advance.shape[-1]
+        gains = map(np.asarray, (self.device.stiffness, self.device.damping, rates.period))
+        device = self.device, pd(self.device.velocity)(*gains)
+        return TwoRates(self.motion(), states, *device, period, float(np.asarray(self.delay)), rates, phase)
+
+    @property
+    def affine(self) -> bool:
+        """True if the characteristic polynomial is linear in the gains: without a device law, or at a multiple rate."""
+        if self.device is None:
+            return True
+        rates = [rates_of(period, self.device) for period in np.unique(self.period).tolist()]
+        return all(one.host == len(one.phases) == 1 for one in rates)
+
+    def pole(self, stiffness: float, damping: float) -> tuple[float, float]:
+        """Return the spectral radius of a single loop, and the frequency of its dominant pole [Hz].
+
+        Beside a device law the frequency is the mean over the hyperperiod, from event to event.
+        """
+        poles, vectors = np.linalg.eig(self.matrix(stiffness, damping))
+        worst = np.argmax(np.abs(poles))
+        radius, period = float(self.spectral_radius(stiffness, damping)), float(np.asarray(self.period))
+        if self.device is None:
+            return radius, abs(float(np.angle(poles[worst]))) / (2.0 * np.pi * period)
+        times, positions = self.response(stiffness, damping, np.append(vectors[:, worst], 0.0))
+        turns = np.unwrap(np.angle(positions[np.diff(times, prepend=-1.0) > 0.0]))
+        return radius, abs(float(turns[-1] - turns[0])) / (2.0 * np.pi * float(times[-1]))
+
+    def response(self, stiffness: float, damping: float, state: Array | None = None, span: float = 0.0) -> tuple[Array, Array]:
+        """Return times [s] and positions from a state, (N,) each, over at least a span and a (hyper)period.
+
+        Args:
+            stiffness: Stiffness of a single loop.
+            damping: Its damping.
+            state: State, of `matrix` or `two_rates`; None for a displacement by 1 at which the controllers rest.
+            span: Duration [s].
+        """
+        law, period = self.law(np.asarray(stiffness), np.asarray(damping)), float(np.asarray(self.period))
+        if self.device is None:
+            steps, durations = [self.matrix(stiffness, damping)], np.array([period])
+            memories = [(len(steps[0]) - law.advance.shape[-1], law)]
+        else:
+            both = self.two_rates()
+            steps, durations, memories = both.steps(law), both.durations, both.memories(law)
+        if state is None:
+            state = np.zeros(len(steps[0]))
+            state[0] = 1.0
+            for first, one in memories:
+                last = first + len(one.advance)
+                state[first:last] = np.linalg.solve(np.eye(len(one.advance)) - one.advance, one.take)
+        times, positions = [0.0], [state[0]]
+        while times[-1] < span or len(times) <= len(steps):
+            for step, duration in zip(steps, durations.tolist()):
+                state = step @ state
+                times.append(times[-1] + duration)
+                positions.append(state[0])
+        return np.array(times), np.array(positions)
 
     def compliances(self, stiffness: ArrayLike, damping: ArrayLike, frequencies: Sequence[float]) -> Iterator[Array]:
         """Yield the compliance, sampled position over hand force, at each frequency [m/N], complex (...,).
@@ -145,11 +237,20 @@ class SampledLoop:
             stiffness: Wall stiffness [N/m], (...,).
             damping: Wall damping [N s/m], (...,).
             frequencies: Frequencies [Hz], below half the sample rate; the period must be a number.
+
+        Raises:
+            ParameterError: If the rate of a device law is no multiple of the host's.
         """
-        matrix = self.matrix(stiffness, damping)
-        _, push = transition(*self.motion(), self.period)
-        inputs = np.zeros((*push.shape[:-2], matrix.shape[-1]))
-        inputs[..., : push.shape[-2]] = push[..., 1]
+        if self.device is None:
+            matrix = self.matrix(stiffness, damping)
+            _, push = transition(*self.motion(), self.period)
+            inputs = np.zeros((*push.shape[:-2], matrix.shape[-1]))
+            inputs[..., : push.shape[-2]] = push[..., 1]
+        else:
+            if not self.affine:
+                raise ParameterError(f"device period must divide the host's, {self.period} s (got {self.device.period:g})")
+            whole = self._hyperperiod(*(np.asarray(gain, dtype=np.float64) for gain in (stiffness, damping)))
+            matrix, inputs = whole[..., :-1, :-1], whole[..., :-1, -1]
         inputs = np.broadcast_to(inputs, matrix.shape[:-1])[..., None]
         for frequency in frequencies:
             turn = np.exp(2j * np.pi * number("frequency", frequency) * float(self.period))  # type: ignore[arg-type]
@@ -183,10 +284,15 @@ class SampledLoop:
         gains = self.broadcast(stiffness, damping)
         shape, (k, b) = gains[0].shape, (gain.reshape(-1) for gain in gains)
         result = np.empty(k.size)
+        if self.device is not None:
+            for rows, loop in self.uniform(shape):
+                rates, law = rates_of(float(np.asarray(loop.period)), self.device), loop.law(k[rows], b[rows])
+                radii = [_largest(loop.two_rates(phase).matrix(law)[..., :-1, :-1]) for phase in rates.phases]
+                result[rows] = np.max(radii, axis=0) ** (1.0 / rates.host)
+            return result.reshape(shape)
         for start in range(0, k.size, _CHUNK):
             part = slice(start, start + _CHUNK)
-            matrices = self.part(shape, part).matrix(k[part], b[part])
-            result[part] = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
+            result[part] = _largest(self.part(shape, part).matrix(k[part], b[part]))
         return result.reshape(shape)
 
     def broadcast(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Array, Array]:
@@ -220,6 +326,10 @@ class SampledLoop:
         """Mass of flotor and hand together [kg]."""
         hand_mass = 0.0 if self.hand is None else self.hand.mass
         return np.asarray(np.asarray(self.mass) + hand_mass)
+
+
+def _largest(matrices: Array) -> Array:
+    return np.asarray(np.abs(np.linalg.eigvals(matrices)).max(axis=-1))
 
 
 def loop_matrix(

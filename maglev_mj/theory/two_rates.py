@@ -1,38 +1,35 @@
-"""Closed loop of a wall with one law on the host and one on the device, at two rates.
+"""Law on the device beside the host's, at a second rate: the maps of all events in one loop.
 
 Between events, a sample or the effect of a command, both forces are constant, so each event is a linear map.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from operator import itemgetter
-from typing import Unpack
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from maglev_mj.control import FiniteDifference, LinearController, LowPass
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.keywords import with_hints
-from maglev_mj.parameters import SAMPLE_PERIOD, number, transport_delay
-from maglev_mj.plants.hand import exponential
-from maglev_mj.theory.boundary import scales
-from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop, bisect, bracket, is_stable, pd
+from maglev_mj.parameters import SAMPLE_PERIOD, Parameters, number, param, transport_delay
+from maglev_mj.plants.hand import Mode, exponential, get_mode
+from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 
-_DENOMINATOR, _TOLERANCE = 4, 0.02
-_GRID, _HALVINGS = np.geomspace(8e-5, 64.0, 240), 45
+_FEWEST, _MOST, _EVENTS = 4, 128, 512  # denominators, and device periods in a hyperperiod
+_TOLERANCE, _EXACT = 0.02, 1e-9
+_PHASES, _FAST = 10, 4.0
 
 
 @with_hints
 @dataclass(frozen=True)
 class DeviceLaw:
-    """PD law on the device, f = -K x - B v; alone it is a `SampledLoop` of its period, delay and `velocity`.
+    """PD law on the device, f = -K x - B v, for `SampledLoop`.
 
     Args:
         stiffness: Stiffness K [N/m].
@@ -67,101 +64,157 @@ class DeviceLaw:
         return FiniteDifference() if self.cutoff is None else LowPass(self.cutoff)
 
 
-def two_rate_radius(stiffness: ArrayLike, damping: ArrayLike, device: DeviceLaw, **loop: Unpack[LoopKeywords]) -> Array:
-    """Return the spectral radius per host period of a wall with laws on host and device; stable below 1.
-
-    It is max abs(eig(E_n ... E_1))^(1/q), with E_j the maps of all events in q host periods T = p device periods h. The
-    nearest p/q to T/h with q up to 4 is taken; if h changes by it, at most by 2 %, there is a warning. Both clocks
-    start together.
-
-    Args:
-        stiffness: Stiffness on the host [N/m], (...,).
-        damping: Damping on the host [N s/m], (...,).
-        device: Law on the device.
-        loop: Keywords of `SampledLoop`; period and delay are the host's, and numbers.
+class DeviceParameters(Parameters):
+    """Device of a loop besides its mass: own damping, first flexible mode, and a law at a second rate.
 
     Raises:
-        ParameterError: If a value is outside its bounds, or T/h is near no such fraction.
+        ParameterError: If a value is outside its bounds.
+    """
+
+    own_damping: float = param("damping of the device's own", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
+    mode: str | None = param(
+        "first flexible mode HZ,ZETA,RHO: frequency, damping ratio, and participation, -1 with the sensor at the handle",
+        default=None,
+        optional=True,
+    )
+    device_stiffness: float = param("stiffness of a law on the device", "N/m", default=0.0, at_least=0.0, at_most=1e9)
+    device_damping: float = param("damping of a law on the device", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
+    device_period: float = param(
+        "sample period of a law on the device", "s", default=1e-3, at_least=MIN_PERIOD, at_most=MAX_PERIOD
+    )
+    device_delay: float = param("delay of a law on the device", "s", default=2e-4, at_least=0.0, at_most=0.01)
+
+    def check(self) -> None:
+        """See `Parameters`."""
+        transport_delay(self.device_delay, self.device_period)
+        get_mode(self.mode)
+
+    @property
+    def flexible(self) -> Mode | None:
+        """Flexible mode; None for a rigid flotor."""
+        return get_mode(self.mode)
+
+    @property
+    def device(self) -> DeviceLaw | None:
+        """Law on the device; None for none."""
+        if not (self.device_damping or self.device_stiffness):
+            return None
+        return DeviceLaw(self.device_stiffness, self.device_damping, self.device_period, self.device_delay)
+
+    @property
+    def plain(self) -> bool:
+        """True without any of them: the device that the plants simulate."""
+        return not (self.own_damping or self.mode or self.device)
+
+    @property
+    def described(self) -> str:
+        """Those that are set, in words that follow others."""
+        words = [f"own damping {self.own_damping:g} N s/m"] if self.own_damping else []
+        words += [f"mode {self.mode}"] if self.mode else []
+        if self.device is not None:
+            gains, rate = f"{self.device_stiffness:g} N/m, {self.device_damping:g} N s/m", 1.0 / self.device_period
+            words.append(f"on the device {gains} at {rate:g} Hz, {1e3 * self.device_delay:g} ms")
+        return "".join(f", {word}" for word in words)
+
+
+class Rates(NamedTuple):
+    """Host and device periods in a hyperperiod, the device period used [s], and the phases between the clocks."""
+
+    host: int
+    device: int
+    period: float
+    phases: tuple[float, ...]
+
+
+def rates_of(period: float, device: DeviceLaw) -> Rates:
+    """Return the rates of a host period T = p/q device periods h: the nearest fraction, p up to 512 and q up to 128.
+
+    If h changes by it, the clocks are not commensurate. Below T/h = 4, where the phase between them matters, ten phases
+    are judged then, in device periods; otherwise both clocks start together.
+
+    Raises:
+        ParameterError: If h would change by more than 2 %.
+    """
+    ratio = period / device.period
+    nearest = Fraction(ratio).limit_denominator(min(max(int(_EVENTS / ratio), _FEWEST), _MOST))
+    own = period / float(nearest) if nearest else 0.0
+    if not (error := abs(own / device.period - 1.0)) <= _TOLERANCE:
+        raise ParameterError(f"device period must be at most {period * _MOST:g} s, {_MOST} of the host's (got {device.period:g})")
+    count = _PHASES if error > _EXACT and ratio < _FAST else 1
+    return Rates(nearest.denominator, nearest.numerator, own, tuple((np.arange(count) / count).tolist()))
+
+
+class TwoRates:
+    """Maps of all events of a host's and a device's law in one hyperperiod, which begins with a sample of the host.
+
+    State: the flotor's; then of host and device each command in effect, last commands, newest first, and controller's;
+    last another force on the flotor.
+
+    Args:
+        motion: See `plants.hand.motion`.
+        states: Number of states of the host's controller.
+        device: Law on the device.
+        controller: The same, at the period of `rates`.
+        period: Sample period of the host [s].
+        delay: Delay of the host [s].
+        rates: See `rates_of`.
+        phase: Start of the device's clock after the host's, in device periods.
 
     Source: derived for this project; lifted multirate loops: Rakhsha & Constantinescu 2012 (abstract).
     """
-    around = SampledLoop(**loop)
-    return _radius_of(around, device)(*around.broadcast(stiffness, damping))
 
+    def __init__(
+        self,
+        motion: tuple[Array, Array],
+        states: int,
+        device: DeviceLaw,
+        controller: LinearController,
+        period: float,
+        delay: float,
+        rates: Rates,
+        phase: float,
+    ) -> None:
+        a, b = motion
+        steps, order = np.array([period, rates.period]), a.shape[-1]
+        whole, rest = split_delay(np.array([delay, device.delay]), steps)
+        waiting = whole.astype(int) + 1
+        sizes = 1 + waiting + np.array([states, controller.advance.shape[-1]])
+        starts, size = np.array([order, order + sizes[0]]), order + int(sizes.sum()) + 1
+        self._places = [(int(start), int(count), size) for start, count in zip(starts, waiting)]
+        self._controller, total = controller, period * rates.host
+        events: list[tuple[float, Array | None]] = []
+        for index, count in enumerate(rates[:2]):
+            effect = np.eye(size)
+            effect[starts[index]] = np.eye(size)[starts[index] + waiting[index]]
+            sample = _sample(controller, *self._places[1]) if index else None
+            for time in steps[index] * (np.arange(count) + index * phase):
+                events += [(time, sample), ((time + rest[index]) % total, effect)]
+        events.sort(key=itemgetter(0))  # stable: without delay a sample comes before its effect
+        slope = np.zeros((*a.shape[:-2], size, size))
+        slope[..., :order, :order] = a
+        slope[..., :order, [*starts, -1]] = b[..., [0, 0, 1]]
+        self.durations = np.diff([time for time, _ in events], append=total)
+        flows = exponential(slope * self.durations.reshape(-1, *[1] * slope.ndim))
+        self._steps = [(event is None, flow if event is None else flow @ event) for (_, event), flow in zip(events, flows)]
 
-def two_rate_stiffness(damping: ArrayLike, device: DeviceLaw, **loop: Unpack[LoopKeywords]) -> Array:
-    """Return the critical stiffness on the host beside a law on the device: all softer walls are stable [N/m].
+    def steps(self, law: LinearController) -> list[Array]:
+        """Return the maps from each event to the next one, of `durations`, for a host's controller (...,)."""
+        sample = _sample(law, *self._places[0])
+        return [step @ sample if host else step for host, step in self._steps]
 
-    Searched on a grid of 240 stiffnesses, 8e-5 to 64 m/T², then by bisection; see `two_rate_radius`.
+    def memories(self, law: LinearController) -> list[tuple[int, LinearController]]:
+        """Return the index of the first state of each controller, the host's given, with the controller."""
+        return [(start + 1 + waiting, one) for (start, waiting, _), one in zip(self._places, (law, self._controller))]
 
-    Args:
-        damping: Damping on the host [N s/m], (...,).
-        device: Law on the device.
-        loop: Keywords of `SampledLoop`; period and delay are numbers.
-
-    Returns:
-        The stiffness (...,): 0 if the softest of the grid is unstable, infinity if none is.
-
-    Raises:
-        ParameterError: See `two_rate_radius`.
-
-    Source: derived for this project.
-    """
-    around = SampledLoop(**loop)
-    radius = _radius_of(around.widened(), device)
-    grid, b = (part[..., None] for part in around.broadcast(scales(around)[0], damping))
-    grid = grid * _GRID
-    low, high = bracket(grid, ~is_stable(radius(grid, b)))
-    critical = bisect(lambda middle: ~is_stable(radius(middle[..., None], b)[..., 0]), low, high, _HALVINGS)
-    return np.where(high > grid[..., 0], critical, 0.0)
-
-
-def _radius_of(loop: SampledLoop, device: DeviceLaw) -> Callable[[Array, Array], Array]:
-    """Return the spectral radius per host period as a function of the host's gains.
-
-    State: the flotor's, then of host and device each command in effect, last commands, newest first, and controller's.
-    """
-    if np.ndim(loop.period) or np.ndim(loop.delay):
-        shapes = f"{np.shape(loop.period)} and {np.shape(loop.delay)}"
-        raise ParameterError(f"period and delay must be numbers beside a device law (got shapes {shapes})")
-    period = float(np.asarray(loop.period))
-    ratio = max(Fraction(period / device.period).limit_denominator(_DENOMINATOR), Fraction(1, _DENOMINATOR))
-    own = period / float(ratio)
-    if abs(own / device.period - 1.0) > _TOLERANCE:
-        allowed = f"within 2 % of the host's {period:g} s times q/p, q up to {_DENOMINATOR}, such as {own:g} s"
-        raise ParameterError(f"device period must be {allowed} (got {device.period:g})")
-    if abs(own / device.period - 1.0) > 1e-9:
-        text = f"device period {device.period:g} s replaced by {own:g} s: {ratio} of it in a host period"
-        warnings.warn(text, stacklevel=5)
-    (a, b), zero = loop.motion(), np.zeros(())
-    laws = loop.law(zero, zero), pd(device.velocity)(*map(np.asarray, (device.stiffness, device.damping, own)))
-    steps = np.array([period, own])
-    whole, rest = split_delay(np.array([loop.delay, device.delay]), steps)
-    waiting = whole.astype(int) + 1
-    order, sizes = a.shape[-1], [1 + count + law.advance.shape[-1] for count, law in zip(waiting, laws)]
-    starts, size = [order, order + sizes[0]], order + sum(sizes)
-    events: list[tuple[float, Array | None]] = []
-    for index, count in enumerate((ratio.denominator, ratio.numerator)):
-        effect = np.eye(size)
-        effect[starts[index]] = np.eye(size)[starts[index] + waiting[index]]
-        sample = _sample(laws[1], starts[1], waiting[1], size) if index else None
-        for time in steps[index] * np.arange(count):
-            events += [(time, sample), (time + rest[index], effect)]
-    events.sort(key=itemgetter(0))  # stable: without delay a sample comes before its effect
-    slope = np.zeros((*a.shape[:-2], size, size))
-    slope[..., :order, :order], slope[..., :order, starts] = a, b[..., :1]
-    durations = np.diff([time for time, _ in events], append=period * ratio.denominator)
-    between: list[Array] = []  # maps from just after a host sample to the next one
-    for (_, event), flow in zip(events, exponential(slope * durations.reshape(-1, *[1] * slope.ndim))):
-        between[len(between) - (event is not None) :] = [flow if event is None else flow @ event @ between[-1]]
-
-    def radius(stiffness: Array, damping: Array) -> Array:
-        sample, total = _sample(loop.law(stiffness, damping), starts[0], waiting[0], size), np.eye(size)
+    def matrix(self, law: LinearController) -> Array:
+        """Return the map over the hyperperiod for a host's controller (...,), (..., n, n)."""
+        between: list[Array] = []  # maps from just after a host sample to the next one: without the gains
+        for host, step in self._steps:
+            between[len(between) - (not host) :] = [step if host else step @ between[-1]]
+        sample, total = _sample(law, *self._places[0]), np.eye(self._places[0][2])
         for part in between:
             total = part @ sample @ total
-        return np.asarray(np.abs(np.linalg.eigvals(total)).max(axis=-1) ** (1.0 / len(between)))
-
-    return radius
+        return total
 
 
 def _sample(law: LinearController, start: int, waiting: int, size: int) -> Array:
