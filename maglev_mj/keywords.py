@@ -80,7 +80,7 @@ def _checked(call: Any, called: str, *, late: bool = False) -> Any:
     good: set[tuple[Any, ...]] = set()  # classes of arguments that need no further check
 
     def checked(*arguments: Any, **keywords: Any) -> Any:
-        if "rate" in keywords:
+        if any(name.endswith("rate") for name in keywords):
             keywords = with_period(_names(call), keywords)
         if not late:
             kinds = (*map(type, arguments), *keywords, *map(type, keywords.values()))
@@ -130,16 +130,20 @@ def _explain(error: Exception, called: str, call: Any, arguments: tuple[Any, ...
 
 
 def with_period(names: Collection[str], keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """Return keywords with `rate` [Hz] replaced by `period` [s] if only the latter is among the accepted names."""
-    changed = dict(keywords)
-    if "rate" in changed and "rate" not in names and "period" in names:
-        import numpy as np  # slow to load
+    """Return keywords with `rate` [Hz] replaced by `period` [s] if only the latter is among the accepted names.
 
-        if "period" in changed:
-            raise KeywordError("period and rate must not both be given")
-        changed["period"] = changed.pop("rate")
-        with suppress(TypeError, ValueError), np.errstate(divide="ignore"):  # no number: the period's check says so
-            changed["period"] = (1.0 / np.asarray(changed["period"], dtype=np.float64)).tolist()
+    Also for names that end in them, such as `device_rate`.
+    """
+    changed = dict(keywords)
+    for rate in [name for name in changed if name.endswith("rate") and name not in names]:
+        if (period := f"{rate[:-4]}period") in names:
+            import numpy as np  # slow to load
+
+            if period in changed:
+                raise KeywordError(f"{period} and {rate} must not both be given")
+            changed[period] = changed.pop(rate)
+            with suppress(TypeError, ValueError), np.errstate(divide="ignore"):  # no number: the period's check says so
+                changed[period] = (1.0 / np.asarray(changed[period], dtype=np.float64)).tolist()
     return changed
 
 

@@ -25,8 +25,9 @@ from maglev_mj.recording.setup import scripted
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import recorded_scene
-from maglev_mj.scenes.stability_check import WallMargin, wall_margin
+from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.session import live_plant
+from maglev_mj.theory.margin import Margin
 
 _STILL = 1e-9
 _NOTHING = 1e-12
@@ -137,7 +138,7 @@ class SegmentReport(Result):
     simulated: Run | None
     comparison: Comparison | None
     identified: Identification
-    wall: WallMargin | None = None
+    wall: Margin | None = None
     units: ClassVar = {"time": "s"} | {
         f"{side}.{axis}": unit_of("m", axis) for side in ("recorded", "simulated") for axis in AXES
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -44,8 +45,9 @@ def add_parameters(
         name = parameter.name
         option = f"--{prefix}{name.replace('_', '-')}"
         if parameter.kind is not object and name not in without and option not in parser._option_string_actions:
-            inverse = name == "period" and "rate" not in names
-            into = beside_inverse(parser, f"--{prefix}rate", _DEST + prefix + name) if inverse else parser
+            rate = re.sub("period$", "rate", name)  # a hidden option for the inverse
+            inverse = rate not in (name, *names)
+            into = beside_inverse(parser, f"--{prefix}{rate.replace('_', '-')}", _DEST + prefix + name) if inverse else parser
             _add_parameter(into, option, parameter, getattr(defaults, name), prefix)
 
 

@@ -81,7 +81,8 @@ MODULES: Mapping[str, str] = {
     name: module
     for module, names in {
         "scenes": "view tour render drop press stick-slip run",
-        "studies": "diagnose stability design compare card sweep fidelity",
+        "diagnose": "diagnose",
+        "studies": "stability design compare card sweep fidelity",
         "twin": "twin",
         "bridge": "bridge",
         "device": "info estop commission conform",

@@ -47,8 +47,6 @@ from maglev_mj.studies.cells import StudyInterrupted, Workers, WorkersError, das
 from maglev_mj.studies.compare import compare as compare_laws
 from maglev_mj.studies.compare import sweep_laws
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
-from maglev_mj.studies.diagnosis import DiagnosedLoop
-from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
 from maglev_mj.studies.drop_map import PART, DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import (
     COMPARED,
@@ -312,36 +310,6 @@ def stability_map(
     with saved_cells(record, Path("stability-cells")), Progress("stability") as progress:
         result = run(region, record=Record(record), workers=running, progress=progress)
     write_result(json, result, pictures, "stability_drops" if drops else "stability")
-    return 0
-
-
-def _stated_values(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the values of the loop that are set on the command line."""
-    return {name: getattr(chosen(options, DiagnosedLoop), name) for name in set_names(options, DiagnosedLoop)}
-
-
-_StatedLoop: TypeAlias = Annotated[
-    dict[str, Any],
-    Shared(lambda parser: add_parameters(parser.group("loop"), DiagnosedLoop()), _stated_values),
-]
-
-
-def diagnose(
-    what: Annotated[
-        str | None,
-        option("scene (its worst axis), or recording or CSV file (time, position) of a shaking device", "", "WHAT"),
-    ] = None,
-    *,
-    loop: _StatedLoop,
-    json: Json = None,
-    pictures: Picture,
-) -> int:
-    """Say why a wall shakes, how far each value is from the boundary, and which change helps most.
-
-    For a wall, a spring or a controller with stiffness and damping on one axis, of any mass or inertia. The exit status
-    is 0 for an unstable wall too; `stable` in the JSON is the verdict.
-    """
-    write_result(json, diagnose_loop(what, **loop), pictures, "diagnosis")
     return 0
 
 

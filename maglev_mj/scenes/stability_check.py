@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from time import thread_time as _clock
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,13 +15,14 @@ from numpy.typing import ArrayLike
 from maglev_mj import theory
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, TooManyCallsError, check_instance, named
-from maglev_mj.frames import AXES, ZERO, Sample, components, unit_of
+from maglev_mj.frames import AXES, ZERO, Sample, components
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.closed_loop import bisect
+from maglev_mj.theory.margin import Margin, acting_words
 from maglev_mj.theory.verdict import axis_loop, stability, stated_gains, stated_spectral_radii
 
 STEP_FORCE = 2.0
@@ -38,46 +39,6 @@ _ARM = 0.05
 
 _FACTOR, _MOST, _HALVINGS, _SEARCH = 1.2, 14, 13, 10.0
 """Factor of a gain per step, most steps, bisections of the last one, and processor time for all [s]."""
-
-_ACTING = {"contact": "walls", "stuck": "friction"}
-
-
-class UnstableLoop(NamedTuple):
-    """Unstable loop of rejected parameters, on its worst axis.
-
-    Attributes:
-        axis: Name of its axis.
-        acting: Active laws: "walls", "friction", both, "other laws", or "all laws" if one of them declares no gains.
-        stiffness: Total stiffness [N/m, N m/rad].
-        damping: Total damping [N s/m, N m s/rad].
-        spectral_radius: Spectral radius of the loop, at least 1.
-        largest_stable: Critical stiffness at that damping [N/m, N m/rad]; 0 for none, None if a law declares no gains.
-        period: Sample period [s].
-        delay: Time from a sample to the effect of its command [s].
-    """
-
-    axis: str
-    acting: str
-    stiffness: float
-    damping: float
-    spectral_radius: float
-    largest_stable: float | None
-    period: float
-    delay: float
-
-    def __str__(self) -> str:
-        stiff, damp = (unit_of(unit, self.axis) for unit in ("N/m", "N s/m"))
-        if self.largest_stable is None:
-            bound = ""
-        elif self.largest_stable:
-            bound = f"; stable up to {self.largest_stable:.4g} {stiff} at this damping"
-        else:
-            bound = "; unstable at any stiffness with this damping"
-        return (
-            f"{self.acting} on {self.axis}: spectral radius {self.spectral_radius:.4f} (must be below 1) with a total "
-            f"of {self.stiffness:.4g} {stiff} and {self.damping:.4g} {damp}, at {1.0 / self.period:.4g} Hz, delay "
-            f"{self.delay * 1e3:.3g} ms{bound}"
-        )
 
 
 @contextmanager
@@ -96,8 +57,8 @@ def user_errors_rejected() -> Iterator[None]:
         raise ParameterError(f"parameters rejected: {reason if line is None else f'{line}: {reason}'}") from error
 
 
-def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> UnstableLoop | None:
-    """Return a scene's worst loop with a free flotor if unstable, or None; see `judge`.
+def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Margin | None:
+    """Return the margin of a scene's worst loop with a free flotor if unstable, or None; see `judge`.
 
     The critical delay is longer in the published arm and fingertip, and up to 10 % shorter in the stylus (1000 to
     8000 N/m, 20 to 100 N s/m, 200 Hz to 1 kHz).
@@ -118,48 +79,23 @@ def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: floa
     if verdict.stable is None:
         raise ParameterError("; ".join((UNKNOWN, *verdict.remarks)))
     index = AXES.index(verdict.axes[0])
-    damping, bound = float(verdict.damping[index, index]), None
+    stiffness, damping = (float(gain[index, index]) for gain in (verdict.stiffness, verdict.damping))
+    around: Any = {"period": period, "delay": delay}
+    ratio = math.nan
     if verdict.stated:
-        bound = float(theory.largest_stable_stiffness(damping, period=period, delay=delay, mass=body[index]))
-    return UnstableLoop(
-        axis=AXES[index],
-        acting=" and ".join(_ACTING.get(state, state) for state in verdict.acting)
-        or ("other laws" if verdict.stated else "all laws"),
-        stiffness=float(verdict.stiffness[index, index]),
-        damping=damping,
-        spectral_radius=verdict.spectral_radius,
-        largest_stable=bound,
-        period=period,
-        delay=delay,
-    )
-
-
-class WallMargin(NamedTuple):
-    """Stability of a wall under a resting flotor.
-
-    Attributes:
-        stiffness: Static stiffness [N/m, N m/rad].
-        spectral_radius: Spectral radius of the wall's loop, below 1 for a stable wall; NaN if not computed.
-        margin: Critical over present stiffness, other gains unchanged; NaN above tenfold, or if laws are slow.
-    """
-
-    stiffness: float
-    spectral_radius: float
-    margin: float
-
-    def __str__(self) -> str:
-        if math.isnan(self.spectral_radius):
-            return "spectral radius not computed"
-        limit = "" if math.isnan(self.margin) else f", {100.0 / self.margin:.0f} % of critical stiffness"
-        return f"{'' if self.spectral_radius < 1.0 else 'unstable, '}spectral radius {self.spectral_radius:.3f}{limit}"
+        around |= {"mass": body[index], "velocity": scene.controller().velocity}
+        ratio = float(theory.largest_stable_stiffness(damping, **around)) / stiffness if stiffness else 0.0
+    acting = acting_words(verdict.acting, "other laws" if verdict.stated else "all laws")
+    return Margin(stiffness, damping, verdict.spectral_radius, ratio, AXES[index], acting, period, delay)
 
 
 def wall_margin(
     scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None, held: bool = False
-) -> WallMargin | None:
+) -> Margin | None:
     """Return the margin of a scene's wall with the largest spectral radius; None without a wall.
 
-    Laws that declare no gains are linearised at the depth at which the wall carries the weight.
+    Laws that declare no gains are linearised at the depth at which the wall carries the weight. The critical stiffness
+    is NaN above tenfold, or if laws are slow.
 
     Args:
         scene: See `unstable_loop`.
@@ -173,7 +109,7 @@ def wall_margin(
     Example:
         >>> from maglev_mj import find_scene
         >>> print(wall_margin(find_scene("drop")()))
-        spectral radius 0.877, 59 % of critical stiffness
+        stable: 59 % of critical stiffness, spectral radius 0.8771
     """
     body = scene.body.inertia if inertia is None else numbers("inertia", inertia)
     delay, gain = scene.delay if delay is None else delay, getattr(scene, "stiffness", 0.0)
@@ -189,10 +125,7 @@ def wall_margin(
 
     loops = {face: loop(1.0, *face) for face in faces}
     worst = max(faces, key=lambda face: loops[face][1])
-    (stiffness, spectral_radius), margin = loops[worst], math.nan
-    if math.isnan(spectral_radius):  # also with any other stiffness
-        return WallMargin(stiffness, spectral_radius, margin)
-
+    (stiffness, spectral_radius), factor = loops[worst], math.nan
     begin = _clock()
 
     def changed(factor: Any) -> Any:
@@ -202,10 +135,11 @@ def wall_margin(
         return other >= 1.0 if spectral_radius < 1.0 else other < 1.0  # NaN (not computed) is no change
 
     factors = (_FACTOR if spectral_radius < 1.0 else 1.0 / _FACTOR) ** np.arange(_MOST)
-    with suppress(StopIteration, ParameterError):  # no change up to tenfold, outside the scene's bounds, or too slow
-        last = next(index for index, factor in enumerate(factors[1:]) if changed(factor))
-        margin = float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
-    return WallMargin(stiffness, spectral_radius, margin)
+    if not math.isnan(spectral_radius):  # else also with any other stiffness
+        with suppress(StopIteration, ParameterError):  # no change up to tenfold, out of bounds, or too slow
+            last = next(index for index, factor in enumerate(factors[1:]) if changed(factor))
+            factor = float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
+    return Margin(stiffness, math.nan, spectral_radius, factor, AXES[worst[0]], "walls", scene.period, delay)
 
 
 def check_step(present: Controller, new: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:
@@ -255,7 +189,7 @@ def stability_warning(scene: Scene) -> str | None:
         loop = unstable_loop(scene)
     except MaglevError as error:
         return f"{scene.name} may be unstable: {error}"
-    return None if loop is None else f"{scene.name} is unstable: {loop}"
+    return None if loop is None else f"{scene.name} is unstable: {loop.details}"
 
 
 def unstable(scenes: Sequence[Scene]) -> list[bool]:

@@ -4,38 +4,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.control import LowPass
+from maglev_mj.control import FiniteDifference, LinearController, LowPass
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import with_period
-from maglev_mj.parameters import Parameters, param, transport_delay
+from maglev_mj.parameters import param, transport_delay
 from maglev_mj.plants.hand import HANDS, get_hand
-from maglev_mj.recording import Recording
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
-from maglev_mj.studies.oscillation import Oscillation, find_oscillation, matched, read_motion, recorded_motion
-from maglev_mj.theory import (
+from maglev_mj.theory.boundary import (
     StiffestWall,
-    critical_delay,
-    largest_stable_stiffness,
+    boundary_of,
     least_passive_damping,
-    stiffest_wall,
+    rigid_note,
+    stiffest_of,
 )
-from maglev_mj.theory.closed_loop import SampledLoop, bisect, is_stable, pd
-from maglev_mj.theory.two_rates import DeviceLaw, two_rate_radius, two_rate_stiffness
+from maglev_mj.theory.closed_loop import SampledLoop, bisect, critical_delay, is_stable, pd
+from maglev_mj.theory.margin import Margin
+from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
+
+if TYPE_CHECKING:
+    from maglev_mj.studies.oscillation import Oscillation
 
 COSTS = "gains", "timing", "firmware", "mechanics", "feel"
 """Kinds of cost of a remedy, cheapest first: `feel` renders a softer wall."""
 
-_FACTORS, _BISECTIONS = np.geomspace(1e-2, 1e2, 201), 24
+_POINTS, _FEWER = (201, 5, 15), (25, 12, 1)
+"""Values tried in a range, steps of its refinement and values in each; and those beside a law on the device."""
+_FEW = 13, 11, 1
+_ROUGH = 1e-3
+_SLOWEST, _FASTEST = 0.02, 100.0
 _DEVICE_PERIOD, _DEVICE_DELAY = 1e-3, 2e-4
 _DIGITS = 3
 _HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
@@ -46,7 +52,7 @@ _LEAST, _SAMPLES = 1e-9, 4096
 _MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
 
 
-class DiagnosedLoop(Parameters):
+class DiagnosedLoop(DeviceParameters):
     """One axis of a device that renders a wall, a spring or any stiffness with damping.
 
     Raises:
@@ -63,7 +69,6 @@ class DiagnosedLoop(Parameters):
     inertia: float | None = param(
         "moment of inertia of a rotary axis, whose units are N m/rad", "kg m²", default=None, above=0.0, optional=True
     )
-    own_damping: float = param("damping of the device's own", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
     friction: float = param("Coulomb friction of the device", "N", default=0.0, at_least=0.0)
     quantum: float = param("resolution of the position sensor", "m", default=0.0, at_least=0.0)
     cutoff: float | None = param(
@@ -71,19 +76,16 @@ class DiagnosedLoop(Parameters):
     )
     hand: str = param(f"hand: {', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_...]", default="none")
     target: float = param("wanted ratio of critical to requested stiffness", default=2.0, above=1.0, at_most=100.0)
-    device_damping: float = param("damping of a law on the device", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
-    device_stiffness: float = param("stiffness of a law on the device", "N/m", default=0.0, at_least=0.0, at_most=1e9)
-    device_period: float = param(
-        "sample period of a law on the device", "s", default=_DEVICE_PERIOD, above=0.0, at_most=MAX_PERIOD
+    law: LinearController | None = param(
+        "law with memory on the axis, linearised at these gains", default=None, optional=True, parse=lambda law: law
     )
-    device_delay: float = param("delay of a law on the device", "s", default=_DEVICE_DELAY, at_least=0.0, at_most=0.01)
 
     def check(self) -> None:
         """See `Parameters`."""
+        super().check()
         if self.mass is not None and self.inertia is not None:
             raise ParameterError(f"mass and inertia must not both be given (got {self.mass:g}, {self.inertia:g})")
         transport_delay(self.delay, self.period)
-        transport_delay(self.device_delay, self.device_period)
         get_hand(self.hand)
 
     @property
@@ -97,48 +99,59 @@ class DiagnosedLoop(Parameters):
         return float(self.inertia if self.mass is None else self.mass)  # type: ignore[arg-type]
 
     @property
-    def keywords(self) -> dict[str, Any]:
-        """Keywords of the theory besides the gains."""
-        keywords: dict[str, Any] = {"period": self.period, "delay": self.delay, "mass": self.body}
-        keywords |= {"hand": get_hand(self.hand), "own_damping": self.own_damping}
-        return keywords | ({} if self.cutoff is None else {"velocity": LowPass(cutoff=self.cutoff)})
-
-    @property
-    def device_keywords(self) -> dict[str, Any]:
-        """Keywords of the theory for a wall that is on the device alone."""
-        return self.keywords | {"period": self.device_period, "delay": self.device_delay}
-
-    @property
-    def device(self) -> DeviceLaw | None:
-        """Law on the device; None for none."""
-        if not self.device_damping and not self.device_stiffness:
-            return None
-        gains = {"stiffness": self.device_stiffness, "damping": self.device_damping}
-        return DeviceLaw(**gains, period=self.device_period, delay=self.device_delay)
-
-    @property
     def on_host(self) -> bool:
-        """False if the whole wall is on the device."""
-        return not self.device_stiffness
+        """False if the whole stiffness is on the device: gains, rate and delay in question are then the device's."""
+        return not self.device_stiffness or self.stiffness > 0.0
+
+    def name(self, word: str) -> str:
+        """Return the name of stiffness, damping, period or delay of the law in question."""
+        return word if self.on_host else f"device_{word}"
+
+    def value(self, word: str) -> float:
+        """Return one of these."""
+        return float(getattr(self, self.name(word)))
+
+    @property
+    def gains(self) -> tuple[float, float]:
+        """Stiffness and damping of the law in question."""
+        return self.value("stiffness"), self.value("damping")
+
+    @property
+    def step(self) -> float:
+        """Force by a unit step of the position sensor through the velocity [N/m]."""
+        return max(self.damping / self.period, self.device_damping / self.device_period)
+
+    @property
+    def sampled(self) -> SampledLoop:
+        """Loop without the gains of the law in question; the other law is its device law."""
+        other = self.device
+        if not self.on_host:
+            other = DeviceLaw(0.0, self.damping, self.period, self.delay, self.cutoff) if self.damping else None
+        design = None if self.law is None else partial(_scaled, self.law, *self.gains)
+        velocity = None if self.cutoff is None else LowPass(cutoff=self.cutoff)
+        around: Any = {"mass": self.body, "hand": get_hand(self.hand), "own_damping": self.own_damping}
+        around |= {"velocity": velocity, "mode": self.flexible, "device": other, "design": design}
+        return SampledLoop(period=self.value("period"), delay=self.value("delay"), **around)
 
     def critical(self) -> float:
         """Return the critical stiffness at the present damping."""
-        if not self.on_host:
-            return float(largest_stable_stiffness(self.device_damping, **self.device_keywords))
-        if self.device is not None:
-            return float(two_rate_stiffness(self.damping, self.device, **self.keywords))
-        return float(largest_stable_stiffness(self.damping, **self.keywords))
-
-    def stiffest(self) -> tuple[float, float]:
-        """Return the largest critical stiffness over all dampings, and its damping."""
-        best = _stiffest(self)
-        return float(best.stiffness), float(best.damping)
+        return float(boundary_of(self.sampled, np.asarray(self.gains[1])))
 
 
-@lru_cache(maxsize=64)
-def _stiffest(loop: DiagnosedLoop) -> StiffestWall:
-    """Return the stiffest stable wall over all dampings."""
-    return stiffest_wall(**loop.keywords)
+def _scaled(
+    law: LinearController, present: float, damper: float, stiffness: Array, damping: Array, period: Array
+) -> LinearController:
+    """Return a law whose memory scales with the stiffness, and whose damping is that of a finite difference beside it."""
+    share = np.asarray(stiffness / present)
+    more = (damping - share * damper) / period
+    advance = np.pad(law.advance, (0, 1))
+    give = np.concatenate([share[..., None] * law.give, more[..., None]], axis=-1)
+    return LinearController(advance, np.append(law.take, 1.0), give, share * law.direct - more)
+
+
+def _rough_damping(loop: DiagnosedLoop) -> float:
+    """Return the damping of the stiffest wall to three digits; 0 if no wall is stable."""
+    return float(stiffest_of(loop.sampled, _ROUGH).damping)
 
 
 class Remedy(NamedTuple):
@@ -179,7 +192,7 @@ class Diagnosis(Result):
         best: Stiffest stable wall over all dampings.
         remedies: Changes that help, best first.
         ineffective: Changes without effect, in words.
-        passive_damping: Damping of the device's own that makes the law passive [N s/m, N m s/rad].
+        passive_damping: Damping of the device's own that makes the law passive [N s/m, N m s/rad]; NaN for laws at two rates.
         amplitude_limit: Amplitude below which friction ends the oscillation [m, rad]; NaN for none.
         hum: Largest steady error by the sensor's resolution while contact lasts [m, rad]; NaN if unknown.
         assumptions: What was assumed.
@@ -207,10 +220,15 @@ class Diagnosis(Result):
     picture: ClassVar = "maglev_mj.studies.diagnosis_picture:diagnosis"
 
     @property
+    def margin(self) -> Margin:
+        """Margin in stiffness."""
+        k, b = self.loop.gains
+        return Margin(k, b, self.spectral_radius, self.critical_stiffness / k)
+
+    @property
     def summary(self) -> str:
         """Verdict in one line."""
-        pair = "stable" if self.stable else "unstable"
-        text = f"{pair}: spectral radius {self.spectral_radius:.4f}"
+        text = str(self.margin)
         if self.frequency:
             text += f", rings at {self.frequency:.3g} Hz"
         word = "halves" if self.doubling_time < 0.0 else "doubles"
@@ -219,12 +237,8 @@ class Diagnosis(Result):
         return text
 
     def _headline(self) -> str:
-        share = self.loop.stiffness / self.critical_stiffness if self.critical_stiffness else math.inf
-        unit = self.unit("N/m")
-        if self.stable:
-            return f"Stable at {share:.0%} of critical stiffness, {self.critical_stiffness:.4g} {unit}"
-        first = f"; {self.remedies[0].words} helps most" if self.remedies else ""
-        return f"Unstable, critical stiffness {self.critical_stiffness:.4g} {unit}{first}"
+        first = f"; {self.remedies[0].words} helps most" if self.remedies and not self.stable else ""
+        return f"{self.margin.verdict.capitalize()}, {self.critical_stiffness:.4g} {self.unit('N/m')}{first}"
 
     def unit(self, unit: str) -> str:
         """Return a unit of a translation, or that of a rotation for a rotary axis."""
@@ -247,7 +261,7 @@ class Diagnosis(Result):
         rows = [
             (
                 "stiffness",
-                f"up to {self.critical_stiffness:.4g} {k} ({_ratio(self.critical_stiffness, self.loop.stiffness)})",
+                f"up to {self.critical_stiffness:.4g} {k} ({_ratio(self.critical_stiffness, self.loop.gains[0])})",
             ),
             ("damping", _interval(self.damping_range, b)),
             (
@@ -277,9 +291,12 @@ class Diagnosis(Result):
             )
         if math.isfinite(self.hum):
             yield f"sensor resolution: rests within {1e6 * self.hum:.3g} µ{self.unit('m')} while contact lasts"
-        yield f"passive only with {self.passive_damping:.4g} {self.unit('N s/m')} of damping of the device's own"
+        if math.isfinite(self.passive_damping):
+            yield f"passive only with {self.passive_damping:.4g} {self.unit('N s/m')} of damping of the device's own"
         yield from (f"assumed: {text}" for text in self.assumptions)
-        yield "not modelled: edge of the wall, saturation, amplifiers" + ", flexible modes" * (self.loop.hand == "none")
+        if self.loop.mode:
+            yield rigid_note(self.loop.sampled)
+        yield "not modelled: edge of the wall, saturation, amplifiers" + ", flexible modes" * (self.loop.mode is None)
 
 
 def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
@@ -313,17 +330,27 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
         values = {**_of_scene(scene, assumptions), **values}
         if values.get("inertia") is not None:
             values.pop("mass", None)
+    if values.get("device_stiffness"):  # alone, or beside that of the host
+        values = {"stiffness": 0.0, "damping": 0.0} | values
     for names in (("stiffness",), ("damping",), ("period", "rate"), ("mass", "inertia")):
         if all(values.get(name) is None for name in names):
             raise ParameterError(f"{' or '.join(names)} must be given, or a scene")
     if values.get("delay") is None:
         values["delay"] = values["period"]
         assumptions.append(f"a delay of one period, {_milliseconds(values['period'])}; state the true one")
-    return _diagnosed(DiagnosedLoop(**values), tuple(assumptions), measured)
+    loop = DiagnosedLoop(**values)
+    if not loop.gains[0]:
+        raise ParameterError(f"stiffness must be above 0 (got {loop.stiffness:g})")
+    if loop.device is not None and len(rates_of(loop.period, loop.device).phases) > 1:
+        assumptions.append("clocks of host and device are not commensurate: the worst of ten phases between them")
+    return _diagnosed(loop, tuple(assumptions), measured)
 
 
 def _of_recording(path: Path, values: dict[str, Any], assumptions: list[str]) -> tuple[Oscillation, dict[str, Any]]:
     """Return the oscillation of a recording, and the values of the loop that explains it."""
+    from maglev_mj.recording import Recording  # slow
+    from maglev_mj.studies.oscillation import find_oscillation, matched, read_motion, recorded_motion
+
     usable, velocity, known = None, None, dict(values)
     if path.suffix == ".maglev":
         motion = recorded_motion(Recording.load(path))
@@ -364,44 +391,51 @@ def _of_recording(path: Path, values: dict[str, Any], assumptions: list[str]) ->
 
 def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
     """Return the values of a scene's worst axis."""
-    from maglev_mj.frames import AXES
+    from maglev_mj.frames import AXES  # slow
     from maglev_mj.scenes.find import get_scene
-    from maglev_mj.theory import stability, stated_gains
+    from maglev_mj.theory.margin import worst_axis
+    from maglev_mj.theory.verdict import axis_law, stability, stated_gains
 
     found = get_scene(scene)
-    controller = found.controller()
-    gains, body = stated_gains(controller), found.body.inertia
+    controller, body = found.controller(), found.body.inertia
+    gains, law, velocity = stated_gains(controller), None, controller.velocity
+    around: Any = {"period": found.period, "delay": found.delay}
     if gains is None:
         verdict = stability(found)
         index, acting = AXES.index(verdict.axes[0]) if verdict.axes else found.axis_index, verdict.acting
         k, b = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
-        assumptions.append("gains by linearisation at the worst pose, the law's memory left out")
+        if len(verdict.axes) == 1:
+            law = axis_law(controller, index, pose=verdict.pose, inertia=body)
+        memory = "coupling to other axes and memory left out"
+        if law is not None:
+            memory = "with its memory, which scales with the stiffness and keeps its length in samples"
+        assumptions.append(f"law linearised at the worst pose, {memory}")
     else:
-        loops = [
-            (float(k[axis]), float(b[axis]), axis, acting) for acting, (k, b) in gains.items() for axis in range(6)
-        ]
-        keywords: dict[str, Any] = {"period": found.period, "delay": found.delay}
-        ratios = [
-            k / max(float(largest_stable_stiffness(b, mass=body[axis], **keywords)), _LEAST) for k, b, axis, _ in loops
-        ]
-        k, b, index, acting = loops[int(np.argmax(ratios))]
+        acting, index, _ = worst_axis(gains, **around, inertia=body, velocity=velocity)
+        k, b = (float(part[index]) for part in gains[acting])
+        if not isinstance(velocity, FiniteDifference | LowPass):
+            law = pd(velocity)(np.asarray(k), np.asarray(b), np.asarray(found.period))
     if not k > 0.0:
         raise ParameterError(f"scene {found.name} renders no stiffness on its worst axis, {AXES[index]}")
     state = f" ({', '.join(acting)})" if acting else ""
     assumptions.append(f"axis {AXES[index]} of {found.name}{state}, the one with the smallest margin")
-    velocity = controller.velocity
-    values: dict[str, Any] = {"stiffness": k, "damping": b}
-    values |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) else {}
-    values |= {"inertia" if index > 2 else "mass": float(body[index])}
-    return {**values, "period": found.period, "delay": found.delay}
+    values: dict[str, Any] = {"stiffness": k, "damping": max(b, 0.0), "law": law}
+    values |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) and law is None else {}
+    return {**values, **around, "inertia" if index > 2 else "mass": float(body[index])}
 
 
 def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Oscillation | None) -> Diagnosis:
-    radius, frequency = pole_of(loop)
+    (k, b), sampled = loop.gains, loop.sampled
+    own, frequency = sampled.pole(k, b)
+    radius = own ** (loop.period / loop.value("period"))
     growth = math.log(radius) if radius > 0.0 else -math.inf
-    stable, critical = bool(is_stable(radius)), loop.critical()
-    remedies, ineffective = _remedies(loop, stable, critical)
-    undelayed = {name: value for name, value in loop.keywords.items() if name != "delay"}
+    stable, critical, best = bool(is_stable(radius)), loop.critical(), stiffest_of(sampled)
+    remedies, ineffective = _remedies(loop, stable, critical, best)
+    single = sampled.device is None
+    undelayed: Any = {item.name: getattr(sampled, item.name) for item in fields(sampled) if item.init}
+    del undelayed["delay"]
+    design = sampled.design or pd(sampled.velocity)
+    times: Any = {"period": sampled.period, "delay": sampled.delay, "design": design}
     return Diagnosis(
         loop=loop,
         stable=stable,
@@ -410,41 +444,18 @@ def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Osci
         doubling_time=math.log(2.0) * loop.period / growth if growth else math.inf,
         critical_stiffness=critical,
         damping_range=_range(loop, "damping"),
-        critical_delay=float(critical_delay(loop.stiffness, loop.damping, **undelayed)),
+        critical_delay=float(critical_delay(k, b, **undelayed)),
         rate_range=_range(loop, "rate"),
         rate_in_periods=_range(loop, "rate in periods"),
-        best=_stiffest(loop),
+        best=best,
         remedies=remedies,
         ineffective=ineffective,
-        passive_damping=float(
-            least_passive_damping(
-                loop.stiffness,
-                loop.damping,
-                period=loop.period,
-                delay=loop.delay,
-                design=pd(loop.keywords.get("velocity")),
-            )
-        ),
+        passive_damping=float(least_passive_damping(k, b, **times)) if single else math.nan,
         amplitude_limit=math.nan if stable or not loop.friction else _hidden(loop),
-        hum=_hum(loop) if stable and loop.quantum else math.nan,
+        hum=_hum(loop) if stable and loop.quantum and single else math.nan,
         assumptions=assumptions,
         measured=measured,
     )
-
-
-def pole_of(loop: DiagnosedLoop) -> tuple[float, float]:
-    """Return the spectral radius per sample of the host, and the frequency of the dominant pole [Hz]."""
-    keywords, k, b = loop.keywords, loop.stiffness, loop.damping
-    if not loop.on_host:
-        keywords = loop.device_keywords
-        k, b = loop.device_stiffness, loop.device_damping
-    elif loop.device is not None:
-        return float(two_rate_radius(k, b, loop.device, **keywords)), 0.0
-    poles = np.linalg.eigvals(SampledLoop(**keywords).matrix(k, b))
-    pole = poles[np.argmax(np.abs(poles))]
-    period = keywords["period"]
-    frequency = abs(float(np.angle(pole))) / (2.0 * math.pi * period)
-    return float(abs(pole)) ** (loop.period / period), frequency
 
 
 def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
@@ -452,23 +463,27 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
 
     Dampings are searched up to 8 m/T, rates from a hundredth to a hundred times the present one; an end outside is NaN.
     """
-    present = {"damping": loop.damping, "rate": 1.0 / loop.period}
-    periods = loop.delay / loop.period
+    (k, b), period, delay, around = loop.gains, loop.value("period"), loop.value("delay"), loop.sampled
+    count, halvings, points = _POINTS if around.device is None else _FEWER
 
     def stable(values: Array) -> Mask:
-        damping = values if name == "damping" else np.full_like(values, loop.damping)
-        period = np.full_like(values, loop.period) if name == "damping" else 1.0 / values
-        delay = periods * period if name == "rate in periods" else np.full_like(values, loop.delay)
-        around = {**loop.keywords, "period": period, "delay": delay}
-        return np.asarray(is_stable(SampledLoop(**around).spectral_radius(loop.stiffness, damping)))
+        if name == "damping":
+            return np.asarray(is_stable(around.spectral_radius(k, values)))
+        times = {"period": 1.0 / values, "delay": np.broadcast_to(delay, values.shape)}
+        if name == "rate in periods":
+            times["delay"] = delay / period / values
+        return np.asarray(is_stable(replace(around, **times).spectral_radius(k, b)))
 
-    centre = present[name.partition(" ")[0]]
+    centre = b if name == "damping" else 1.0 / period
     if name == "damping":
-        values = np.geomspace(1e-4, 8.0, len(_FACTORS)) * loop.body / loop.period
+        values = np.geomspace(1e-4, 8.0, count) * loop.body / period
     else:
-        values = centre * _FACTORS
-        fastest = min(MAX_DELAY_PERIODS / loop.delay if loop.delay and name == "rate" else math.inf, 1.0 / MIN_PERIOD)
-        values = values[(values >= 1.0 / MAX_PERIOD) & (values <= fastest)]
+        values = centre * np.geomspace(1e-2, 1e2, count)
+        fastest = min(MAX_DELAY_PERIODS / delay if delay and name == "rate" else math.inf, 1.0 / MIN_PERIOD)
+        slowest = 1.0 / MAX_PERIOD
+        if around.device is not None:
+            slowest, fastest = max(slowest, _SLOWEST / around.device.period), min(fastest, _FASTEST / around.device.period)
+        values = values[(values >= slowest) & (values <= fastest)]
     good = stable(values)
     if not good.any():
         return None
@@ -476,7 +491,7 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
     nearest = np.flatnonzero(good)[np.abs(np.flatnonzero(good) - middle).argmin()]
     below, above = bad[bad < nearest][-1:], bad[bad > nearest][:1]
     outside = values[np.concatenate([below, above])]
-    found = bisect(stable, outside, np.full_like(outside, values[nearest]), _BISECTIONS).tolist()
+    found = bisect(stable, outside, np.full_like(outside, values[nearest]), halvings, points).tolist()
     return (found[0] if below.size else math.nan), (found[-1] if above.size else math.nan)
 
 
@@ -489,129 +504,125 @@ def _rounded(value: float, *, up: bool = False) -> float:
 def _remedy(loop: DiagnosedLoop, words: str, cost: str, **change: float) -> Remedy:
     """Return a remedy, evaluated as printed."""
     changed = loop.replace(**change)
-    stiffness = changed.device_stiffness or changed.stiffness
-    step = max(
-        0.0 if changed.device_stiffness else changed.damping / changed.period,
-        changed.device_damping / changed.device_period,
-    )
-    noise = step * loop.period / loop.damping if loop.damping else math.inf
     critical = changed.critical()
-    return Remedy(words, change, critical, critical / stiffness, noise, cost)
+    return Remedy(words, change, critical, critical / changed.gains[0], changed.step / (loop.step or math.nan), cost)
 
 
-def _remedies(loop: DiagnosedLoop, stable: bool, critical: float) -> tuple[tuple[Remedy, ...], tuple[str, ...]]:
+def _remedies(
+    loop: DiagnosedLoop, stable: bool, critical: float, best: StiffestWall
+) -> tuple[tuple[Remedy, ...], tuple[str, ...]]:
     """Return the changes that help, best first, and those that do not, in words."""
-    k, b, turned = loop.stiffness, loop.damping, loop.rotary
+    (k, b), turned = loop.gains, loop.rotary
     damper, spring = ("N m s/rad", "N m/rad") if turned else ("N s/m", "N/m")
+    most, at = float(best.stiffness), float(best.damping)
     tried = [
-        *_gains(loop, damper),
+        *_gains(loop, damper, most, at),
         *_timings(loop, damper),
-        *_firmware(loop, damper, spring),
+        *(_firmware(loop, damper) if loop.on_host else ()),
         *_mechanics(loop, damper),
     ]
     present = critical / k
     better = [one for one in tried if one.ratio > max(present * (1.0 + _MODEST), 0.0 if stable else 1.0)]
-    most, at = loop.stiffest()
     if most and not any(one.ratio >= loop.target for one in better):
-        softer, at = _rounded(most / loop.target), _rounded(at)
-        better.append(
-            _remedy(loop, f"stiffness {softer:g} {spring} at {at:g} {damper}", "feel", stiffness=softer, damping=at)
-        )
+        softer, at = _rounded(most / loop.target), _rounded(at or _LEAST)
+        change = {loop.name("stiffness"): softer, loop.name("damping"): at}
+        better.append(_remedy(loop, f"stiffness {softer:g} {spring} at {at:g} {damper}", "feel", **change))
     reached = loop.target * (1.0 - 1e-9)
     better.sort(key=lambda one: (one.ratio < reached, COSTS.index(one.cost) * (one.ratio >= reached), -one.ratio))
     useless = [f"{one.words}, ratio {short(one.ratio)}" for one in tried if one not in better]
-    half = b + 0.5 * k * loop.period
-    if (ratio := loop.replace(damping=half).critical() / k) < max(present * (1.0 + _MODEST), 1.0):
+    half = b + 0.5 * k * loop.value("period")
+    if (ratio := loop.replace(**{loop.name("damping"): half}).critical() / k) < max(present * (1.0 + _MODEST), 1.0):
         useless.append(f"half-sample prediction, as {half - b:.3g} {damper} more: ratio {ratio:.2g}")
     return tuple(better), tuple(useless)
 
 
-def _gains(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
-    """Yield the least damping that reaches the target, or the best one."""
-    most, best = loop.stiffest()
+def _gains(loop: DiagnosedLoop, damper: str, most: float, best: float) -> Iterable[Remedy]:
+    """Yield the least damping that reaches the target, or that of the stiffest wall."""
     if not most:
         return
-    wanted = loop.target * loop.stiffness
+    wanted = loop.target * loop.gains[0]
     if most >= wanted:
-        around = SampledLoop(**loop.keywords)
+        around = loop.sampled
         best = _rounded(_least(lambda b: around.spectral_radius(wanted, b), best) or _LEAST, up=True)
     else:
-        best = _rounded(best)
-    yield _remedy(loop, f"damping {best:g} {damper}", "gains", damping=best)
+        best = _rounded(best or _LEAST)
+    yield _remedy(loop, f"damping {best:g} {damper}", "gains", **{loop.name("damping"): best})
 
 
 def _timings(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     """Yield a shorter delay and a higher rate, at their best damping."""
-    faster, sooner = {"period": 0.5 * loop.period}, {"delay": 0.5 * loop.delay}
-    rate = f"rate {2.0 / loop.period:.4g} Hz"
+    period, delay = loop.value("period"), loop.value("delay")
+    faster, sooner = {loop.name("period"): 0.5 * period}, {loop.name("delay"): 0.5 * delay}
+    rate = f"{'' if loop.on_host else 'device '}rate {2.0 / period:.4g} Hz"
     cases = {rate: faster}
-    if loop.delay:
+    if delay:
         cases = {
-            f"{rate}, delay {_milliseconds(0.5 * loop.delay)}": faster | sooner,
-            f"delay {_milliseconds(0.5 * loop.delay)}": sooner,
-            f"{rate}, same delay": faster | {"delay": loop.delay},
+            f"{rate}, delay {_milliseconds(0.5 * delay)}": faster | sooner,
+            f"delay {_milliseconds(0.5 * delay)}": sooner,
+            f"{rate}, same delay": faster | {loop.name("delay"): delay},
         }
     for words, change in cases.items():
-        if change.get("delay", loop.delay) > MAX_DELAY_PERIODS * change.get("period", loop.period):
+        if change.get(loop.name("delay"), delay) > MAX_DELAY_PERIODS * change.get(loop.name("period"), period):
             continue
-        damping = _rounded(loop.replace(**change).stiffest()[1] or _LEAST)
-        yield _remedy(loop, f"{words}, damping {damping:g} {damper}", "timing", **change, damping=damping)
+        damping = _rounded(_rough_damping(loop.replace(**change)) or _LEAST)
+        change = change | {loop.name("damping"): damping}
+        yield _remedy(loop, f"{words}, damping {damping:g} {damper}", "timing", **change)
 
 
-def _firmware(loop: DiagnosedLoop, damper: str, spring: str) -> Iterable[Remedy]:
+def _firmware(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     """Yield the whole wall on the device at its best damping, and a damper on the device that reaches the target."""
     times = {"device_period": loop.period / max(round(loop.period / _DEVICE_PERIOD), 1)}
     times["device_delay"] = _DEVICE_DELAY if loop.delay > _DEVICE_DELAY else loop.delay
     where = f"on the device ({1.0 / times['device_period']:.4g} Hz, {_milliseconds(times['device_delay'])})"
-    best = stiffest_wall(**loop.replace(**times).device_keywords)
-    damping = _rounded(float(best.damping) or _LEAST)
-    both = {"device_stiffness": loop.stiffness, "device_damping": damping}
-    yield _remedy(loop, f"whole wall {where}, damping {damping:g} {damper}", "firmware", **times, **both)
-    wanted = loop.target * loop.stiffness
+    moved = times | {"stiffness": 0.0, "damping": 0.0, "device_stiffness": loop.stiffness + loop.device_stiffness}
+    damping = _rounded(_rough_damping(loop.replace(**moved)) or _LEAST)
+    moved |= {"device_damping": damping}
+    yield _remedy(loop, f"whole wall {where}, damping {damping:g} {damper}", "firmware", **moved)
+    wanted, around = loop.target * loop.stiffness, loop.sampled
+    law = DeviceLaw(loop.device_stiffness, 0.0, times["device_period"], times["device_delay"])
 
     def radius(values: Array) -> Array:
-        laws = [DeviceLaw(damping=value, **device) for value in values.tolist()]
-        return np.array([float(two_rate_radius(wanted, loop.damping, law, **loop.keywords)) for law in laws])
+        loops = [replace(around, device=replace(law, damping=value)) for value in values.tolist()]
+        return np.array([float(one.spectral_radius(wanted, loop.damping)) for one in loops])
 
-    device = {"period": times["device_period"], "delay": times["device_delay"]}
-    enough = _least(radius, loop.body / times["device_period"], count=13, halvings=11)
+    enough = _least(radius, loop.body / times["device_period"], _FEW)
     if enough is not None:
         damping = _rounded(enough, up=True)
         words = f"damper of {damping:g} {damper} {where}, inside the wall"
         yield _remedy(loop, words, "firmware", **times, device_damping=damping)
 
 
-def _least(
-    radius: Callable[[Array], Array], most: float, *, count: int = 41, halvings: int = _BISECTIONS
-) -> float | None:
+def _least(radius: Callable[[Array], Array], most: float, search: tuple[int, int, int] | None = None) -> float | None:
     """Return the least value up to `most` at which a spectral radius is below 1; None if there is none.
 
     Args:
         radius: Function of values, (N,).
         most: Largest value.
-        count: Values tried, over four decades.
-        halvings: Bisections.
+        search: Values tried, over four decades, steps of the refinement, and values in each; see _POINTS.
     """
+    count, halvings, points = search or (41, *_POINTS[1:])
     grid = np.geomspace(1e-4 * most, most, count)
     good = np.asarray(is_stable(radius(grid)))
     if not good.any():
         return None
     index = int(np.argmax(good))
     low = grid[[index - 1]] if index else np.zeros(1)
-    return float(bisect(lambda values: np.asarray(is_stable(radius(values))), low, grid[[index]], halvings)[0])
+    return float(bisect(lambda values: np.asarray(is_stable(radius(values))), low, grid[[index]], halvings, points)[0])
 
 
 def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     """Yield more mass, a damper on the device, and another velocity filter."""
     name = "inertia" if loop.rotary else "mass"
     yield _remedy(loop, f"{name} x {_HEAVIER:g}", "mechanics", **{name: _HEAVIER * loop.body})
-    wanted = loop.target * loop.stiffness
-    enough = _least(partial(_damped, loop, wanted), 4.0 * loop.body / loop.period)
+    wanted = loop.target * loop.gains[0]
+    enough = _least(partial(_damped, loop, wanted), 4.0 * loop.body / loop.value("period"))
     if enough is not None:
         added = _rounded(enough or _LEAST, up=True)
         yield _remedy(
             loop, f"mechanical damper of {added:g} {damper}", "mechanics", own_damping=loop.own_damping + added
         )
+    if loop.law is not None or not loop.on_host:
+        return
     cutoffs = {"no velocity filter": None} if loop.cutoff else {f"velocity filter of {f:g} Hz": f for f in _FILTERS}
     for words, cutoff in cutoffs.items():
         yield _remedy(loop, words, "gains", cutoff=cutoff)  # type: ignore[arg-type]
@@ -619,8 +630,7 @@ def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
 
 def _damped(loop: DiagnosedLoop, stiffness: float, added: Array) -> Array:
     """Return the spectral radius at a stiffness with more damping of the device's own, (N,)."""
-    keywords = {**loop.keywords, "own_damping": loop.own_damping + added}
-    return SampledLoop(**keywords).spectral_radius(stiffness, loop.damping)
+    return replace(loop.sampled, own_damping=loop.own_damping + added).spectral_radius(stiffness, loop.gains[1])
 
 
 def _hidden(loop: DiagnosedLoop) -> float:
@@ -629,17 +639,17 @@ def _hidden(loop: DiagnosedLoop) -> float:
     b is the damping of the device's own that would bring the loop to its boundary, w its frequency there: a describing
     function, within 5 % in simulation.
     """
-    needed = _least(partial(_damped, loop, loop.stiffness), 4.0 * loop.body / loop.period)
+    needed = _least(partial(_damped, loop, loop.gains[0]), 4.0 * loop.body / loop.value("period"))
     if needed is None:
         return math.nan
-    _, frequency = pole_of(loop.replace(own_damping=loop.own_damping + needed))
+    _, frequency = loop.replace(own_damping=loop.own_damping + needed).sampled.pole(*loop.gains)
     return 4.0 * loop.friction / (math.pi * 2.0 * math.pi * frequency * needed) if frequency else math.nan
 
 
 def _hum(loop: DiagnosedLoop) -> float:
     """Return half a sensor step times the l1 norm from measurement error to position: a bound of the steady error."""
-    around = SampledLoop(**loop.keywords)
-    matrix, phi = around.matrix(loop.stiffness, loop.damping), around.flotor()[0]
+    around = loop.sampled
+    matrix, phi = around.matrix(*loop.gains), around.flotor()[0]
     error = matrix[:, 0].copy()
     error[: len(phi)] -= phi[:, 0]
     total, state = 0.0, error

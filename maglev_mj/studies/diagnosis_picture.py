@@ -11,8 +11,7 @@ from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, on_white
 from maglev_mj.frames import Array
 from maglev_mj.pictures import TITLE, name_curves, new_figure
 from maglev_mj.studies.diagnosis import DiagnosedLoop, Diagnosis, short
-from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.theory.closed_loop import SampledLoop, pd
+from maglev_mj.theory.boundary import boundary_of
 
 _POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS, _WIDE_BAR = 160, 8.0, 600, 30.0, 6, 20.0
 
@@ -24,8 +23,11 @@ def diagnosis(result: Diagnosis) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     loop = result.loop
-    gains = f"{loop.stiffness:g} {result.unit('N/m')}, {loop.damping:g} {result.unit('N s/m')}"
-    timing = f"{1.0 / loop.period:.4g} Hz, delay {1e3 * loop.delay:.4g} ms, {loop.body:g} {result.unit('kg')}"
+    (stiffness, damping), where = loop.gains, "" if loop.on_host else " on the device"
+    gains = f"{stiffness:g} {result.unit('N/m')}, {damping:g} {result.unit('N s/m')}{where}"
+    rate, delay = 1.0 / loop.value("period"), 1e3 * loop.value("delay")
+    timing = f"{rate:.4g} Hz, delay {delay:.4g} ms, {loop.body:g} {result.unit('kg')}"
+    timing += loop.described if loop.on_host else ""
     figure, (region, response, bars, empty) = new_figure(
         (result.headline, f"{gains}, {timing}", result.summary), 2, 2, 6.4
     )
@@ -40,22 +42,22 @@ def diagnosis(result: Diagnosis) -> Any:
 
 def _region(panel: Any, result: Diagnosis) -> None:
     """Draw the stability boundary, half of it, the present gains, and the gains of the first remedy."""
-    loop, best = result.loop, result.best
-    widest = max(2.2 * float(best.damping), 1.3 * loop.damping, 1e-9)
+    loop, best, (stiffness, damper) = result.loop, result.best, result.loop.gains
+    widest = max(2.2 * float(best.damping), 1.3 * damper, 1e-9)
     damping = np.linspace(0.0, widest, _POINTS)
-    boundary = np.asarray(largest_stable_stiffness(damping, **loop.keywords))
+    boundary = boundary_of(loop.sampled, damping)
     panel.plot(damping, boundary, color=STOP, label="stability boundary")
     panel.plot(damping, 0.5 * boundary, color=REFERENCE, linestyle="--", label="half of it")
     colour = on_white(GOOD if result.stable else BAD)
-    panel.plot(loop.damping, loop.stiffness, "o", color=colour, markersize=8, label="present gains")
+    panel.plot(damper, stiffness, "o", color=colour, markersize=8, label="present gains")
     for index, one in enumerate(result.remedies, 1):
-        if set(one.change) <= {"damping", "stiffness"}:
-            to = one.change.get("damping", loop.damping), one.change.get("stiffness", loop.stiffness)
+        to = tuple(one.change.get(loop.name(word), loop.value(word)) for word in ("damping", "stiffness"))
+        if set(one.change) <= {loop.name("damping"), loop.name("stiffness")}:
             style = {"arrowstyle": "->", "color": on_white(GOOD), "linewidth": 1.6}
-            panel.annotate("", to, (loop.damping, loop.stiffness), arrowprops=style)
+            panel.annotate("", to, (damper, stiffness), arrowprops=style)
             panel.plot([], [], color=on_white(GOOD), label=f"remedy {index}")
             break
-    top = 1.15 * max(float(boundary.max()), loop.stiffness)
+    top = 1.15 * max(float(boundary.max()), stiffness)
     panel.set(xlim=(0.0, widest), ylim=(0.0, top))
     panel.set(xlabel=f"damping ({result.unit('N s/m')})", ylabel=f"stiffness ({result.unit('N/m')})")
     name_curves(panel)
@@ -72,33 +74,17 @@ def _response(panel: Any, result: Diagnosis) -> None:
     first = [loop.replace(**one.change) for one in result.remedies[:1]]
     names = "now", "with remedy 1"
     for changed, colour, name in zip((loop, *first), colours, names):
-        if changed.device is None:
-            time, motion = free_response(changed, span)
-            panel.plot(1e3 * time, motion, color=colour, label=name)
+        time, motion = changed.sampled.response(*changed.gains, span=span)
+        panel.plot(1e3 * time, motion, color=colour, label=name)
     panel.set(xlabel="time (ms)", ylabel="position, relative to the first")
     panel.set_title("free response", **TITLE)
     name_curves(panel)
 
 
-def free_response(loop: DiagnosedLoop, span: float) -> tuple[Array, Array]:
-    """Return time [s] and position after a displacement by 1, (N,) each, for a wall on the host alone."""
-    matrix = SampledLoop(**loop.keywords).matrix(loop.stiffness, loop.damping)
-    law = pd(loop.keywords.get("velocity"))(*map(np.asarray, (loop.stiffness, loop.damping, loop.period)))
-    memory = np.linalg.solve(np.eye(len(law.advance)) - law.advance, law.take)  # at rest at that position
-    state = np.zeros(len(matrix))
-    state[0], state[len(state) - len(memory) :] = 1.0, memory
-    count = max(int(span / loop.period), 2)
-    motion = np.empty(count)
-    for index in range(count):
-        motion[index] = state[0]
-        state = matrix @ state
-    return np.arange(count) * np.float64(loop.period), motion
-
-
 def _bars(panel: Any, result: Diagnosis) -> None:
     """Draw the ratio of critical to requested stiffness, now and with each remedy, on a logarithmic axis."""
     loop = result.loop
-    present = result.critical_stiffness / loop.stiffness
+    present = result.margin.ratio
     shown = result.remedies[:_BARS]
     names = ["now", *(one.words for one in shown)]
     ratios = [max(present, 1e-3), *(one.ratio for one in shown)]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, Unpack, overload
 
@@ -26,12 +27,14 @@ from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import common_shape, number, numbers
+from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory.closed_loop import (
     ROUNDING,
     Design,
     LoopKeywords,
     SampledLoop,
     bisect,
+    bracket,
     is_stable,
     pd,
     rendered_stiffness,
@@ -45,6 +48,7 @@ _ALIKE = 2e-15  # spectral radii equal to within rounding
 _EVEN = np.array([0.0, 0.3, 0.7, 1.0])
 _LOWEST, _ROUGH, _FINEST = 8e-5, 1e-5, 1e-7
 _SCANNED, _HALVINGS = 240, 40
+_MODES, _RATES, _STEPS, _COARSER = 20.0, 25, 8, 8
 _GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 720)])
 _FINER, _FLAT = 16, 1e-10
 _SOFTEST = 1e-9
@@ -248,14 +252,14 @@ def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
     return stiffest_of(SampledLoop(**loop))
 
 
-def stiffest_of(loop: SampledLoop) -> StiffestWall:
-    """Return the stiffest wall of a SampledLoop; see `stiffest_wall`."""
-    walls = [_stiffest(loop.part(loop.shape, index)) for index in range(math.prod(loop.shape))]
+def stiffest_of(loop: SampledLoop, finest: float | None = None) -> StiffestWall:
+    """Return the stiffest wall of a SampledLoop, to a relative accuracy if stated; see `stiffest_wall`."""
+    walls = [_stiffest(loop.part(loop.shape, index), finest) for index in range(math.prod(loop.shape))]
     stiffness, damping, on_jump = np.moveaxis(np.array(walls).reshape(*loop.shape, 3), -1, 0)
     return StiffestWall(stiffness, damping, on_jump.astype(bool))
 
 
-def _stiffest(loop: SampledLoop) -> tuple[float, float, bool]:
+def _stiffest(loop: SampledLoop, finest: float | None = None) -> tuple[float, float, bool]:
     """Return stiffness, damping and `on_jump` of one loop's stiffest wall."""
     stiff, damp = scales(loop)
     grid = _GRID * float(damp)
@@ -263,8 +267,15 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float, bool]:
     def beside(positions: Array, shares: Array) -> Array:
         return np.unique(np.maximum(positions + np.maximum(positions, grid[1]) * shares, 0.0))
 
+    def crossing(dampings: Array) -> Array:
+        return first_end(*spans(loop, dampings, 1.0))[0]
+
+    if finest is not None or not loop.affine:
+        rough = maxima(crossing, grid[::_COARSER], finest or _ROUGH, peaks=1)
+        most = crossing(rough)
+        return (float(most[0]), float(rough[0]), False) if most[0] > _SOFTEST * float(stiff) else (0.0, 0.0, False)
     # crossings of an almost undamped pole are accurate to 1e-3 only; refine by the eigenvalues
-    rough = maxima(lambda dampings: first_end(*spans(loop, dampings, 1.0))[0], grid, _ROUGH)
+    rough = maxima(crossing, grid, _ROUGH)
     best = maxima(partial(boundary_of, loop), beside(rough[:, None], _AROUND), _FINEST, peaks=1)
     near = beside(best, _BESIDE)
     exact = boundary_of(loop, near)
@@ -272,6 +283,39 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float, bool]:
     if not most > _SOFTEST * float(stiff):
         return 0.0, 0.0, False
     return most, float(near[np.argmax(exact)]), bool(exact.min() < most * (1.0 - _FALL))
+
+
+def rigid_note(loop: SampledLoop) -> str:
+    """Return in words up to which sample rate half of the rigid device's limit holds with the mode of a single loop.
+
+    The delay stays the same. Half of the stiffest wall's stiffness, at its damping, is tried at rates from the present
+    one to 20 times the mode's frequency, or ten periods of the delay.
+    """
+    assert loop.mode is not None
+    period, late = float(np.asarray(loop.period)), float(np.asarray(loop.delay))
+
+    def unstable(rates: Array) -> Mask:
+        return np.array([not _holds(replace(loop, period=1.0 / rate)) for rate in rates.tolist()])
+
+    fastest = min(_MODES * float(loop.mode.values[0]), MAX_DELAY_PERIODS / late if late else math.inf)
+    rates = np.geomspace(1.0 / period, max(fastest, 1.0 / period), _RATES)
+    low, high = bracket(rates, unstable(rates))
+    text = "rigid device: half of its stiffness limit is"
+    if not np.isfinite(high):
+        return f"{text} stable with this mode up to {rates[-1]:.0f} Hz at this delay"
+    if high == rates[0]:
+        return f"{text} unstable with this mode at this rate"
+    rate = float(bisect(lambda rate: unstable(rate[None])[0], low, high, _STEPS))
+    return f"{text} unstable with this mode above {rate:.0f} Hz at this delay"
+
+
+def _holds(loop: SampledLoop) -> bool:
+    """Return True if half of the rigid device's stiffest wall is stable with the mode."""
+    rigid = replace(loop, mode=None)
+    damping = _GRID[::_COARSER] * float(scales(rigid)[1])
+    limits, _ = first_end(*spans(rigid, damping, 1.0))
+    best = int(limits.argmax())
+    return bool(is_stable(loop.spectral_radius(0.5 * limits[best], damping[best])))
 
 
 def maxima(function: Callable[[Array], Array], grid: Array, finest: float, peaks: int = 3) -> Array:

@@ -308,8 +308,11 @@ class SampledLoop:
             hand = hand_of([*map(change, hand.values[: 5 if hand.soft else 3])])
         if mode is not None:
             mode = Mode(*map(change, mode.values))
+        copy = object.__new__(type(self))  # not `replace`: the values are checked
         values: Any = {name: change(np.asarray(getattr(self, name))) for name in _BATCHED}
-        return replace(self, hand=hand, mode=mode, **values)
+        shapes = [np.shape(value) for value in values.values()] + [part.shape for part in (hand, mode) if part]
+        vars(copy).update(vars(self), hand=hand, mode=mode, shape=np.broadcast_shapes(*shapes), **values)
+        return copy
 
     def part(self, shape: tuple[int, ...], part: Any) -> SampledLoop:
         """Return the loop for a slice or indices of the flattened gains."""
@@ -319,7 +322,7 @@ class SampledLoop:
 
     def widened(self) -> SampledLoop:
         """Return the loop with a trailing dimension of 1 added to each array, for a search along it."""
-        return self._each(lambda value: value[..., None] if value.ndim else value)
+        return self._each(lambda value: value[..., None] if value.ndim else value) if self.shape else self
 
     @property
     def moving_mass(self) -> Array:
@@ -382,7 +385,7 @@ def loop_matrix(
 
 
 ROUNDING = 1e-12
-_HALVINGS = 45
+_SECTIONS = 12, 15  # steps and points of a refinement to rounding
 
 
 def bracket(grid: Array, true: Mask) -> tuple[Array, Array]:
@@ -393,14 +396,29 @@ def bracket(grid: Array, true: Mask) -> tuple[Array, Array]:
     return low, high
 
 
-def bisect(holds: Callable[[Array], Mask], low: Array, high: Array, halvings: int) -> Array:
-    """Return the least argument of a monotonic condition that is true at `high`, (...,); infinity if that is."""
+def bisect(holds: Callable[[Array], Mask], low: Array, high: Array, steps: int, points: int = 1) -> Array:
+    """Return the least argument of a monotonic condition that is true at `high`, (...,); infinity if that is.
+
+    Args:
+        holds: Condition of arguments (...,), or (points, ...) if there are several points.
+        low: Lower end, (...,).
+        high: Upper end, (...,).
+        steps: Number of steps; each divides the interval by points + 1.
+        points: Arguments tried in a step: many cost little more than one where they are computed together.
+    """
     finite = np.isfinite(high)
     low, high = np.where(finite, low, 0.0), np.where(finite, high, 0.0)
-    for _ in range(halvings):
-        middle = 0.5 * (low + high)
-        true = holds(middle)
-        low, high = np.where(true, low, middle), np.where(true, middle, high)
+    if points == 1:
+        for _ in range(steps):
+            middle = 0.5 * (low + high)
+            true = holds(middle)
+            low, high = np.where(true, low, middle), np.where(true, middle, high)
+        return np.where(finite, high, np.inf)
+    shares = np.arange(points + 2).reshape(-1, *[1] * low.ndim) / (points + 1)
+    for _ in range(steps):
+        grid = low + (high - low) * shares
+        first = np.argmax(np.concatenate([holds(grid[1:-1]), np.ones((1, *low.shape), dtype=bool)]), axis=0)[None]
+        low, high = (np.take_along_axis(grid, first + side, axis=0)[0] for side in (0, 1))
     return np.where(finite, high, np.inf)
 
 
@@ -463,7 +481,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     def unstable_at(delay: Array) -> Mask:
         return ~is_stable(replace(wide, delay=delay[..., None]).spectral_radius(k, b), limit)[..., 0]
 
-    return bisect(unstable_at, low, high, _HALVINGS)
+    return bisect(unstable_at, low, high, *_SECTIONS)
 
 
 def least_dynamic_stiffness(

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, TooManyCallsError
 from maglev_mj.frames import AXES, ZERO, Array, Sample, unit_of
@@ -524,15 +525,31 @@ def axis_loop(
         around: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
         spectral_radius = SampledLoop(mass=inertia[axis], hand=held, **around).spectral_radius(stiffness, damping)
         return stiffness, float(spectral_radius)
-    try:
-        (near,) = linearise(controller, pose, axes=AXES[axis])
-    except TooManyCallsError:
-        return math.nan, math.nan
-    loop = _loop(near, (axis,), near.scaled(inertia)[:, axis : axis + 1, axis : axis + 1], [])
-    if near.jumps[axis] or (loop.system is None and not loop.settles):
+    loop = _axis(controller, axis, pose, inertia)
+    if loop is None:
         return math.nan, math.nan
     ((_, roots),) = _roots(_grouped([loop]), delay, inertia, hand)
     return float(loop.gains(inertia)[0][axis, axis]), _own_spectral_radius(roots, loop.still)
+
+
+def _axis(controller: Controller, axis: int, pose: ArrayLike, inertia: Array) -> _Loop | None:
+    """Return the loop of one axis by linearisation; None if not computed."""
+    try:
+        (near,) = linearise(controller, pose, axes=AXES[axis])
+    except TooManyCallsError:
+        return None
+    loop = _loop(near, (axis,), near.scaled(inertia)[:, axis : axis + 1, axis : axis + 1], [])
+    return None if near.jumps[axis] or (loop.system is None and not loop.settles) else loop
+
+
+def axis_law(controller: Controller, axis: int, *, pose: ArrayLike, inertia: Array) -> LinearController | None:
+    """Return the laws of one axis, linearised at a pose with their memory; None if not computed. See `axis_loop`."""
+    loop = _axis(controller, axis, pose, inertia)
+    if loop is None:
+        return None
+    system = loop.system or StateSpace.of(loop.scaled[: _memory(loop.scaled)])
+    advance, take, give, direct = system.with_units(controller.period, inertia[[axis]])
+    return LinearController(advance, take[:, 0], give[0], direct[0, 0])
 
 
 def delay_margins(

@@ -20,6 +20,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.stability_check import UNKNOWN
 from maglev_mj.session import SHOWN, Snapshot, settable_parameters
 from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
+from maglev_mj.theory.margin import worst_axis
 
 _DAMPINGS = 32  # points of a stability boundary
 _EMPTY = np.zeros(0)
@@ -70,7 +71,7 @@ def margin(
         verdict = stability(scene, inertia=body, delay=lag)
         if gains is None:
             return Margin(str(verdict), verdict.stable)
-        return _smallest(scene, verdict, list(gains.values()), body, lag)
+        return _smallest(scene, verdict, gains, body, lag)
     except Exception as error:  # of a user's laws, too
         return _not_computed(error)
 
@@ -79,19 +80,10 @@ def _not_computed(error: Exception) -> Margin:
     return Margin(f"{UNKNOWN}: {str(error).removeprefix(f'{UNKNOWN}: ')}")
 
 
-def _smallest(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]], body: Array, delay: float) -> Margin:
-    stiffness, damping = (np.array(both) for both in zip(*gains, strict=True))
-    ratios = np.zeros_like(stiffness)
-    if stiffness.any():
-        critical = largest_stable_stiffness(damping, period=scene.period, delay=delay, mass=body)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.where(stiffness > 0.0, stiffness / critical, 0.0)
-        # the first of those equal within rounding
-        worst = divmod(int(np.argmax(ratios >= ratios.max() * (1.0 - 1e-9))), len(AXES))
-    else:  # the most damped combination on the scene's axis
-        worst = int(damping[:, scene.axis_index].argmax()), scene.axis_index
-    ratio, index = float(ratios[worst]), worst[1]
-    pair = float(stiffness[worst]), float(damping[worst])
+def _smallest(scene: Scene, verdict: Verdict, gains: Any, body: Array, delay: float) -> Margin:
+    around: Any = {"period": scene.period, "delay": delay, "inertia": body, "velocity": scene.controller().velocity}
+    state, index, ratio = worst_axis(gains, axis=scene.axis_index, **around)
+    pair = float(gains[state][0][index]), float(gains[state][1][index])
     if not verdict.stable:
         index = AXES.index(verdict.axes[0])
         pair = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])

@@ -11,8 +11,7 @@ import pytest
 
 from maglev_mj import Controller, ParameterError, Timing, Wall, diagnose, drive
 from maglev_mj.plants import ExactPlant
-from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis, pole_of
-from maglev_mj.studies.diagnosis_picture import free_response
+from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis
 from maglev_mj.theory import spectral_radius
 
 T60 = 1.0 / 60.0
@@ -96,7 +95,7 @@ def check_remedies(found: Diagnosis) -> tuple[int, int]:
     if found.stable:
         return 0, 0
     first = found.loop.replace(**found.remedies[0].change)
-    return 1, int(pole_of(first)[0] < 1.0 < found.remedies[0].ratio)
+    return 1, int(first.sampled.pole(*first.gains)[0] < 1.0 < found.remedies[0].ratio)
 
 
 @pytest.mark.parametrize("index", range(6))
@@ -139,7 +138,8 @@ def test_margins_are_on_the_boundary() -> None:
 
 def test_the_free_response_is_that_of_the_exact_plant() -> None:
     values, *_ = CASES["paper"]
-    time, motion = free_response(DiagnosedLoop(**values), 0.1)
+    gains = values["stiffness"], values["damping"]
+    time, motion = DiagnosedLoop(**values).sampled.response(*gains, span=0.1)
     wall = Wall(axes="z", lower=1.0, stiffness=6000.0, damping=80.0)  # in contact everywhere
     weight, timing = 0.7 * 9.81, Timing(period=5e-3, delay=1.5e-3)
     rest = -weight / 6000.0
@@ -154,7 +154,8 @@ def test_the_free_response_is_that_of_the_exact_plant() -> None:
 def test_a_shaking_recording_gives_mass_and_delay(tmp_path: Path) -> None:
     # Of a loop whose delay was stated wrongly: the cause is named, and the remedies are those of the true loop.
     values, *_ = CASES["arm"]
-    time, motion = free_response(DiagnosedLoop(**values), 0.6)
+    gains = values["stiffness"], values["damping"]
+    time, motion = DiagnosedLoop(**values).sampled.response(*gains, span=0.6)
     lines = [f"{t:.6f},{1e-4 * x:.9f}" for t, x in zip(time, motion)]
     (tmp_path / "run.csv").write_text("\n".join(["time,position", *lines]), "utf-8")
     found = diagnose(tmp_path / "run.csv", stiffness=500.0, damping=1.0, mass=0.15, delay=2e-3)

@@ -1,0 +1,42 @@
+"""Command that diagnoses a loop: its own module, so that a verdict on numbers loads no scene."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Annotated, Any, TypeAlias
+
+from maglev_mj.cli.declare import Shared, option
+from maglev_mj.cli.options import Json, Picture, add_parameters, chosen, set_names
+from maglev_mj.cli.output import write_result
+from maglev_mj.studies.diagnosis import DiagnosedLoop
+from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
+
+
+def _stated_values(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the values of the loop that are set on the command line."""
+    return {name: getattr(chosen(options, DiagnosedLoop), name) for name in set_names(options, DiagnosedLoop)}
+
+
+_StatedLoop: TypeAlias = Annotated[
+    dict[str, Any],
+    Shared(lambda parser: add_parameters(parser.group("loop"), DiagnosedLoop()), _stated_values),
+]
+
+
+def diagnose(
+    what: Annotated[
+        str | None,
+        option("scene (its worst axis), or recording or CSV file (time, position) of a shaking device", "", "WHAT"),
+    ] = None,
+    *,
+    loop: _StatedLoop,
+    json: Json = None,
+    pictures: Picture,
+) -> int:
+    """Say why a wall shakes, how far each value is from the boundary, and which change helps most.
+
+    For a wall, a spring or a controller with stiffness and damping on one axis, of any mass or inertia. The exit status
+    is 0 for an unstable wall too; `stable` in the JSON is the verdict.
+    """
+    write_result(json, diagnose_loop(what, **loop), pictures, "diagnosis")
+    return 0
