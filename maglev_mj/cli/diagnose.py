@@ -5,11 +5,17 @@ from __future__ import annotations
 import argparse
 from typing import Annotated, Any, TypeAlias
 
-from maglev_mj.cli.declare import Shared, option
-from maglev_mj.cli.options import Json, Picture, add_parameters, chosen, set_names
+from maglev_mj.cli.declare import Parser, Shared, option
+from maglev_mj.cli.options import Json, Picture, add_device, add_parameters, chosen, set_names
 from maglev_mj.cli.output import write_result
 from maglev_mj.studies.diagnosis import DiagnosedLoop
 from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
+
+
+def _add_loop(parser: Parser) -> None:
+    group = parser.group("loop")
+    add_device(parser)
+    add_parameters(group, DiagnosedLoop)
 
 
 def _stated_values(options: argparse.Namespace) -> dict[str, Any]:
@@ -17,10 +23,7 @@ def _stated_values(options: argparse.Namespace) -> dict[str, Any]:
     return {name: getattr(chosen(options, DiagnosedLoop), name) for name in set_names(options, DiagnosedLoop)}
 
 
-_StatedLoop: TypeAlias = Annotated[
-    dict[str, Any],
-    Shared(lambda parser: add_parameters(parser.group("loop"), DiagnosedLoop()), _stated_values),
-]
+_StatedLoop: TypeAlias = Annotated[dict[str, Any], Shared(_add_loop, _stated_values)]
 
 
 def diagnose(

@@ -137,6 +137,13 @@ def parameters(declared: Callable[[], Parameters], group: str, prefix: str = "")
     )
 
 
+def add_device(parser: Parser) -> None:
+    """Add the options of `DeviceParameters`, which parameters of several commands include."""
+    from maglev_mj.theory.two_rates import DeviceParameters
+
+    add_parameters(parser.group("device: own damping, flexible mode, law at a second rate"), DeviceParameters)
+
+
 def json_of(content: str = "figures") -> Option:
     """Declare the option for a result's JSON file."""
     return option(f"JSON file for {content}; - for standard output", "output", "FILE")

@@ -19,6 +19,7 @@ from maglev_mj.cli.options import (
     Json,
     Picture,
     Pictures,
+    add_device,
     add_parameters,
     add_phase,
     add_scene,
@@ -65,6 +66,7 @@ from maglev_mj.studies.wall_laws import LAWS
 from maglev_mj.terminal import wrapped
 from maglev_mj.theory import WallRequirements, design_wall
 from maglev_mj.theory import stability as judge
+from maglev_mj.theory.two_rates import DeviceParameters
 from maglev_mj.versions import hash_of
 
 
@@ -271,6 +273,7 @@ def _ranges(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]
 
 def _add_map(parser: Parser) -> None:
     _add_ranges(parser, _WALL, StabilityParameters, ("damping", "stiffness"))
+    add_device(parser)
     add_parameters(parser.group(_WALL), StabilityParameters)
     add_parameters(parser.group(_DROP), DropMapParameters)
 
@@ -348,6 +351,7 @@ def _add_requirements(parser: Parser) -> None:
     )
     group.add_argument("--held", action="store_true", help="always held: exclude the flotor without a hand")
     parser.group("wall")
+    add_device(parser)
     add_parameters(group, WallRequirements)
 
 
@@ -431,12 +435,15 @@ def _card_scene(text: str) -> Scene | type[Scene]:
 _CardScene: TypeAlias = Annotated[Scene, Shared(partial(add_scene, default="drop", find=_card_scene), chosen_scene)]
 
 
-def card(*, scene: _CardScene, json: Json = None, pictures: Picture) -> int:
+_Device: TypeAlias = Annotated[DeviceParameters, Shared(add_device, lambda options: chosen(options, DeviceParameters))]
+
+
+def card(*, scene: _CardScene, device: _Device, json: Json = None, pictures: Picture) -> int:
     """Compute the Z-width, transparency, virtual masses and forces of a device.
 
     SCENE may also be a calibration file, CALIBRATION.json.
     """
-    write_result(json, device_card(scene), pictures, "card")
+    write_result(json, device_card(scene, device), pictures, "card")
     return 0
 
 

@@ -20,9 +20,10 @@ from maglev_mj.result import Result, Table, with_unit
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
-from maglev_mj.theory import StiffestWall, largest_stable_stiffness, least_passive_damping
+from maglev_mj.spec import Spec
+from maglev_mj.theory.boundary import StiffestWall, boundary_of, rigid_note, stiffest_of
 from maglev_mj.theory.closed_loop import Design, SampledLoop, bisect, is_stable
+from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters
 
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
 _WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10
@@ -33,28 +34,27 @@ _LOSS = math.sqrt(0.5)
 class DeviceCard(Result):
     """Card of a device along a translation.
 
-    Arrays are by hand (H,), delay (D,), damping (B,) and frequency (F,).
+    Arrays are by hand (H,), damping (B,) and frequency (F,).
 
     Attributes:
         title: Rate, delay, mass and target wall in words.
         hands: Names of the hands, "none" for the free flotor.
-        delays: None, the device's, and a period more [s].
-        walls: For each hand the stiffest stable wall at each delay, (D,) each: the top of the Z-width.
+        walls: Stiffest stable wall in each hand: the top of the Z-width.
         damping: Dampings of the curves [N s/m].
-        limits: Largest stable stiffness of each hand at the device's delay [N/m], (H, B).
+        limits: Largest stable stiffness of each hand [N/m], (H, B).
         impedance: Frequency [Hz], and magnitudes [N s/m] of the target impedance, damping + stiffness/(j omega), and of
-            the rendered one in theory and in simulation on the exact plant; (4, F). NaN for an unstable wall.
+            the rendered one in theory and in simulation on the exact plant; (4, F). NaN for an unstable wall, and with
+            own damping, a mode or a device law, which the plant does not have.
         transparent: Frequency up to which the rendered impedance is within 3 dB of the target [Hz]; 0 for none.
         masses: Smallest and largest virtual mass behind a coupling of the target gains [kg], (H, 2); infinite from
             1000 kg on, NaN for none.
         force_bandwidth: Frequency at which hold and drivers lose 3 dB of a force [Hz].
         force_resolution: Step of the force by one step of the sensor, at the target gains [N].
-        passive_damping: Least damping of the device's own for a passive target wall [N s/m]; the flotor has none.
+        rigid: Rate up to which half of the rigid device's limit holds with a mode, in words; empty without one.
     """
 
     title: str
     hands: tuple[str, ...]
-    delays: Array
     walls: tuple[StiffestWall, ...]
     damping: Array
     limits: Array
@@ -63,12 +63,12 @@ class DeviceCard(Result):
     masses: Array
     force_bandwidth: float
     force_resolution: float
-    passive_damping: float
+    rigid: str
     units: ClassVar = {"frequency": "Hz", "target": "N s/m", "rendered": "N s/m", "simulated": "N s/m"}
     picture: ClassVar = "maglev_mj.studies.pictures:device_card"
 
     def _headline(self) -> str:
-        walls = [f"{wall.stiffness[1]:.0f} N/m (hand {hand})" for hand, wall in zip(self.hands, self.walls)]
+        walls = [f"{wall.stiffness:.0f} N/m (hand {hand})" for hand, wall in zip(self.hands, self.walls)]
         return f"Stiffest stable wall: {', '.join(walls[:2])}; transparent up to {self.transparent:.3g} Hz"
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -78,27 +78,23 @@ class DeviceCard(Result):
     @property
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
-        return ["target wall is unstable: no simulated impedance"] * bool(np.isnan(self.impedance[3]).all())
+        return ["target wall is unstable: no impedance"] * bool(np.isnan(self.impedance[2]).all())
 
     def table(self) -> Table:
         """Return figures, walls and masses of each hand, and impedances."""
         figures = [("transparency bandwidth (impedance within 3 dB of target)", self.transparent, "Hz")]
         figures += [("force bandwidth of zero-order hold and drivers, 3 dB", self.force_bandwidth, "Hz")]
         figures += [("force resolution (one sensor step)", self.force_resolution, "N")]
-        figures += [("device damping for a passive target wall", self.passive_damping, "N s/m")]
         hands = [
-            (hand, *(f"{k:.0f} at {b:.0f}" for k, b in zip(wall.stiffness, wall.damping)), *mass.tolist())
-            for hand, wall, mass in zip(self.hands, self.walls, self.masses)
+            (hand, *map(float, wall[:2]), *mass.tolist()) for hand, wall, mass in zip(self.hands, self.walls, self.masses)
         ]
-        heads = "hand", *(f"delay {delay * 1e3:g} ms" for delay in self.delays), "min. virtual mass [kg]", "max. [kg]"
+        heads = "hand", "stiffest wall [N/m]", "at damping [N s/m]", "min. virtual mass [kg]", "max. [kg]"
         title = (
-            "Stiffest stable wall [N/m] at its damping [N s/m]; virtual masses that are stable behind the target's "
-            "spring and damper (- for unlimited)"
+            "Stiffest stable wall; virtual masses that are stable behind the target's spring and damper (- for unlimited)"
         )
-        note = "stable, not passive: the flotor has no damping of its own"
         some = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
         tables = (
-            Table(title, heads, hands, note),
+            Table(title, heads, hands, self.rigid),
             Table(
                 "Impedance at the handle: target (spring and damper), rendered and simulated (with the flotor)",
                 [with_unit(*unit) for unit in self.units.items()],
@@ -108,7 +104,7 @@ class DeviceCard(Result):
         return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables, warnings=self.warnings)
 
 
-def device_card(scene: SceneLike) -> DeviceCard:
+def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> DeviceCard:
     """Return the card of a scene's device, by theory and by simulation on the exact plant.
 
     The target wall has the scene's stiffness and damping, the sensor its `quantize`; defaults are those of `drop` and
@@ -116,6 +112,7 @@ def device_card(scene: SceneLike) -> DeviceCard:
 
     Args:
         scene: The scene, its class, or a text for `find_scene`.
+        device: Own damping, flexible mode and a law on the device; None for none.
 
     Raises:
         ParameterError: If there is no such scene, or the delay is longer than ten periods.
@@ -123,34 +120,37 @@ def device_card(scene: SceneLike) -> DeviceCard:
     Example:
         >>> from maglev_mj import device_card, find_scene
         >>> card = device_card(find_scene("drop")())
-        >>> round(float(card.walls[0].stiffness[1]))  # free, at the device's delay
+        >>> round(float(card.walls[0].stiffness))  # free
         10173
     """
     scene = get_scene(scene)
     k, b, quantum = (getattr(scene, name, 0.0) for name in ("stiffness", "damping", "quantize"))
     k, b, quantum = k or Drop().stiffness, b or Drop().damping, quantum or Spec.translation_resolution.value
     period, mass = scene.period, float(scene.body.inertia[0])
-    delays = np.array([0.0, scene.delay, min(scene.delay + period, MAX_DELAY_PERIODS * period)])
-    loops = [SampledLoop(period=period, delay=scene.delay, mass=mass, hand=get_hand(name)) for name in HANDS]
-    keywords: list[Any] = [{"period": period, "mass": mass, "hand": loop.hand} for loop in loops]
-    walls = tuple(largest_stable_stiffness(delay=delays, **loop) for loop in keywords)
-    damping = np.linspace(0.0, 1.3 * max(wall.damping[1] for wall in walls), 121)
-    limits = np.array([largest_stable_stiffness(damping, delay=scene.delay, **loop) for loop in keywords])
+    own = device or DeviceParameters()
+    around: Any = {"period": period, "delay": scene.delay, "mass": mass, **own.around}
+    loops = [SampledLoop(hand=get_hand(name), **around) for name in HANDS]
+    walls = tuple(map(stiffest_of, loops))
+    damping = np.linspace(0.0, 1.3 * max(wall.damping for wall in walls) or 4.0 * mass / period, 121)
+    limits = np.array([boundary_of(loop, damping) for loop in loops])
     cycles = np.unique(np.geomspace(1.0, 0.45 * _WINDOW, 120).round())
     frequency = cycles / (_WINDOW * period)
     omega = 2.0 * np.pi * frequency
-    rendered = 1.0 / (omega * np.abs([*loops[0].compliances(k, b, frequency.tolist())]))
+    rendered = np.full(omega.shape, np.nan)
+    if stable := bool(is_stable(loops[0].spectral_radius(k, b))):
+        rendered = 1.0 / (omega * np.abs([*loops[0].compliances(k, b, frequency.tolist())]))
     target = np.hypot(b, k / omega)
     within = np.logical_and.accumulate(np.abs(np.log(rendered / target)) < -math.log(_LOSS))
     transparent = float(np.max(frequency, where=within, initial=0.0))
-    impedance = np.array([frequency, target, rendered, fly_impedance(scene, mass, k, b, cycles)])
+    flown = fly_impedance(scene, mass, k, b, cycles) if stable and own.plain else np.full(omega.shape, np.nan)
+    impedance = np.array([frequency, target, rendered, flown])
     masses = np.array([mass_range(loop, k, b) for loop in loops])
     attenuated = lambda f: np.sinc(f * period) < _LOSS * np.hypot(1.0, f / Spec.driver_bandwidth.value)  # noqa: E731
     bandwidth = float(bisect(attenuated, np.zeros(()), np.array(0.5 / period), 50))
-    title = f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg; target wall {k:g} N/m, {b:g} N s/m"
-    step, passive = quantum * (k + b / period), float(least_passive_damping(k, b, period=period, delay=scene.delay))
+    title = f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg; target wall {k:g} N/m, {b:g} N s/m" + own.described
+    step, rigid = quantum * (k + b / period), rigid_note(loops[0]) if own.mode else ""
     curves = damping, limits, impedance, transparent, masses
-    return DeviceCard(title, tuple(HANDS), delays, walls, *curves, bandwidth, step, passive)
+    return DeviceCard(title, tuple(HANDS), walls, *curves, bandwidth, step, rigid)
 
 
 def fly_impedance(scene: Scene, mass: float, stiffness: float, damping: float, cycles: Array) -> Array:
@@ -177,8 +177,11 @@ def mass_range(loop: SampledLoop, stiffness: float, damping: float) -> tuple[flo
 
     The mass is simulated in the controller, coupled to the flotor by spring and damper.
     """
-    poles = np.linalg.eigvals(replace(loop, design=virtual_mass(_MASSES)).matrix(stiffness, damping))
-    drifts = 0 if loop.hand else 2  # the free motion of both masses is a double pole at 1
+    gains = np.full(_MASSES.shape, stiffness), np.full(_MASSES.shape, damping)
+    poles = np.linalg.eigvals(replace(loop, design=virtual_mass(_MASSES)).matrix(*gains))
+    law = loop.device or DeviceLaw()
+    free = loop.hand is None and not law.stiffness  # a pole at 1, and without any damping a double one
+    drifts = free + (free and not law.damping and not np.any(loop.own_damping))
     order = np.argsort(np.abs(poles - 1.0))[:, drifts:]
     stable = is_stable(np.abs(np.take_along_axis(poles, order, axis=-1)).max(axis=-1))
     if not stable.any():
@@ -195,11 +198,12 @@ def virtual_mass(mass: Array) -> Design:
     """
 
     def design(stiffness: Array, damping: Array, period: Array) -> LinearController:
-        force = np.array([damping / period, stiffness, damping, -stiffness - damping / period])
+        parts = damping / period, stiffness, damping, -stiffness - damping / period
+        force = np.stack(np.broadcast_arrays(*parts), axis=-1)
         states = np.zeros((mass.size, 3, 4))
         states[:, 0, 3] = 1.0
         states[:, 2] = [0.0, 0.0, 1.0, 0.0] - force * (period / mass)[:, None]
         states[:, 1] = [0.0, 1.0, 0.0, 0.0] + states[:, 2] * period
-        return LinearController(states[..., :3], states[..., 3], force[:3], force[3])
+        return LinearController(states[..., :3], states[..., 3], force[..., :3], force[..., 3])
 
     return design

@@ -28,6 +28,7 @@ from maglev_mj.result import Result, Table
 from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
 from maglev_mj.spec import GRAVITY, RANGE, Spec
+from maglev_mj.theory.boundary import rigid_note
 from maglev_mj.theory.design import Case, DesignedWall
 
 _ANYWHERE = (1e150, 1.0)  # a flotor that flies off is a verdict, not an error
@@ -77,7 +78,8 @@ class DesignResult(Result):
         wall: Its gains, and its figures by theory.
         contact: Contact conditions.
         reference: PD wall for the same requirements; None if the wall is PD itself, or no PD wall meets them.
-        cases: Cases simulated, in and out of contact: corners and middles of the ranges, the worst, random ones.
+        cases: Cases simulated, in and out of contact: corners and middles of the ranges, the worst, random ones. None,
+            and no simulated figure, with own damping, a mode or a device law: the plants have none of them.
         grows: True for each case that does not settle, (C,).
         depth: Maximum penetration at the approach speed over corners, hands and phases [m].
         peak: Largest force there [N].
@@ -149,6 +151,10 @@ class DesignResult(Result):
         more = [f"and {len(growing) - _MOST_LISTED} more"] if len(growing) > _MOST_LISTED else []
         runs = f"{len(self.cases)} runs simulated from random heights, speeds and phases"
         note = f"{runs}; not settling: {len(growing) or 'none'}"
+        if not needs.plain:
+            note = "not simulated: plants have a rigid flotor without damping, under one law"
+        if needs.mode:
+            note += f"\n{rigid_note(needs.loops([wall.worst], None)[0][1].part((1,), 0))}"
         title = f"Stiffest {law} at {1.0 / needs.period:g} Hz with spectral radius at most {needs.spectral_radius:g}"
         return Table(
             f"{title} in all combinations of {needs.description}",
@@ -191,6 +197,10 @@ def evaluate_wall(
     if contact.pulse and wall.pole is not None:
         raise ParameterError("pulse must be off for an observer wall, which has none")
     needs = wall.requirements
+    masses, delays, spectral_radius = needs.map(wall.stiffness, wall.damping, wall.design)
+    if not needs.plain:
+        missing = [], np.zeros(0, dtype=bool), math.nan, math.nan, math.nan
+        return DesignResult(wall, contact, reference, *missing, masses, delays, spectral_radius)
     cases = [*needs.grid(3), wall.worst, *needs.random(_RANDOM, seed)]
     grows = growing_cases(wall, contact, cases, seed=seed)
     depth, peak = hardest_contact(wall, contact)
@@ -202,7 +212,6 @@ def evaluate_wall(
         duration = _TICKS * needs.period
         noise = hum(0.0, law=wall.make(), stiffness=wall.rendered, damping=wall.damping, duration=duration, **around)
         at_rest = float(noise.force[0])
-    masses, delays, spectral_radius = needs.map(wall.stiffness, wall.damping, wall.design)
     return DesignResult(wall, contact, reference, cases, grows, depth, peak, at_rest, masses, delays, spectral_radius)
 
 

@@ -41,7 +41,7 @@ _POINTS, _FEWER = (201, 5, 15), (25, 12, 1)
 """Values tried in a range, steps of its refinement and values in each; and those beside a law on the device."""
 _FEW = 13, 11, 1
 _ROUGH = 1e-3
-_SLOWEST, _FASTEST = 0.02, 100.0
+_RATIO = 40  # largest ratio of two rates in a range
 _DEVICE_PERIOD, _DEVICE_DELAY = 1e-3, 2e-4
 _DIGITS = 3
 _HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
@@ -129,8 +129,8 @@ class DiagnosedLoop(DeviceParameters):
             other = DeviceLaw(0.0, self.damping, self.period, self.delay, self.cutoff) if self.damping else None
         design = None if self.law is None else partial(_scaled, self.law, *self.gains)
         velocity = None if self.cutoff is None else LowPass(cutoff=self.cutoff)
-        around: Any = {"mass": self.body, "hand": get_hand(self.hand), "own_damping": self.own_damping}
-        around |= {"velocity": velocity, "mode": self.flexible, "device": other, "design": design}
+        around = self.around | {"mass": self.body, "hand": get_hand(self.hand), "device": other}
+        around |= {"velocity": velocity, "design": design}
         return SampledLoop(period=self.value("period"), delay=self.value("delay"), **around)
 
     def critical(self) -> float:
@@ -462,6 +462,7 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
     """Return the stable range of the damping or rate that is nearest to the present one; None for none.
 
     Dampings are searched up to 8 m/T, rates from a hundredth to a hundred times the present one; an end outside is NaN.
+    Beside a law at another rate, those of its fractions or multiples are tried.
     """
     (k, b), period, delay, around = loop.gains, loop.value("period"), loop.value("delay"), loop.sampled
     count, halvings, points = _POINTS if around.device is None else _FEWER
@@ -479,11 +480,11 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
         values = np.geomspace(1e-4, 8.0, count) * loop.body / period
     else:
         values = centre * np.geomspace(1e-2, 1e2, count)
-        fastest = min(MAX_DELAY_PERIODS / delay if delay and name == "rate" else math.inf, 1.0 / MIN_PERIOD)
-        slowest = 1.0 / MAX_PERIOD
         if around.device is not None:
-            slowest, fastest = max(slowest, _SLOWEST / around.device.period), min(fastest, _FASTEST / around.device.period)
-        values = values[(values >= slowest) & (values <= fastest)]
+            ratios = np.arange(1.0, _RATIO + 1.0)
+            values = (ratios if not loop.on_host else 1.0 / ratios[::-1]) / around.device.period
+        fastest = min(MAX_DELAY_PERIODS / delay if delay and name == "rate" else math.inf, 1.0 / MIN_PERIOD)
+        values = values[(values >= 1.0 / MAX_PERIOD) & (values <= fastest)]
     good = stable(values)
     if not good.any():
         return None
@@ -491,7 +492,11 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
     nearest = np.flatnonzero(good)[np.abs(np.flatnonzero(good) - middle).argmin()]
     below, above = bad[bad < nearest][-1:], bad[bad > nearest][:1]
     outside = values[np.concatenate([below, above])]
-    found = bisect(stable, outside, np.full_like(outside, values[nearest]), halvings, points).tolist()
+    if around.device is not None and name != "damping":
+        found = values[np.concatenate([below + 1, above - 1])].tolist()
+    else:
+        inside = np.full_like(outside, values[nearest])
+        found = bisect(stable, outside, inside, halvings, points).tolist()
     return (found[0] if below.size else math.nan), (found[-1] if above.size else math.nan)
 
 

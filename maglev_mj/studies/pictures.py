@@ -349,7 +349,7 @@ def device_card(result: DeviceCard) -> Any:
     for index, (hand, limit) in enumerate(zip(result.hands, result.limits)):
         width.plot(result.damping, limit / 1e3, label=f"hand {hand}", linewidth=1.8, **line_style(index))
     width.set(xlabel="damping (N s/m)", ylabel="stiffness (N/mm)", ylim=(0.0, None))
-    width.set_title(f"Z-width (stable below the curve), delay {result.delays[1] * 1e3:g} ms", **TITLE)
+    width.set_title("Z-width (stable below the curve)", **TITLE)
     frequency, target, rendered, simulated = result.impedance
     size.loglog(frequency, target, label="target", linewidth=1.8, **line_style(1))
     size.loglog(frequency, rendered, label="rendered (theory)", linewidth=1.8, **line_style(0))

@@ -18,9 +18,9 @@ import maglev_mj.theory as theory
 from maglev_mj.control import Law, Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
-from maglev_mj.errors import MaglevError, check_one_of
+from maglev_mj.errors import MaglevError, ParameterError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.parameters import Parameters, param, param_range, transport_delay
+from maglev_mj.parameters import param, param_range, transport_delay
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HANDS, Hand, get_hand
 from maglev_mj.plants.model import body_of
@@ -30,7 +30,9 @@ from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_con
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.diagnosis import Diagnosis, diagnose
 from maglev_mj.studies.record import Cell, Record
-from maglev_mj.theory.closed_loop import LoopKeywords
+from maglev_mj.theory.boundary import rigid_note
+from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
+from maglev_mj.theory.two_rates import DeviceParameters
 
 _MOVED = 1e-6
 _DECIDED = 1e4
@@ -269,7 +271,7 @@ def _judge(sizes: Array, *, last: bool) -> tuple[Growth, Mask]:
     return Growth(stable, rate, (pick + 1.0) * _BLOCK), decided
 
 
-class StabilityParameters(Parameters):
+class StabilityParameters(DeviceParameters):
     """Grid of gains with its loop.
 
     Without ranges the grid covers the whole stable region.
@@ -293,19 +295,25 @@ class StabilityParameters(Parameters):
 
     def check(self) -> None:
         """See `Parameters`."""
+        super().check()
         transport_delay(self.delay, self.period)
         get_hand(self.hand)
+        if self.plant != "none" and not self.plain:
+            raise ParameterError(
+                f"plant must be none{self.described} (got {self.plant}): plants have a rigid flotor under one law"
+            )
 
     @property
     def loop_title(self) -> str:
         """Rate, delay, mass and hand in a few words."""
         hand = "no hand" if self.hand == "none" else f"hand {self.hand}"
-        return f"{1.0 / self.period:g} Hz, delay {self.delay * 1e3:g} ms, mass {self.mass:g} kg, {hand}"
+        return f"{1.0 / self.period:g} Hz, delay {self.delay * 1e3:g} ms, mass {self.mass:g} kg, {hand}{self.described}"
 
     @property
     def loop(self) -> LoopKeywords:
         """Keywords of the theory besides the gains."""
-        return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": get_hand(self.hand)}
+        around: LoopKeywords = {"period": self.period, "delay": self.delay, "mass": self.mass}
+        return {**around, "hand": get_hand(self.hand), **self.around}  # type: ignore[typeddict-item]
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +344,8 @@ class GainMap(Result):
         if self.stiffness.size * self.damping.size > 1:
             return None
         p, gains = self.parameters, {"stiffness": self.stiffness.item(), "damping": self.damping.item()}
-        return diagnose(**gains, period=p.period, delay=p.delay, mass=p.mass, hand=p.hand)
+        names = [item.name for item in (*DeviceParameters.parameters(), *map(p.parameter, _AROUND[1:]))]
+        return diagnose(**gains, **{name: getattr(p, name) for name in names})
 
     @property
     def below(self) -> list[Table]:
@@ -418,7 +427,9 @@ class StabilityMap(GainMap):
                 f"simulation ({p.plant}): {self.simulated.sum()} stable; {different} differ from "
                 f"theory, {self.disagreement.sum()} outside ±0.5 % of the boundary ({self.near.sum()} cells inside)"
             )
-        if best:
+        if p.mode:
+            note.append(rigid_note(SampledLoop(**p.loop)))
+        if best and p.device is None:
             least = float(theory.least_passive_damping(best, damping, period=p.period, delay=p.delay))
             note.append(f"the stiffest wall is passive with {least:.4g} N s/m of the device's own damping")
         head = "", "stiffness [N/m]", ""
@@ -468,7 +479,7 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
 
     Dampings [N s/m], (B,), stiffnesses [N/m], (K,), and the stiffest wall by theory.
     """
-    best = stiffest_in(p.period, p.delay, p.mass, p.hand)
+    best = theory.stiffest_wall(**p.loop)
     # no stable wall: fall back to mass / period
     damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) or p.mass / p.period)
     stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) or p.mass / p.period**2)

@@ -385,7 +385,7 @@ def loop_matrix(
 
 
 ROUNDING = 1e-12
-_SECTIONS = 12, 15  # steps and points of a refinement to rounding
+_SECTIONS, _HALVED = (12, 15), (45, 1)  # steps and points of a refinement to rounding
 
 
 def bracket(grid: Array, true: Mask) -> tuple[Array, Array]:
@@ -481,7 +481,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     def unstable_at(delay: Array) -> Mask:
         return ~is_stable(replace(wide, delay=delay[..., None]).spectral_radius(k, b), limit)[..., 0]
 
-    return bisect(unstable_at, low, high, *_SECTIONS)
+    return bisect(unstable_at, low, high, *(_SECTIONS if wide.device is None else _HALVED))
 
 
 def least_dynamic_stiffness(

@@ -16,7 +16,7 @@ import numpy as np
 from maglev_mj.control import Law, ObserverWall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array
-from maglev_mj.parameters import Parameters, param, param_range, transport_delay
+from maglev_mj.parameters import param, param_range, transport_delay
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, MAX_PERIOD, MIN_PERIOD, Spec
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
@@ -26,6 +26,7 @@ from maglev_mj.theory.closed_loop import (
     least_dynamic_stiffness,
     rendered_stiffness,
 )
+from maglev_mj.theory.two_rates import DeviceParameters
 
 LAWS = ("pd", "observer")
 """Names of the wall laws."""
@@ -37,6 +38,7 @@ _DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 60)])
 _DENSE = np.array([0.0, *np.geomspace(1e-4, 8.0, 1000)])
 _GRID, _RANDOM, _ROUNDS, _MAP, _STARTS, _COARSE = 9, 200, 8, 33, 3, 5
 _GOOD, _NEAR = 1e-3, 1e-6
+_SINGLE = "period", "hand", "driver_lag", "design", "own_damping", "mode", "device"
 _SOFTER = 1.0 - np.array([0.0, 1e-6, 1e-5, 1e-4, 1e-3])
 
 
@@ -51,7 +53,7 @@ class Case(NamedTuple):
         return f"{self.mass:.3g} kg, {self.delay * 1e3:.3g} ms, hand {self.hand}"
 
 
-class WallRequirements(Parameters):
+class WallRequirements(DeviceParameters):
     """Loops in which a wall must be stable: every combination of masses, delays and hands.
 
     Raises:
@@ -88,6 +90,7 @@ class WallRequirements(Parameters):
 
     def check(self) -> None:
         """See `Parameters`."""
+        super().check()
         transport_delay(self.delay, self.period)
         if not self.hands or len(set(self.hands)) != len(self.hands):
             raise ParameterError(
@@ -106,7 +109,7 @@ class WallRequirements(Parameters):
         """One-line summary of the requirements."""
         lag = " with driver lag" if self.driver_lag else ""
         mass, delay = _span(self.mass, 1.0), _span(self.delay, 1e3)
-        return f"mass {mass} kg, delay {delay} ms{lag}, hand: {', '.join(self.hands)}"
+        return f"mass {mass} kg, delay {delay} ms{lag}, hand: {', '.join(self.hands)}{self.described}"
 
     def grid(self, points: int) -> list[Case]:
         """Return cases on a grid over masses and delays for each hand, corners included."""
@@ -155,6 +158,7 @@ class WallRequirements(Parameters):
                 hand=get_hand(hand),
                 driver_lag=DRIVER_TIME_CONSTANT if self.driver_lag else 0.0,
                 design=design,
+                **self.around,
             )
             result.append((index, loop))
         return result
@@ -391,7 +395,7 @@ def _dynamic_stiffness(
     result = np.zeros((len(cases), *stiffness.shape))
     for index, loop in requirements.loops(cases, design):
         wide = (slice(None), *(None,) * stiffness.ndim)
-        around: Any = {name: getattr(loop, name) for name in ("period", "hand", "driver_lag", "design")}
+        around: Any = {name: getattr(loop, name) for name in _SINGLE}
         around |= {name: np.asarray(getattr(loop, name))[wide] for name in ("mass", "delay")}
         result[index] = least_dynamic_stiffness(stiffness, damping, **around)
     return result

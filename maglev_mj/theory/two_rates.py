@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from operator import itemgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -102,9 +102,14 @@ class DeviceParameters(Parameters):
         return DeviceLaw(self.device_stiffness, self.device_damping, self.device_period, self.device_delay)
 
     @property
+    def around(self) -> dict[str, Any]:
+        """Keywords of `SampledLoop`."""
+        return {"own_damping": self.own_damping, "mode": self.flexible, "device": self.device}
+
+    @property
     def plain(self) -> bool:
         """True without any of them: the device that the plants simulate."""
-        return not (self.own_damping or self.mode or self.device)
+        return not any(self.around.values())
 
     @property
     def described(self) -> str:
