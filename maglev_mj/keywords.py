@@ -28,6 +28,7 @@ _EVERY_TICK = frozenset("drive inverse_at inverse_at_angle receive".split())
 """Called on every tick: their arguments are checked only after a failure."""
 _INNER = frozenset("FrictionState answer at axis period sample signals step switch time write".split())
 """Called on every tick: a wrapper, even an empty one, takes more than 2 % of it. They check arguments alone."""
+_RATES = frozenset(("rate", "device_rate"))
 _OWN = (type, Number, Collection)
 """Kinds of values of which each is checked; of another class, that one object fits means that all do."""
 _done: WeakSet[Any] = WeakSet()
@@ -80,7 +81,7 @@ def _checked(call: Any, called: str, *, late: bool = False) -> Any:
     good: set[tuple[Any, ...]] = set()  # classes of arguments that need no further check
 
     def checked(*arguments: Any, **keywords: Any) -> Any:
-        if any(name.endswith("rate") for name in keywords):
+        if not _RATES.isdisjoint(keywords):
             keywords = with_period(_names(call), keywords)
         if not late:
             kinds = (*map(type, arguments), *keywords, *map(type, keywords.values()))
@@ -132,10 +133,10 @@ def _explain(error: Exception, called: str, call: Any, arguments: tuple[Any, ...
 def with_period(names: Collection[str], keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Return keywords with `rate` [Hz] replaced by `period` [s] if only the latter is among the accepted names.
 
-    Also for names that end in them, such as `device_rate`.
+    So is `device_rate` by `device_period`.
     """
     changed = dict(keywords)
-    for rate in [name for name in changed if name.endswith("rate") and name not in names]:
+    for rate in (_RATES & changed.keys()) - set(names):
         if (period := f"{rate[:-4]}period") in names:
             import numpy as np  # slow to load
 

@@ -12,6 +12,7 @@ import pytest
 from maglev_mj import Controller, ParameterError, Timing, Wall, diagnose, drive
 from maglev_mj.plants import ExactPlant
 from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis
+from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import spectral_radius
 
 T60 = 1.0 / 60.0
@@ -104,19 +105,79 @@ def test_the_first_remedy_of_a_random_loop_ends_its_shaking(index: int) -> None:
     assert ended == shaking
 
 
+def settles(loop: DiagnosedLoop) -> bool | None:
+    """Return True if a wall settles in the exact plant; None for a law on the device or own damping: it has none."""
+    if not loop.plain and (loop.on_host or loop.own_damping or loop.damping):
+        return None
+    names = "stiffness", "damping", "period", "delay"
+    wall = RestingWall(**{name: loop.value(name) for name in names}, mass=loop.mass)
+    return bool(measure_growth([wall]).stable[0])
+
+
 @pytest.mark.study
-def test_the_first_remedy_ends_the_shaking() -> None:
-    pairs = [check_remedies(diagnose(**values)) for values in random_loops(1000, 4)]
-    shaking, ended = map(sum, zip(*pairs))
-    assert shaking >= 300 and ended >= 0.99 * shaking
+def test_the_first_remedy_ends_the_shaking_and_nothing_without_effect_does() -> None:
+    shaking, ended, flown, useless = 0, 0, 0, 0
+    for values in random_loops(3000, 4):
+        loop = DiagnosedLoop(**values)
+        if shaking == 1000 or loop.sampled.spectral_radius(*loop.gains) < 1.0001:
+            continue
+        found = diagnose(**values)
+        first = found.loop.replace(**found.remedies[0].change)
+        shaking, simulated = shaking + 1, settles(first)
+        flown += simulated is not None
+        ended += check_remedies(found)[1] if simulated is None else int(simulated)
+        assert settles(loop) is False
+        useless += any(float(text.rpartition("ratio ")[2]) > 1.0 for text in found.ineffective)
+        heavier = f"mass x 1.5"
+        useless += any(text.startswith(heavier) for text in found.ineffective) and settles(
+            loop.replace(mass=1.5 * loop.body)
+        ) is True
+    print(f"{shaking} shaking loops: first remedy ends it in {ended} ({flown} flown), {useless} unlisted remedies")
+    assert shaking == 1000 and ended >= 990 and useless == 0
 
 
-@pytest.mark.parametrize("index", range(4))
-def test_no_change_without_effect_helps(index: int) -> None:
-    # As printed: a heavier mass, another filter, the half-sample prediction, damping that is not enough.
-    found = diagnose(**random_loops(4, 5)[index])
-    if not found.stable:
-        assert all(float(text.rpartition("ratio ")[2]) <= 1.0 for text in found.ineffective)
+CAUSES = "delay", "mass", "none"
+
+
+@pytest.mark.study
+def test_recordings_of_unknown_loops_name_the_cause(tmp_path: Path) -> None:
+    # Sensor of 5 µm and 2 µm noise; the stated delay, mass or neither is wrong by 40 % or more.
+    random, frequencies, named = np.random.default_rng(8), list[float](), 0
+    for index in range(30):
+        while True:
+            (values,) = random_loops(1, int(random.integers(2**31)))
+            loop = DiagnosedLoop(**values)
+            radius, frequency = loop.sampled.pole(*loop.gains)
+            cycles = 1.0 / frequency / loop.period if frequency else 0.0
+            if 1.001 < radius < 1.1 and cycles > 6.0 and 20.0 < cycles * np.log(radius) * 1e3 < 400.0:
+                break
+        time, motion = loop.sampled.response(*loop.gains, span=8.0 / frequency)
+        noisy = 5e-3 * motion / np.abs(motion).max() + 2e-6 * random.standard_normal(len(motion))
+        rows = [f"{t:.9f},{5e-6 * round(x / 5e-6):.9f}" for t, x in zip(time, noisy)]
+        (tmp_path / "run.csv").write_text("\n".join(["time,position", *rows]), "utf-8")
+        cause = CAUSES[index % 3]
+        stated = {name: values[name] for name in ("stiffness", "damping", "mass", "delay")}
+        if cause == "delay":
+            stated["delay"] += loop.period * random.uniform(0.5, 1.0)
+        elif cause == "mass":
+            del stated["delay"]
+            stated["mass"] *= random.uniform(1.4, 2.0)
+        try:
+            found = diagnose(tmp_path / "run.csv", **stated)
+        except ParameterError as error:
+            print(index, cause, values, error)
+            continue
+        assert found.measured is not None
+        frequencies.append(found.measured.frequency / frequency - 1.0)
+        text = found.assumptions[1]
+        right = f"{cause} " in text.split("explains")[0] and "was given" in text if cause != "none" else "was given" not in text
+        close = abs(found.loop.body / loop.body - 1.0) < 0.05 and abs(found.loop.delay - loop.delay) < 0.1 * loop.period
+        named += right and close
+        if not (right and close):
+            print(index, cause, text, found.loop.body / loop.body, found.loop.delay / loop.period, loop.delay / loop.period)
+    worst = max(map(abs, frequencies))
+    print(f"{len(frequencies)} of 30 recordings diagnosed, frequency within {worst:.2%}, cause right in {named}")
+    assert len(frequencies) >= 29 and worst <= 0.02 and named >= 27
 
 
 def test_margins_are_on_the_boundary() -> None:
