@@ -47,7 +47,11 @@ def add_parameters(
         if parameter.kind is not object and name not in without and option not in parser._option_string_actions:
             rate = re.sub("period$", "rate", name)  # a hidden option for the inverse
             inverse = rate not in (name, *names)
-            into = beside_inverse(parser, f"--{prefix}{rate.replace('_', '-')}", _DEST + prefix + name) if inverse else parser
+            into = (
+                beside_inverse(parser, f"--{prefix}{rate.replace('_', '-')}", _DEST + prefix + name)
+                if inverse
+                else parser
+            )
             _add_parameter(into, option, parameter, getattr(defaults, name), prefix)
 
 

@@ -6,11 +6,11 @@ import argparse
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -391,11 +391,6 @@ _OfScene: TypeAlias = Annotated[
 def design(
     *,
     requirements: _Requirements,
-    law: Annotated[Literal["pd", "observer"], option("wall law", "wall")] = "pd",
-    goal: Annotated[
-        Literal["static", "dynamic"],
-        option("stiffness to maximise: static, or the minimum over frequency (dynamic)", "wall"),
-    ] = "static",
     contact: Annotated[Contact, parameters(Contact, "simulated contact")],
     json: Annotated[str | None, json_of("the design")] = None,
     pictures: Annotated[PictureFolder | None, pictures_to("output folder for the chart of the margin")],
@@ -408,15 +403,8 @@ def design(
     if pictures is not None:
         if all(low == high for low, high in (requirements.mass, requirements.delay)):
             raise ParameterError("mass or delay must be a range for a chart (got one value each)")
-    if contact.pulse and law != "pd":
-        raise ParameterError(f"pulse is not supported by the {law}")
     with Progress("design"):
-        wall = design_wall(requirements, law, goal=goal)
-        reference = None
-        if law != "pd":
-            with suppress(ParameterError):  # no PD wall meets the requirements
-                reference = design_wall(requirements, goal=goal)
-        result = evaluate_wall(wall, contact, reference)
+        result = evaluate_wall(design_wall(requirements), contact)
     write_result(json, result, pictures, "design")
     return int(result.grows.any())
 

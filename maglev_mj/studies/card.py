@@ -86,12 +86,11 @@ class DeviceCard(Result):
         figures += [("force bandwidth of zero-order hold and drivers, 3 dB", self.force_bandwidth, "Hz")]
         figures += [("force resolution (one sensor step)", self.force_resolution, "N")]
         hands = [
-            (hand, *map(float, wall[:2]), *mass.tolist()) for hand, wall, mass in zip(self.hands, self.walls, self.masses)
+            (hand, *map(float, wall[:2]), *mass.tolist())
+            for hand, wall, mass in zip(self.hands, self.walls, self.masses)
         ]
         heads = "hand", "stiffest wall [N/m]", "at damping [N s/m]", "min. virtual mass [kg]", "max. [kg]"
-        title = (
-            "Stiffest stable wall; virtual masses that are stable behind the target's spring and damper (- for unlimited)"
-        )
+        title = "Stiffest stable wall; virtual masses stable behind the target's spring and damper (- for unlimited)"
         some = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
         tables = (
             Table(title, heads, hands, self.rigid),
@@ -147,7 +146,10 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     masses = np.array([mass_range(loop, k, b) for loop in loops])
     attenuated = lambda f: np.sinc(f * period) < _LOSS * np.hypot(1.0, f / Spec.driver_bandwidth.value)  # noqa: E731
     bandwidth = float(bisect(attenuated, np.zeros(()), np.array(0.5 / period), 50))
-    title = f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg; target wall {k:g} N/m, {b:g} N s/m" + own.described
+    title = (
+        f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg; target wall {k:g} N/m, {b:g} N s/m"
+        + own.described
+    )
     step, rigid = quantum * (k + b / period), rigid_note(loops[0]) if own.mode else ""
     curves = damping, limits, impedance, transparent, masses
     return DeviceCard(title, tuple(HANDS), walls, *curves, bandwidth, step, rigid)

@@ -17,7 +17,6 @@ from maglev_mj.control import Law
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.control.timeline import split_delay
-from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import Parameters, numbers, param
 from maglev_mj.plants import ExactPlant, Timing
@@ -77,7 +76,6 @@ class DesignResult(Result):
     Attributes:
         wall: Its gains, and its figures by theory.
         contact: Contact conditions.
-        reference: PD wall for the same requirements; None if the wall is PD itself, or no PD wall meets them.
         cases: Cases simulated, in and out of contact: corners and middles of the ranges, the worst, random ones. None,
             and no simulated figure, with own damping, a mode or a device law: the plants have none of them.
         grows: True for each case that does not settle, (C,).
@@ -91,7 +89,6 @@ class DesignResult(Result):
 
     wall: DesignedWall
     contact: Contact
-    reference: DesignedWall | None
     cases: Sequence[Case]
     grows: Mask
     depth: float
@@ -107,8 +104,7 @@ class DesignResult(Result):
     def _headline(self) -> str:
         wall = self.wall
         gains = f"{wall.stiffness:.0f} N/m and {wall.damping:.1f} N s/m"
-        law = "PD" if wall.pole is None else wall.law.capitalize()
-        return f"{law} wall of {gains}: spectral radius {wall.spectral_radius:.3g} in the worst case"
+        return f"PD wall of {gains}: spectral radius {wall.spectral_radius:.3g} in the worst case"
 
     def columns(self) -> dict[str, Array]:
         """Return mass, delay and spectral radius of each cell."""
@@ -126,12 +122,10 @@ class DesignResult(Result):
     def table(self) -> Table:
         """Return gains, margins, contact and simulated check of the wall."""
         wall, contact, needs = self.wall, self.contact, self.wall.requirements
-        law = "PD wall" if wall.pole is None else f"{wall.law} wall, poles at {wall.pole:g},"
-        slow = "" if wall.pole is None else f"static stiffness {wall.rendered:.0f} N/m"
         far = "outside the range of motion" if self.depth > RANGE[2] else "largest over mass, delay, hands, phases"
         limit = "at the force limit" if contact.force_limit is not None and self.peak >= contact.force_limit else ""
         rows: list[tuple[str, float, str, str]] = [
-            ("stiffness", wall.stiffness, "N/m", slow),
+            ("stiffness", wall.stiffness, "N/m", ""),
             ("damping", wall.damping, "N s/m", ""),
             ("spectral radius", wall.spectral_radius, "", str(wall.worst)),
             ("min. dynamic stiffness over frequency", wall.dynamic_stiffness, "N/m", str(wall.softest)),
@@ -142,9 +136,6 @@ class DesignResult(Result):
         if contact.pulse:
             words = f"added for {contact.pulse_width * 1e3:g} ms, above {self.gate * 1e3:.1f} mm/s"
             rows.insert(2, ("pulse", self.pulse, "N s/m", words))
-        if self.reference is not None:
-            words = f"dynamic stiffness {self.reference.dynamic_stiffness:.0f} N/m"
-            rows.append(("stiffest PD wall", self.reference.stiffness, "N/m", words))
         if wall.island is not None:
             rows.append(("stable island, not used", wall.island, "N/m", "and above: stable again in some cases"))
         growing = [str(case) for case, grows in zip(self.cases, self.grows) if grows]
@@ -154,8 +145,8 @@ class DesignResult(Result):
         if not needs.plain:
             note = "not simulated: plants have a rigid flotor without damping, under one law"
         if needs.mode:
-            note += f"\n{rigid_note(needs.loops([wall.worst], None)[0][1].part((1,), 0))}"
-        title = f"Stiffest {law} at {1.0 / needs.period:g} Hz with spectral radius at most {needs.spectral_radius:g}"
+            note += f"\n{rigid_note(needs.loops([wall.worst])[0][1].part((1,), 0))}"
+        title = f"Stiffest PD wall at {1.0 / needs.period:g} Hz with spectral radius at most {needs.spectral_radius:g}"
         return Table(
             f"{title} in all combinations of {needs.description}",
             ("", "value", "unit", ""),
@@ -178,29 +169,19 @@ class DesignResult(Result):
         return self.contact.gate(self.wall.requirements.period) if self.contact.pulse else 0.0
 
 
-def evaluate_wall(
-    wall: DesignedWall, contact: Contact, reference: DesignedWall | None = None, *, seed: int = 0
-) -> DesignResult:
-    """Simulate a designed wall in its required cases.
-
-    Contacts at its approach speed are simulated too.
+def evaluate_wall(wall: DesignedWall, contact: Contact, *, seed: int = 0) -> DesignResult:
+    """Simulate a designed wall in its required cases, and contacts at its approach speed.
 
     Args:
         wall: The wall.
         contact: Contact conditions.
-        reference: PD wall for comparison.
         seed: Seed of the random cases.
-
-    Raises:
-        ParameterError: If an observer is to give a pulse.
     """
-    if contact.pulse and wall.pole is not None:
-        raise ParameterError("pulse must be off for an observer wall, which has none")
     needs = wall.requirements
-    masses, delays, spectral_radius = needs.map(wall.stiffness, wall.damping, wall.design)
+    masses, delays, spectral_radius = needs.map(wall.stiffness, wall.damping)
     if not needs.plain:
         missing = [], np.zeros(0, dtype=bool), math.nan, math.nan, math.nan
-        return DesignResult(wall, contact, reference, *missing, masses, delays, spectral_radius)
+        return DesignResult(wall, contact, *missing, masses, delays, spectral_radius)
     cases = [*needs.grid(3), wall.worst, *needs.random(_RANDOM, seed)]
     grows = growing_cases(wall, contact, cases, seed=seed)
     depth, peak = hardest_contact(wall, contact)
@@ -210,9 +191,9 @@ def evaluate_wall(
         around: Any = {"quantum": contact.quantize, "delay": delay, "period": needs.period, "mass": mass}
         around["hand"] = get_hand(needs.hands[0])
         duration = _TICKS * needs.period
-        noise = hum(0.0, law=wall.make(), stiffness=wall.rendered, damping=wall.damping, duration=duration, **around)
+        noise = hum(0.0, stiffness=wall.stiffness, damping=wall.damping, duration=duration, **around)
         at_rest = float(noise.force[0])
-    return DesignResult(wall, contact, reference, cases, grows, depth, peak, at_rest, masses, delays, spectral_radius)
+    return DesignResult(wall, contact, cases, grows, depth, peak, at_rest, masses, delays, spectral_radius)
 
 
 def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *, seed: int = 0) -> Mask:
@@ -380,7 +361,6 @@ def _controller(wall: DesignedWall, contact: Contact) -> Controller:
     needs = wall.requirements
     mass, delay = needs.nominal
     return wall_controller(
-        wall.make(force_limit=math.inf if contact.force_limit is None else contact.force_limit),
         stiffness=wall.stiffness,
         damping=wall.damping,
         pulse=contact.pulse_of(wall),

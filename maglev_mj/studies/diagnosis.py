@@ -141,7 +141,7 @@ class DiagnosedLoop(DeviceParameters):
 def _scaled(
     law: LinearController, present: float, damper: float, stiffness: Array, damping: Array, period: Array
 ) -> LinearController:
-    """Return a law whose memory scales with the stiffness, and whose damping is that of a finite difference beside it."""
+    """Return a law whose memory scales with the stiffness, and plus a finite difference for other dampings."""
     share = np.asarray(stiffness / present)
     more = (damping - share * damper) / period
     advance = np.pad(law.advance, (0, 1))
@@ -192,7 +192,8 @@ class Diagnosis(Result):
         best: Stiffest stable wall over all dampings.
         remedies: Changes that help, best first.
         ineffective: Changes without effect, in words.
-        passive_damping: Damping of the device's own that makes the law passive [N s/m, N m s/rad]; NaN for laws at two rates.
+        passive_damping: Damping of the device's own that makes the law passive [N s/m, N m s/rad]; NaN at two
+            rates.
         amplitude_limit: Amplitude below which friction ends the oscillation [m, rad]; NaN for none.
         hum: Largest steady error by the sensor's resolution while contact lasts [m, rad]; NaN if unknown.
         assumptions: What was assumed.

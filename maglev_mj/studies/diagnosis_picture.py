@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, on_white
-from maglev_mj.frames import Array
 from maglev_mj.pictures import TITLE, name_curves, new_figure
-from maglev_mj.studies.diagnosis import DiagnosedLoop, Diagnosis, short
+from maglev_mj.studies.diagnosis import Diagnosis, short
 from maglev_mj.theory.boundary import boundary_of
 
 _POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS, _WIDE_BAR = 160, 8.0, 600, 30.0, 6, 20.0

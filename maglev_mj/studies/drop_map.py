@@ -105,7 +105,7 @@ class DropMap(GainMap):
 
     def _headline(self) -> str:
         stiffest = f"all drops settle up to {self.settles_up_to.max():.0f} N/m"
-        return f"{super()._headline()} (theory); {stiffest}" if self.wall is None else super()._headline()
+        return f"{super()._headline()} (theory); {stiffest}"
 
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return swing and ending of each drop."""
@@ -161,7 +161,7 @@ class DropMap(GainMap):
             "unstable by theory settle"
         )
         head = "", "stiffness [N/m]", "damping [N s/m]", ""
-        return Table(f"Drops on PD walls, {p.loop_title}: {p.described}", head, rows, note, self.below, self.warnings)
+        return Table(f"Drops on PD walls, {p.loop_title}: {p.described}", head, rows, note)
 
 
 def run_drop_map(

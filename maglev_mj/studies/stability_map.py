@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -28,7 +28,6 @@ from maglev_mj.result import Result, Table
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_controller
 from maglev_mj.studies.cells import Workers, run_cells
-from maglev_mj.studies.diagnosis import Diagnosis, diagnose
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory.boundary import rigid_note
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
@@ -336,30 +335,7 @@ class GainMap(Result):
     units: ClassVar = {"stiffness": "N/m", "damping": "N s/m", "swing": "m"}
 
     def _headline(self) -> str:
-        return f"Stiffest stable wall: {self.maximum.describe()}" if self.wall is None else f"Wall: {self.wall.summary}"
-
-    @cached_property
-    def wall(self) -> Diagnosis | None:
-        """Diagnosis of a map of one wall; None for several."""
-        if self.stiffness.size * self.damping.size > 1:
-            return None
-        p, gains = self.parameters, {"stiffness": self.stiffness.item(), "damping": self.damping.item()}
-        names = [item.name for item in (*DeviceParameters.parameters(), *map(p.parameter, _AROUND[1:]))]
-        return diagnose(**gains, **{name: getattr(p, name) for name in names})
-
-    @property
-    def below(self) -> list[Table]:
-        """Tables of the diagnosis of a single wall."""
-        return [] if self.wall is None else [self.wall.table()]
-
-    @property
-    def warnings(self) -> Sequence[str]:
-        """See `Result`."""
-        return [] if self.wall is None or self.wall.stable else [self.wall.summary]
-
-    def as_json(self) -> dict[str, Any]:
-        """See `Result`; with the verdict on a single wall."""
-        return super().as_json() | ({} if self.wall is None else {"wall": self.wall.as_json()})
+        return f"Stiffest stable wall: {self.maximum.describe()}"
 
     def cells(self) -> Mapping[str, NDArray[Any]]:
         """Return the map's values by name, (K, B) each."""
@@ -419,8 +395,6 @@ class StabilityMap(GainMap):
         stable = theory.is_stable(self.spectral_radius)
         ranges = f"damping {_span(self.damping)} N s/m, stiffness {_span(self.stiffness)} N/m"
         note = [f"grid: {stable.sum()} of {stable.size} cells stable by theory; {ranges}"]
-        if self.wall is not None:
-            note = [str(self.wall)] * self.wall.stable  # otherwise it is a warning
         if self.simulated is not None and self.disagreement is not None:
             different = (stable != self.simulated).sum()
             note.append(
@@ -433,7 +407,7 @@ class StabilityMap(GainMap):
             least = float(theory.least_passive_damping(best, damping, period=p.period, delay=p.delay))
             note.append(f"the stiffest wall is passive with {least:.4g} N s/m of the device's own damping")
         head = "", "stiffness [N/m]", ""
-        return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note), self.below, self.warnings)
+        return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note))
 
 
 def _span(values: Array) -> str:
@@ -479,6 +453,8 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
 
     Dampings [N s/m], (B,), stiffnesses [N/m], (K,), and the stiffest wall by theory.
     """
+    if p.plant == "none" and all(ends and ends[0] == ends[1] for ends in (p.damping, p.stiffness)):
+        raise ParameterError("damping or stiffness must be a range (got one wall): for one, maglev-mj diagnose")
     best = theory.stiffest_wall(**p.loop)
     # no stable wall: fall back to mass / period
     damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) or p.mass / p.period)

@@ -288,8 +288,8 @@ def _stiffest(loop: SampledLoop, finest: float | None = None) -> tuple[float, fl
 def rigid_note(loop: SampledLoop) -> str:
     """Return in words up to which sample rate half of the rigid device's limit holds with the mode of a single loop.
 
-    The delay stays the same; a device law is left out. Half of the stiffest wall's stiffness, at its damping, is tried at rates from the present
-    one to 20 times the mode's frequency, or ten periods of the delay.
+    The delay stays the same, a device law is left out. Half of the stiffest wall's stiffness, at its damping, is tried
+    at rates from the present one to 20 times the mode's frequency, or ten periods of the delay.
     """
     assert loop.mode is not None
     loop = replace(loop, device=None)

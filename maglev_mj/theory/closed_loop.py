@@ -162,7 +162,9 @@ class SampledLoop:
         if not any(part.ndim for part in times):
             yield slice(None), self.part(shape, slice(None))
             return
-        pairs, index = np.unique(np.array([np.broadcast_to(part, shape).ravel() for part in times]), axis=1, return_inverse=True)
+        pairs, index = np.unique(
+            np.array([np.broadcast_to(part, shape).ravel() for part in times]), axis=1, return_inverse=True
+        )
         for place, (period, delay) in enumerate(pairs.T.tolist()):
             rows = np.flatnonzero(index.reshape(-1) == place)
             yield rows, replace(self.part(shape, rows), period=period, delay=delay)
@@ -198,7 +200,9 @@ class SampledLoop:
         turns = np.unwrap(np.angle(positions[np.diff(times, prepend=-1.0) > 0.0]))
         return radius, abs(float(turns[-1] - turns[0])) / (2.0 * np.pi * float(times[-1]))
 
-    def response(self, stiffness: float, damping: float, state: Array | None = None, span: float = 0.0) -> tuple[Array, Array]:
+    def response(
+        self, stiffness: float, damping: float, state: Array | None = None, span: float = 0.0
+    ) -> tuple[Array, Array]:
         """Return times [s] and positions from a state, (N,) each, over at least a span and a (hyper)period.
 
         Args:
@@ -248,7 +252,9 @@ class SampledLoop:
             inputs[..., : push.shape[-2]] = push[..., 1]
         else:
             if not self.affine:
-                raise ParameterError(f"device period must divide the host's, {self.period} s (got {self.device.period:g})")
+                raise ParameterError(
+                    f"device period must divide the host's, {self.period} s (got {self.device.period:g})"
+                )
             whole = self._hyperperiod(*(np.asarray(gain, dtype=np.float64) for gain in (stiffness, damping)))
             matrix, inputs = whole[..., :-1, :-1], whole[..., :-1, -1]
         inputs = np.broadcast_to(inputs, matrix.shape[:-1])[..., None]

@@ -6,39 +6,27 @@ The design inverts the stability map.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.control import Law, ObserverWall
-from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import param, param_range, transport_delay
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, MAX_PERIOD, MIN_PERIOD, Spec
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
-from maglev_mj.theory.closed_loop import (
-    Design,
-    SampledLoop,
-    least_dynamic_stiffness,
-    rendered_stiffness,
-)
+from maglev_mj.theory.closed_loop import SampledLoop, least_dynamic_stiffness
 from maglev_mj.theory.two_rates import DeviceParameters
 
-LAWS = ("pd", "observer")
-"""Names of the wall laws."""
-GOALS = ("static", "dynamic")
-"""Stiffness to maximise: static, or least dynamic."""
-
-_POLES = (0.0, 0.2, 0.4, 0.6)
 _DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 60)])
 _DENSE = np.array([0.0, *np.geomspace(1e-4, 8.0, 1000)])
-_GRID, _RANDOM, _ROUNDS, _MAP, _STARTS, _COARSE = 9, 200, 8, 33, 3, 5
+_GRID, _RANDOM, _ROUNDS, _MAP, _COARSE = 9, 200, 8, 33, 5
 _GOOD, _NEAR = 1e-3, 1e-6
-_SINGLE = "period", "hand", "driver_lag", "design", "own_damping", "mode", "device"
+_SINGLE = "period", "hand", "driver_lag", "own_damping", "mode", "device"
 _SOFTER = 1.0 - np.array([0.0, 1e-6, 1e-5, 1e-4, 1e-3])
 
 
@@ -101,7 +89,7 @@ class WallRequirements(DeviceParameters):
 
     @property
     def nominal(self) -> tuple[float, float]:
-        """Mass and delay at the middle of their ranges, used by the model of an observer."""
+        """Mass and delay at the middle of their ranges."""
         return 0.5 * sum(self.mass), 0.5 * sum(self.delay)
 
     @property
@@ -122,7 +110,7 @@ class WallRequirements(DeviceParameters):
         drawn = zip(random.uniform(*self.mass, count), random.uniform(*self.delay, count))
         return [Case(float(m), float(d), hand) for (m, d), hand in zip(drawn, itertools.cycle(self.hands))]
 
-    def map(self, stiffness: float, damping: float, design: Design | None = None) -> tuple[Array, Array, Array]:
+    def map(self, stiffness: float, damping: float) -> tuple[Array, Array, Array]:
         """Return masses (M,), delays (D,), and the largest spectral radius over the hands (M, D).
 
         A range of zero width has one value.
@@ -130,23 +118,20 @@ class WallRequirements(DeviceParameters):
         Args:
             stiffness: Gain on the position [N/m].
             damping: Gain on the velocity [N s/m].
-            design: Linear controller in place of the PD wall.
         """
         cases = self.grid(_MAP)
-        spectral_radii = self.spectral_radii(cases, stiffness, damping, design)
+        spectral_radii = self.spectral_radii(cases, stiffness, damping)
         masses, delays = (np.unique([case[column] for case in cases]) for column in (0, 1))
         return masses, delays, spectral_radii.reshape(masses.size, delays.size, len(self.hands)).max(axis=-1)
 
-    def spectral_radii(
-        self, cases: Sequence[Case], stiffness: float, damping: float, design: Design | None = None
-    ) -> Array:
+    def spectral_radii(self, cases: Sequence[Case], stiffness: float, damping: float) -> Array:
         """Return the spectral radius of each case, (C,); see `map`."""
         result = np.zeros(len(cases))
-        for index, loop in self.loops(cases, design):
+        for index, loop in self.loops(cases):
             result[index] = loop.spectral_radius(stiffness, damping)
         return result
 
-    def loops(self, cases: Sequence[Case], design: Design | None) -> list[tuple[Array, SampledLoop]]:
+    def loops(self, cases: Sequence[Case]) -> list[tuple[Array, SampledLoop]]:
         """Return one loop per hand, of shape (C,), with the indices of its cases."""
         result = []
         for hand in dict.fromkeys(case.hand for case in cases):
@@ -157,7 +142,6 @@ class WallRequirements(DeviceParameters):
                 delay=[cases[row].delay for row in index],
                 hand=get_hand(hand),
                 driver_lag=DRIVER_TIME_CONSTANT if self.driver_lag else 0.0,
-                design=design,
                 **self.around,
             )
             result.append((index, loop))
@@ -170,11 +154,8 @@ class DesignedWall:
 
     Attributes:
         requirements: Requirements met by the wall.
-        law: One of `LAWS`.
         stiffness: Gain on the position [N/m].
         damping: Gain on the velocity [N s/m].
-        pole: Pole of the observer; None for PD.
-        rendered: Static stiffness [N/m]; the gain itself for PD.
         spectral_radius: Largest spectral radius over the requirements.
         worst: Case with the largest spectral radius.
         dynamic_stiffness: Least dynamic stiffness over the requirements [N/m].
@@ -183,74 +164,31 @@ class DesignedWall:
     """
 
     requirements: WallRequirements
-    law: str
     stiffness: float
     damping: float
-    pole: float | None
-    rendered: float
     spectral_radius: float
     worst: Case
     dynamic_stiffness: float
     softest: Case
     island: float | None
 
-    @property
-    def design(self) -> Design | None:
-        """Closed-loop design for any gains; None for PD."""
-        return _design(self.requirements, self.pole)
-
-    def make(self, *, force_limit: float = math.inf) -> Law | None:
-        """Return the observer's law along z; None for PD.
-
-        Args:
-            force_limit: Force limit of the actuators in the observer's model [N].
-        """
-        if self.pole is None:
-            return None
-        gains = {"stiffness": self.stiffness, "damping": self.damping, "force_limit": force_limit}
-        return _observer(self.requirements, self.pole, **gains)
-
 
 class _Gains(NamedTuple):
     stiffness: float
     damping: float
-    figure: float
 
 
-def _observer(requirements: WallRequirements, pole: float, **gains: float) -> ObserverWall:
-    mass, delay = requirements.nominal
-    return ObserverWall(axes="z", inertia=mass, period=requirements.period, delay=delay, pole=pole, **gains)
-
-
-def _design(requirements: WallRequirements, pole: float | None) -> Design | None:
-    if pole is None:
-        return None
-    wall = _observer(requirements, pole, stiffness=1.0, damping=1.0)
-    return lambda stiffness, damping, period: wall.linear(stiffness, damping)
-
-
-def _static_stiffness(design: Design | None, period: float, stiffness: Array, damping: Array) -> Array:
-    if design is None:
-        return stiffness
-    return rendered_stiffness(design(stiffness, damping, np.asarray(period)))
-
-
-def design_wall(
-    requirements: WallRequirements, law: str = "pd", *, goal: str = "static", pole: float | None = None
-) -> DesignedWall:
-    """Return the stiffest wall that meets all requirements.
+def design_wall(requirements: WallRequirements) -> DesignedWall:
+    """Return the stiffest PD wall that meets all requirements.
 
     In every case the spectral radius is at most the limit, and all softer walls of that damping are stable. The gains
     are designed for the corners and the middle of the ranges. Then the worst case over all combinations is searched (a
     grid, random cases, and decreasing steps from the worst of them); if it exceeds the limit, it is added to the cases
-    and the design is repeated. Dampings from 0 to 8 m/T are searched; static stiffness is within 1 % of a dense scan
-    over both gains.
+    and the design is repeated. Dampings from 0 to 8 m/T are searched; the stiffness is within 1 % of a dense scan over
+    both gains.
 
     Args:
         requirements: Requirements on the wall.
-        law: One of `LAWS`; an observer models the delay, with nominal mass and delay.
-        goal: "static" for the largest static stiffness, "dynamic" for the largest least dynamic stiffness.
-        pole: Pole of the observer, in [0, 1); None for the best of 0, 0.2, 0.4 and 0.6.
 
     Raises:
         ParameterError: If a value is outside its bounds, or no wall meets the requirements.
@@ -261,20 +199,22 @@ def design_wall(
         >>> round(wall.stiffness), round(wall.damping)
         (7725, 74)
     """
-    check_one_of("law", LAWS, law)
-    check_one_of("goal", GOALS, goal)
-    poles: Sequence[float | None] = (None,) if law == "pd" else _POLES if pole is None else (pole,)
-    best: tuple[_Gains, float | None] | None = None
-    cases = _first_cases(requirements)
-    for chosen in poles:
-        gains = _robust_gains(requirements, _design(requirements, chosen), goal, cases)
-        if gains is not None and (best is None or gains.figure > best[0].figure):
-            best = gains, chosen
-    if best is None:
-        raise ParameterError(
-            f"spectral_radius must be above {requirements.spectral_radius:g}: no {law} wall reaches it in every case"
-        )
-    return _evaluated(requirements, law, *best)
+    cases, limit = _first_cases(requirements), requirements.spectral_radius * (1.0 + 1e-9)
+    for _ in range(_ROUNDS):
+        stiffest = _stiffest(requirements, cases)
+        if stiffest is None:
+            break
+        for share in _SOFTER:  # a crossing of the limit is accurate to 1e-6
+            gains = stiffest._replace(stiffness=stiffest.stiffness * share)
+            spectral_radius, case = worst_case(requirements, *gains)
+            if not limit < spectral_radius < limit * (1.0 + _NEAR):
+                break
+        if spectral_radius <= limit:
+            return _evaluated(requirements, gains, spectral_radius, case)
+        cases.append(case)
+    raise ParameterError(
+        f"spectral_radius must be above {requirements.spectral_radius:g}: no pd wall reaches it in every case"
+    )
 
 
 def _first_cases(requirements: WallRequirements) -> list[Case]:
@@ -282,42 +222,10 @@ def _first_cases(requirements: WallRequirements) -> list[Case]:
     return list(dict.fromkeys([*requirements.grid(2), *(Case(*requirements.nominal, h) for h in requirements.hands)]))
 
 
-def _robust_gains(requirements: WallRequirements, design: Design | None, goal: str, cases: list[Case]) -> _Gains | None:
-    """Return the best gains for all cases, or None. Worse cases are appended to `cases`."""
-    best = _Gains(0.0, 0.0, 0.0)
-    grid, limit = requirements.grid(_COARSE), requirements.spectral_radius * (1.0 + 1e-9)
-    for _ in range(_ROUNDS):
-        stiffest = (_stiffest_static if goal == "static" else _stiffest_dynamic)(requirements, design, cases)
-        if stiffest is None:
-            break
-        for share in _SOFTER:  # a crossing of the limit is accurate to 1e-6
-            gains = stiffest._replace(stiffness=stiffest.stiffness * share, figure=stiffest.figure * share)
-            spectral_radius, case = worst_case(requirements, gains.stiffness, gains.damping, design)
-            if not limit < spectral_radius < limit * (1.0 + _NEAR):
-                break
-        if spectral_radius > limit:
-            cases.append(case)
-            continue
-        if goal == "static":
-            return gains
-        least = _dynamic_stiffness(requirements, design, grid, np.asarray(gains.stiffness), np.asarray(gains.damping))
-        if least.min() > best.figure:
-            best = gains._replace(figure=float(least.min()))
-        if least.min() >= 0.99 * gains.figure:
-            return best
-        cases.append(grid[int(np.argmin(least))])
-    if best.figure or goal == "static":
-        return best if best.figure else None
-    static = _robust_gains(requirements, design, "static", cases)
-    return None if static is None else static._replace(figure=0.0)
-
-
-def _common_stiffness(
-    requirements: WallRequirements, design: Design | None, cases: Sequence[Case], damping: Array
-) -> Array:
+def _common_stiffness(requirements: WallRequirements, cases: Sequence[Case], damping: Array) -> Array:
     """Return the largest stiffness that meets the limit in all cases at each damping [N/m], (B,); 0 for none."""
     ranges, caps = [], []
-    for _, loop in requirements.loops(cases, design):
+    for _, loop in requirements.loops(cases):
         flat, b, shape = flattened(loop, damping[:, None])
         edges, good = spans(flat, b, requirements.spectral_radius)
         ends = np.stack([edges[:, :-1], edges[:, 1:]], axis=-1)
@@ -338,62 +246,24 @@ def _common_stiffness(
     return result
 
 
-def _stiffest_static(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
-    """Return the gains of the largest static stiffness; a dense grid is searched only if the coarse one has none."""
-    unit = requirements.nominal[0] / requirements.period
-
-    def figure(damping: Array) -> Array:
-        stiffness = _common_stiffness(requirements, design, cases, damping)
-        return _static_stiffness(design, requirements.period, stiffness, damping) * (stiffness > 0.0)
-
+def _stiffest(requirements: WallRequirements, cases: Sequence[Case]) -> _Gains | None:
+    """Return the gains of the stiffest wall; a dense grid is searched only if the coarse one has none."""
+    unit, figure = requirements.nominal[0] / requirements.period, partial(_common_stiffness, requirements, cases)
     for grid in (_DAMPINGS * unit, _DENSE * unit):
         damping = maxima(figure, grid, _GOOD)
-        figures = figure(damping)
-        best = int(np.argmax(figures))
-        if figures[best] > 0.0:
-            stiffness = _common_stiffness(requirements, design, cases, damping)
-            return _Gains(float(stiffness[best]), float(damping[best]), float(figures[best]))
+        stiffness = figure(damping)
+        best = int(np.argmax(stiffness))
+        if stiffness[best] > 0.0:
+            return _Gains(float(stiffness[best]), float(damping[best]))
     return None
 
 
-def _stiffest_dynamic(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
-    """Return the gains of the largest least dynamic stiffness, by grids refined around the best points."""
-
-    def search(share: Array, damping: Array) -> tuple[Array, Array]:
-        """Return stiffnesses and their figures, (S, B), for fractions of the largest stiffness at each damping."""
-        stiffness = share[:, None] * _common_stiffness(requirements, design, cases, damping)
-        least = _dynamic_stiffness(requirements, design, cases, stiffness, np.broadcast_to(damping, stiffness.shape))
-        return stiffness, least.min(axis=0)
-
-    unit = requirements.nominal[0] / requirements.period
-    shares = np.linspace(0.05, 1.0, 20)
-    dampings = np.array([0.0, *np.geomspace(1e-3, 0.1, 6, endpoint=False), *np.linspace(0.1, 3.0, 24)]) * unit
-    _, coarse = search(shares, dampings)
-    most = _Gains(0.0, 0.0, 0.0)
-    for _ in range(_STARTS):
-        row, column = np.unravel_index(int(coarse.argmax()), coarse.shape)
-        coarse[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = 0.0  # excluded from the next start
-        at, wide = np.array([shares[row], dampings[column]]), np.array([0.1, min(dampings[column], 0.2 * unit)])
-        best = 0.0
-        for _ in range(6):
-            share, damping = (centre + size * np.linspace(-1.0, 1.0, 7) for centre, size in zip(at, wide))
-            share, damping = np.clip(share, 0.0, 1.0), np.maximum(damping, 0.0)
-            stiffness, least = search(share, damping)
-            row, column = np.unravel_index(int(least.argmax()), least.shape)
-            if least[row, column] > best:
-                at, best = np.array([share[row], damping[column]]), float(least[row, column])
-            if best > most.figure:
-                most = _Gains(float(stiffness[row, column]), float(damping[column]), best)
-            wide *= 0.6
-    return most if most.figure > 0.0 else None
-
-
 def _dynamic_stiffness(
-    requirements: WallRequirements, design: Design | None, cases: Sequence[Case], stiffness: Array, damping: Array
+    requirements: WallRequirements, cases: Sequence[Case], stiffness: Array, damping: Array
 ) -> Array:
     """Return each case's least dynamic stiffness [N/m], (C, ...); 0 for an unstable loop."""
     result = np.zeros((len(cases), *stiffness.shape))
-    for index, loop in requirements.loops(cases, design):
+    for index, loop in requirements.loops(cases):
         wide = (slice(None), *(None,) * stiffness.ndim)
         around: Any = {name: getattr(loop, name) for name in _SINGLE}
         around |= {name: np.asarray(getattr(loop, name))[wide] for name in ("mass", "delay")}
@@ -401,19 +271,16 @@ def _dynamic_stiffness(
     return result
 
 
-def worst_case(
-    requirements: WallRequirements, stiffness: float, damping: float, design: Design | None = None
-) -> tuple[float, Case]:
+def worst_case(requirements: WallRequirements, stiffness: float, damping: float) -> tuple[float, Case]:
     """Return the largest spectral radius over the requirements, and its case.
 
     Args:
         requirements: Requirements on the wall.
         stiffness: Gain on the position [N/m].
         damping: Gain on the velocity [N s/m].
-        design: Linear controller in place of the PD wall.
     """
     cases = [*requirements.grid(_GRID), *requirements.random(_RANDOM)]
-    spectral_radii = requirements.spectral_radii(cases, stiffness, damping, design)
+    spectral_radii = requirements.spectral_radii(cases, stiffness, damping)
     worst, largest = cases[int(np.argmax(spectral_radii))], float(spectral_radii.max())
     for hand in requirements.hands:  # decreasing steps from the worst case of each hand
         start = max((index for index, case in enumerate(cases) if case.hand == hand), key=lambda at: spectral_radii[at])
@@ -424,7 +291,7 @@ def worst_case(
                 for at, (low, high) in ((centre.mass, requirements.mass), (centre.delay, requirements.delay))
             )
             near = [Case(float(m), float(d), hand) for m, d in itertools.product(mass, delay)]
-            around = requirements.spectral_radii(near, stiffness, damping, design)
+            around = requirements.spectral_radii(near, stiffness, damping)
             if around.max() > spectral_radius:
                 centre, spectral_radius = near[int(np.argmax(around))], float(around.max())
             size *= 0.5
@@ -433,32 +300,21 @@ def worst_case(
     return largest, worst
 
 
-def _evaluated(requirements: WallRequirements, law: str, gains: _Gains, pole: float | None) -> DesignedWall:
+def _evaluated(requirements: WallRequirements, gains: _Gains, spectral_radius: float, worst: Case) -> DesignedWall:
     """Return the designed wall with its figures over all combinations of the requirements."""
-    design = _design(requirements, pole)
-    spectral_radius, worst = worst_case(requirements, gains.stiffness, gains.damping, design)
     cases = [*requirements.grid(_COARSE), worst]
-    k, b = np.asarray(gains.stiffness), np.asarray(gains.damping)
-    least = _dynamic_stiffness(requirements, design, cases, k, b)
+    least = _dynamic_stiffness(requirements, cases, np.asarray(gains.stiffness), np.asarray(gains.damping))
     islands = [
         low
-        for _, loop in requirements.loops(_first_cases(requirements), design)
+        for _, loop in requirements.loops(_first_cases(requirements))
         for index in range(loop.shape[0])
         for low, _ in ranges_of(loop.part(loop.shape, index), gains.damping)
         if low > gains.stiffness
     ]
+    softest = cases[int(np.argmin(least))]
+    figures: Any = {"spectral_radius": spectral_radius, "worst": worst, "dynamic_stiffness": float(least.min())}
     return DesignedWall(
-        requirements=requirements,
-        law=law,
-        stiffness=gains.stiffness,
-        damping=gains.damping,
-        pole=pole,
-        rendered=float(_static_stiffness(design, requirements.period, k, b)),
-        spectral_radius=spectral_radius,
-        worst=worst,
-        dynamic_stiffness=float(least.min()),
-        softest=cases[int(np.argmin(least))],
-        island=min(islands, default=None),
+        requirements=requirements, **gains._asdict(), **figures, softest=softest, island=min(islands, default=None)
     )
 
 

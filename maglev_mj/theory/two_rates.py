@@ -73,7 +73,7 @@ class DeviceParameters(Parameters):
 
     own_damping: float = param("damping of the device's own", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
     mode: str | None = param(
-        "first flexible mode HZ,ZETA,RHO: frequency, damping ratio, and participation, -1 with the sensor at the handle",
+        "first flexible mode HZ,ZETA,RHO: frequency, damping ratio, participation (-1: sensor at the handle)",
         default=None,
         optional=True,
     )
@@ -144,7 +144,9 @@ def rates_of(period: float, device: DeviceLaw) -> Rates:
     nearest = Fraction(ratio).limit_denominator(min(max(int(_EVENTS / ratio), _FEWEST), _MOST))
     own = period / float(nearest) if nearest else 0.0
     if not (error := abs(own / device.period - 1.0)) <= _TOLERANCE:
-        raise ParameterError(f"device period must be at most {period * _MOST:g} s, {_MOST} of the host's (got {device.period:g})")
+        raise ParameterError(
+            f"device period must be at most {period * _MOST:g} s, {_MOST} of the host's (got {device.period:g})"
+        )
     count = _PHASES if error > _EXACT and ratio < _FAST else 1
     return Rates(nearest.denominator, nearest.numerator, own, tuple((np.arange(count) / count).tolist()))
 
@@ -200,7 +202,9 @@ class TwoRates:
         slope[..., :order, [*starts, -1]] = b[..., [0, 0, 1]]
         self.durations = np.diff([time for time, _ in events], append=total)
         flows = exponential(slope * self.durations.reshape(-1, *[1] * slope.ndim))
-        self._steps = [(event is None, flow if event is None else flow @ event) for (_, event), flow in zip(events, flows)]
+        self._steps = [
+            (event is None, flow if event is None else flow @ event) for (_, event), flow in zip(events, flows)
+        ]
 
     def steps(self, law: LinearController) -> list[Array]:
         """Return the maps from each event to the next one, of `durations`, for a host's controller (...,)."""

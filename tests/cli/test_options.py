@@ -17,7 +17,7 @@ import pytest
 from maglev_mj import cli
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.twin import TwinParameters
-from maglev_mj.cli import output, peripherals, program, recordings, studies
+from maglev_mj.cli import output, peripherals, program, recordings
 from maglev_mj.cli import twin as cli_twin
 from maglev_mj.cli.declare import Parser
 from maglev_mj.cli.options import add_parameters, chosen
@@ -27,7 +27,6 @@ from maglev_mj.interop.hand_devices import AUTO
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.pictures import FORMATS
 from maglev_mj.recording import EXPORTS
-from maglev_mj.theory import GOALS, LAWS
 
 
 class Lever(Parameters):
@@ -195,4 +194,3 @@ def test_what_a_help_says_without_its_library_is_what_the_library_has() -> None:
     assert (twin["watchdog"], twin["noise"]) == (Limits.watchdog, TwinParameters.noise)
     assert output.FORMATS == FORMATS and peripherals._AUTO == AUTO
     assert allowed(recordings.export, "to") == tuple(EXPORTS)
-    assert allowed(studies.design, "law") == LAWS and allowed(studies.design, "goal") == GOALS

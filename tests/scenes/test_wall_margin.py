@@ -86,7 +86,10 @@ def test_without_a_stiff_wall_there_is_none() -> None:
 
 def test_it_is_that_of_the_hand_delay_and_flotor_in_question() -> None:
     assert str(wall_margin(Press(stiffness=12_000.0))).endswith("spectral radius 1.0442")
-    assert str(wall_margin(Press(stiffness=12_000.0), held=True)) == "stable: 78 % of critical stiffness, spectral radius 0.9563"
+    assert (
+        str(wall_margin(Press(stiffness=12_000.0), held=True))
+        == "stable: 78 % of critical stiffness, spectral radius 0.9563"
+    )
     assert repr(wall_margin(Drop(), delay=0.003)) == repr(wall_margin(Drop(delay=0.003)))
     assert repr(wall_margin(Drop(), inertia=[1.4] * 3 + [1e-3] * 3)) == repr(wall_margin(Drop(mass=1.4)))
 

@@ -128,11 +128,9 @@ def test_the_first_remedy_ends_the_shaking_and_nothing_without_effect_does() -> 
         ended += check_remedies(found)[1] if simulated is None else int(simulated)
         assert settles(loop) is False
         useless += any(float(text.rpartition("ratio ")[2]) > 1.0 for text in found.ineffective)
-        heavier = f"mass x 1.5"
-        useless += any(text.startswith(heavier) for text in found.ineffective) and settles(
-            loop.replace(mass=1.5 * loop.body)
-        ) is True
-    print(f"{shaking} shaking loops: first remedy ends it in {ended} ({flown} flown), {useless} unlisted remedies")
+        heavier = any(text.startswith("mass x 1.5") for text in found.ineffective)
+        useless += heavier and settles(loop.replace(mass=1.5 * loop.body)) is True
+    print(f"{shaking} shaking loops: first remedy ends it in {ended}, {flown} flown; {useless} without effect help")
     assert shaking == 1000 and ended >= 990 and useless == 0
 
 
@@ -162,22 +160,16 @@ def test_recordings_of_unknown_loops_name_the_cause(tmp_path: Path) -> None:
         elif cause == "mass":
             del stated["delay"]
             stated["mass"] *= random.uniform(1.4, 2.0)
-        try:
-            found = diagnose(tmp_path / "run.csv", **stated)
-        except ParameterError as error:
-            print(index, cause, values, error)
-            continue
+        found = diagnose(tmp_path / "run.csv", **stated)
         assert found.measured is not None
         frequencies.append(found.measured.frequency / frequency - 1.0)
         text = found.assumptions[1]
-        right = f"{cause} " in text.split("explains")[0] and "was given" in text if cause != "none" else "was given" not in text
-        close = abs(found.loop.body / loop.body - 1.0) < 0.05 and abs(found.loop.delay - loop.delay) < 0.1 * loop.period
-        named += right and close
-        if not (right and close):
-            print(index, cause, text, found.loop.body / loop.body, found.loop.delay / loop.period, loop.delay / loop.period)
+        right = ("was given" in text and text.startswith(cause)) if cause != "none" else "was given" not in text
+        error = abs(found.loop.body / loop.body - 1.0), abs(found.loop.delay - loop.delay) / loop.period
+        named += right and max(error) < 0.05
     worst = max(map(abs, frequencies))
-    print(f"{len(frequencies)} of 30 recordings diagnosed, frequency within {worst:.2%}, cause right in {named}")
-    assert len(frequencies) >= 29 and worst <= 0.02 and named >= 27
+    print(f"frequency within {worst:.2%}, cause right in {named} of {len(frequencies)}")
+    assert worst <= 0.02 and named >= 27
 
 
 def test_margins_are_on_the_boundary() -> None:

@@ -80,7 +80,9 @@ def test_two_rates() -> None:
     rows = np.array([line.split() for line in TWO_RATES.split("\n")[1:-1]], dtype=np.float64)
     for stiffness, damping, device, damper, period, delay, radius, critical in rows:
         law = DeviceLaw(device, damper, 1e-3 * period, 1e-3 * delay)
-        assert np.isnan(radius) or spectral_radius(stiffness, damping, device=law, **HOST) == pytest.approx(radius, abs=6e-7)
+        assert np.isnan(radius) or spectral_radius(stiffness, damping, device=law, **HOST) == pytest.approx(
+            radius, abs=6e-7
+        )
         exact = largest_stable_stiffness(damping, device=law, **HOST)
         assert exact == pytest.approx(critical, abs=1.0 if np.isnan(radius) else 0.06)
     soft: Any = HOST | {"hand": SOFT}
@@ -92,10 +94,12 @@ def test_two_rates() -> None:
 def test_rates_that_are_not_commensurate() -> None:
     damper: Any = {"stiffness": 0.0, "damping": 100.0}
     for period, radius in {9e-4: 0.882017, 9.7e-4: 0.881957, 1.03e-3: 0.881970, 1.25e-3: 0.882633}.items():
-        assert spectral_radius(2e4, 20.0, device=DeviceLaw(**damper, period=period), **HOST) == pytest.approx(radius, abs=6e-7)
+        assert spectral_radius(2e4, 20.0, device=DeviceLaw(**damper, period=period), **HOST) == pytest.approx(
+            radius, abs=6e-7
+        )
     # A fixed phase between the clocks; the worst of ten below a ratio of 4 if they are not commensurate.
-    loop, law = SampledLoop(**HOST, device=DeviceLaw(**damper)), pd()(*map(np.asarray, (2e4, 20.0, 5e-3)))
-    phases = [np.abs(np.linalg.eigvals(loop.two_rates(0.1 * k).matrix(law)[:-1, :-1])).max() for k in range(10)]
+    loop, host = SampledLoop(**HOST, device=DeviceLaw(**damper)), pd()(*map(np.asarray, (2e4, 20.0, 5e-3)))
+    phases = [np.abs(np.linalg.eigvals(loop.two_rates(0.1 * k).matrix(host)[:-1, :-1])).max() for k in range(10)]
     assert (min(phases), max(phases)) == pytest.approx((0.881942, 0.881966), abs=6e-7)  # as simulated
     for ratio, count in {1.0: 1, 1.0 + 1e-6: 10, 4.0 + 1e-6: 1}.items():
         device = DeviceLaw(**damper, period=5e-3 / ratio)
