@@ -123,7 +123,7 @@ def _scanned(loop: SampledLoop, damping: Array, limit: float) -> Array:
         part, was = loop.part(damping.shape, rows), good[rows, columns]
 
         def changed(stiffness: Array) -> Mask:
-            return is_stable(part.spectral_radius(stiffness * stiff[rows], damping[rows]), limit) != was
+            return np.asarray(is_stable(part.spectral_radius(stiffness * stiff[rows], damping[rows]), limit) != was)
 
         places = np.arange(rows.size) - np.searchsorted(rows, rows)
         result[rows, places] = bisect(changed, grid[columns], grid[columns + 1], _HALVINGS)
@@ -272,8 +272,8 @@ def _stiffest(loop: SampledLoop, finest: float | None = None) -> tuple[float, fl
 
     if finest is not None or not loop.affine:
         rough = maxima(crossing, grid[::_COARSER], finest or _ROUGH, peaks=1)
-        most = crossing(rough)
-        return (float(most[0]), float(rough[0]), False) if most[0] > _SOFTEST * float(stiff) else (0.0, 0.0, False)
+        top = float(crossing(rough)[0])
+        return (top, float(rough[0]), False) if top > _SOFTEST * float(stiff) else (0.0, 0.0, False)
     # crossings of an almost undamped pole are accurate to 1e-3 only; refine by the eigenvalues
     rough = maxima(crossing, grid, _ROUGH)
     best = maxima(partial(boundary_of, loop), beside(rough[:, None], _AROUND), _FINEST, peaks=1)
@@ -292,13 +292,13 @@ def rigid_note(loop: SampledLoop) -> str:
     at rates from the present one to 20 times the mode's frequency, or ten periods of the delay.
     """
     assert loop.mode is not None
-    loop = replace(loop, device=None)
+    loop, highest = replace(loop, device=None), _MODES * float(loop.mode.values[0])
     period, late = float(np.asarray(loop.period)), float(np.asarray(loop.delay))
 
     def unstable(rates: Array) -> Mask:
         return np.array([not _holds(replace(loop, period=1.0 / rate)) for rate in rates.tolist()])
 
-    fastest = min(_MODES * float(loop.mode.values[0]), MAX_DELAY_PERIODS / late if late else math.inf)
+    fastest = min(highest, MAX_DELAY_PERIODS / late if late else math.inf)
     rates = np.geomspace(1.0 / period, max(fastest, 1.0 / period), _RATES)
     low, high = bracket(rates, unstable(rates))
     text = "rigid device: half of its stiffness limit is"

@@ -82,7 +82,7 @@ def worst_axis(
     period: float,
     delay: float,
     inertia: Array,
-    velocity: VelocityEstimator | None = None,
+    velocity: VelocityEstimator,
     axis: int = 2,
 ) -> tuple[tuple[str, ...], int, float]:
     """Return states and axis of a scene's loop nearest to its critical stiffness, and present over critical stiffness.

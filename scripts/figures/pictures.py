@@ -207,7 +207,7 @@ _STUDIES = {
     "friction_laws": "friction_laws",
     "where_methods_fail": " ".join(f"where_methods_fail_{name}" for name in ("timing", "pulse", "limits", "hands")),
 }
-_DESIGN = "design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,fingertip --law observer".split()
+_DESIGN = "design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,fingertip".split()
 
 
 def _chart(*command: str, long: bool = False) -> Picture:
