@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 COSTS = "gains", "timing", "firmware", "mechanics", "feel"
 """Kinds of cost of a remedy, cheapest first: `feel` renders a softer wall."""
 
-_POINTS, _FEWER = (201, 5, 15), (25, 12, 1)
+_POINTS, _FEWER = (201, 6, 15), (25, 12, 1)
 """Values tried in a range, steps of its refinement and values in each; and those beside a law on the device."""
 _FEW = 13, 11, 1
 _ROUGH = 1e-3

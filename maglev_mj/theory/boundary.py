@@ -291,14 +291,14 @@ def rigid_note(loop: SampledLoop) -> str:
     The delay stays the same, a device law is left out. Half of the stiffest wall's stiffness, at its damping, is tried
     at rates from the present one to 20 times the mode's frequency, or ten periods of the delay.
     """
-    assert loop.mode is not None
-    loop, highest = replace(loop, device=None), _MODES * float(loop.mode.values[0])
+    mode, loop = loop.mode, replace(loop, device=None)
+    assert mode is not None
     period, late = float(np.asarray(loop.period)), float(np.asarray(loop.delay))
 
     def unstable(rates: Array) -> Mask:
         return np.array([not _holds(replace(loop, period=1.0 / rate)) for rate in rates.tolist()])
 
-    fastest = min(highest, MAX_DELAY_PERIODS / late if late else math.inf)
+    fastest = min(_MODES * float(mode.values[0]), MAX_DELAY_PERIODS / late if late else math.inf)
     rates = np.geomspace(1.0 / period, max(fastest, 1.0 / period), _RATES)
     low, high = bracket(rates, unstable(rates))
     text = "rigid device: half of its stiffness limit is"

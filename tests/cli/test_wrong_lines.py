@@ -52,7 +52,6 @@ design --mass a:b                                   | mass must be LOW HIGH, LOW
 design --hand fist                                  | hand must be one of none, arm, stylus, fingertip
 design --held                                       | hands must be at least one, without duplicates (got none)
 design --spectral-radius 0.4                                | spectral_radius must be above 0.4: no pd wall
-design --law observer --pulse                       | pulse is not supported by the observer
 design --out x                                      | mass or delay must be a range for a chart
 stability --grid 3 --height 0 --plant mujoco        | plant must be one of exact (got 'mujoco')
 stability --grid 3 --pulse 220 --damping 50 --out . | damping must be a range for a chart (got 50)
@@ -95,7 +94,6 @@ drop --rate 100 --period 0.01                       | argument --period: not all
 drpo                                                | (got 'drpo'); did you mean drop?
 --verison                                           | unrecognized arguments: --verison; did you mean --version?
 drop --stifness 3                                   | unrecognized arguments: --stifness 3; did you mean --stiffness?
-design --law observr                                | (got 'observr'); did you mean observer?
 sweep drop --vary stifness=1,2                      | (got 'stifness'); did you mean stiffness?
 stability --hand armm                               | (got 'armm'); did you mean arm?
 drop --plant exct                                   | (got 'exct'); did you mean exact?
