@@ -180,7 +180,7 @@ def evaluate_wall(wall: DesignedWall, contact: Contact, *, seed: int = 0) -> Des
     needs = wall.requirements
     masses, delays, spectral_radius = needs.map(wall.stiffness, wall.damping)
     if not needs.plain:
-        missing = [], np.zeros(0, dtype=bool), math.nan, math.nan, math.nan
+        missing: Any = [], np.zeros(0, dtype=bool), math.nan, math.nan, math.nan
         return DesignResult(wall, contact, *missing, masses, delays, spectral_radius)
     cases = [*needs.grid(3), wall.worst, *needs.random(_RANDOM, seed)]
     grows = growing_cases(wall, contact, cases, seed=seed)

@@ -471,7 +471,7 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
     def stable(values: Array) -> Mask:
         if name == "damping":
             return np.asarray(is_stable(around.spectral_radius(k, values)))
-        times = {"period": 1.0 / values, "delay": np.broadcast_to(delay, values.shape)}
+        times: Any = {"period": 1.0 / values, "delay": np.broadcast_to(delay, values.shape)}
         if name == "rate in periods":
             times["delay"] = delay / period / values
         return np.asarray(is_stable(replace(around, **times).spectral_radius(k, b)))

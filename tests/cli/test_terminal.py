@@ -106,7 +106,6 @@ OFFERED = {
     "maglev-mj view ": [*BUILT_IN, "mine.py"],
     "maglev-mj run press --h": ["--help", "--hand", "--hits", "--height"],
     "maglev-mj stick-slip --law l": ["lugre"],
-    "maglev-mj design --law o": ["observer"],
     "maglev-mj drop --period ": [],
     "maglev-mj view --stiffness 4e3 --seconds ": [],
     "maglev-mj replay ru": ["run.maglev"],

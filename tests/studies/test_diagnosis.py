@@ -110,7 +110,8 @@ def settles(loop: DiagnosedLoop) -> bool | None:
     if not loop.plain and (loop.on_host or loop.own_damping or loop.damping):
         return None
     names = "stiffness", "damping", "period", "delay"
-    wall = RestingWall(**{name: loop.value(name) for name in names}, mass=loop.mass)
+    values: Any = {name: loop.value(name) for name in names}
+    wall = RestingWall(**values, mass=loop.body)
     return bool(measure_growth([wall]).stable[0])
 
 
