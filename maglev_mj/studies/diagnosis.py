@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 COSTS = "gains", "timing", "firmware", "mechanics", "feel"
 """Kinds of cost of a remedy, cheapest first: `feel` renders a softer wall."""
 
-_POINTS, _FEWER = (201, 6, 15), (25, 12, 1)
-"""Values tried in a range, steps of its refinement and values in each; and those beside a law on the device."""
+_POINTS = 201, 6, 15
+"""Values tried in a range, steps of its refinement, and values in each."""
 _FEW = 13, 11, 1
 _ROUGH = 1e-3
 _RATIO = 40  # largest ratio of two rates in a range
@@ -466,7 +466,7 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
     Beside a law at another rate, those of its fractions or multiples are tried.
     """
     (k, b), period, delay, around = loop.gains, loop.value("period"), loop.value("delay"), loop.sampled
-    count, halvings, points = _POINTS if around.device is None else _FEWER
+    count, *refined = _POINTS
 
     def stable(values: Array) -> Mask:
         if name == "damping":
@@ -497,7 +497,7 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
         found = values[np.concatenate([below + 1, above - 1])].tolist()
     else:
         inside = np.full_like(outside, values[nearest])
-        found = bisect(stable, outside, inside, halvings, points).tolist()
+        found = bisect(stable, outside, inside, *refined).tolist()
     return (found[0] if below.size else math.nan), (found[-1] if above.size else math.nan)
 
 

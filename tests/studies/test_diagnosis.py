@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, ParameterError, Timing, Wall, diagnose, drive
+from maglev_mj import Controller, ObserverWall, ParameterError, Timing, Wall, diagnose, drive, stability
+from maglev_mj.cli import main
 from maglev_mj.plants import ExactPlant
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
-from maglev_mj.theory import spectral_radius
+from maglev_mj.theory import DeviceLaw, Mode, spectral_radius, stiffest_wall
 
 T60 = 1.0 / 60.0
 CASES: dict[str, tuple[dict[str, Any], tuple[float, ...], tuple[float, float] | None, str]] = {
@@ -247,3 +250,60 @@ def test_a_scene_is_diagnosed_on_its_worst_axis() -> None:
 def test_missing_values_are_named(values: dict[str, float], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
         diagnose(**values)
+
+
+HOST: dict[str, Any] = {"stiffness": 2e4, "damping": 20.0, "period": 5e-3, "delay": 1.5e-3, "mass": 0.7}
+
+
+def test_every_margin_is_that_of_both_rates() -> None:
+    found = diagnose(**HOST, device_damping=100.0, device_rate=1000.0)
+    device, around = DeviceLaw(0.0, 100.0), {name: HOST[name] for name in ("period", "delay", "mass")}
+    known = found.spectral_radius, found.critical_stiffness
+    assert known == (pytest.approx(0.881964, abs=6e-7), pytest.approx(29436.54, abs=0.06))
+    assert found.damping_range is not None and found.rate_range is not None
+    time, motion = found.loop.sampled.response(2e4, 20.0, span=0.2)
+    crossed = time[1:][np.diff(np.sign(motion)) != 0.0]
+    assert found.frequency == pytest.approx(0.5 / np.diff(crossed).mean(), rel=0.02)
+    late = around | {"delay": found.critical_delay}
+    for damping, loop in ((found.damping_range[1], around), (20.0, late)):
+        assert spectral_radius(2e4, damping, device=device, **loop) == pytest.approx(1.0, abs=1e-6)
+    slowest = 1e3 / found.rate_range[0]  # device periods in one of the host
+    for periods, stable in ((slowest, True), (slowest + 1, False)):
+        loop = around | {"period": 1e-3 * periods}
+        assert (spectral_radius(2e4, 20.0, device=device, **loop) < 1.0) is np.bool_(stable)
+    whole = diagnose(**HOST | {"stiffness": 0.0, "damping": 0.0}, device_stiffness=6e4, device_damping=200.0)
+    assert whole.spectral_radius ** (1.0 / 5.0) == pytest.approx(0.857502, abs=6e-7)
+    assert whole.critical_stiffness == pytest.approx(211773.8, rel=1e-6) and whole.frequency == pytest.approx(
+        53.87, rel=1e-3
+    )
+
+
+@pytest.mark.parametrize("command", ["design --spectral-radius 1", "card", "stability --grid 2", "diagnose"])
+def test_device_options_reach_the_loop_of_every_command(command: str, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("maglev_mj.studies.card.HANDS", {"none": ()})
+    loop = "--stiffness 6000 --damping 80 --rate 200 --delay 0.0015 --mass 0.7" * (command == "diagnose")
+    options = "--own-damping 2 --mode 1100,0.01,-1 --device-damping 50 --device-stiffness 100 --device-rate 2000"
+    words = [*command.split(), *loop.split(), *options.split(), "--json", str(tmp_path / "out.json")]
+    assert main([*words, "--device-delay", "0.0001"]) == 0
+    data = json.loads((tmp_path / "out.json").read_text())
+    wall = {"design": "wall", "card": "walls", "stability": "maximum", "diagnose": "best"}[command.split()[0]]
+    best = data[wall][0] if command == "card" else data[wall]
+    device, mode = DeviceLaw(100.0, 50.0, 5e-4, 1e-4), Mode(1100.0, 0.01, -1.0)
+    known = stiffest_wall(period=5e-3, delay=1.5e-3, mass=0.7, own_damping=2.0, mode=mode, device=device)
+    assert best["stiffness"] == pytest.approx(float(known.stiffness), rel=2e-3)
+
+
+class Observed(Drop):
+    """Drop on a wall with an observer, which has memory and declares no gains."""
+
+    def laws(self) -> list[Any]:
+        gains: Any = {"stiffness": 2e4, "damping": 150.0, "pole": 0.4, "inertia": 0.7}
+        return [ObserverWall(axes="z", lower=0.0, period=self.period, delay=self.delay, **gains)]
+
+
+def test_a_law_with_memory_is_linearised_exactly() -> None:
+    found, verdict = diagnose(Observed()), stability(Observed())
+    assert found.spectral_radius == pytest.approx(verdict.spectral_radius, rel=1e-6)
+    assert "with its memory" in found.assumptions[0]
+    edges = found.critical_stiffness * np.array([0.999, 1.001])
+    assert (found.loop.sampled.spectral_radius(edges, found.loop.damping) < 1.0).tolist() == [True, False]
