@@ -298,7 +298,7 @@ def stability_map(
 ) -> int:
     """Map the stability of a wall by theory and simulation (figure 2), or judge a scene.
 
-    The exit status is 0 for an unstable wall too; `stable` in the JSON of one wall or scene is the verdict.
+    The exit status is 0 for an unstable wall too; `stable` in the JSON of a scene is the verdict.
     """
     if pictures is not None:
         for name in ("damping", "stiffness"):
@@ -328,7 +328,7 @@ _JudgedScene: TypeAlias = Annotated[Scene, Shared(_add_stability_scene, chosen_s
 def stability(*, scene: _JudgedScene, json: Json = None, pictures: Picture) -> int:
     """Map the stability of a wall by theory and simulation (figure 2), or judge a scene.
 
-    The exit status is 0 for an unstable wall too; `stable` in the JSON of one wall or scene is the verdict.
+    The exit status is 0 for an unstable wall too; `stable` in the JSON of a scene is the verdict.
     """
     with Progress("stability"):
         verdict = judge(scene)

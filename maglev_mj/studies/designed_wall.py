@@ -180,8 +180,8 @@ def evaluate_wall(wall: DesignedWall, contact: Contact, *, seed: int = 0) -> Des
     needs = wall.requirements
     masses, delays, spectral_radius = needs.map(wall.stiffness, wall.damping)
     if not needs.plain:
-        missing: Any = [], np.zeros(0, dtype=bool), math.nan, math.nan, math.nan
-        return DesignResult(wall, contact, *missing, masses, delays, spectral_radius)
+        none = np.zeros(0, dtype=bool), math.nan, math.nan, math.nan
+        return DesignResult(wall, contact, [], *none, masses, delays, spectral_radius)
     cases = [*needs.grid(3), wall.worst, *needs.random(_RANDOM, seed)]
     grows = growing_cases(wall, contact, cases, seed=seed)
     depth, peak = hardest_contact(wall, contact)
