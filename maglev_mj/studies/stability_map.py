@@ -337,6 +337,13 @@ class GainMap(Result):
     def _headline(self) -> str:
         return f"Stiffest stable wall: {self.maximum.describe()}"
 
+    @property
+    def warnings(self) -> Sequence[str]:
+        """See `Result`; for a single wall."""
+        if self.stiffness.size * self.damping.size > 1 or self.stiffness[0] < self.boundary[0]:
+            return []
+        return [f"wall is unstable: critical stiffness {self.boundary[0]:.4g} N/m"]
+
     def cells(self) -> Mapping[str, NDArray[Any]]:
         """Return the map's values by name, (K, B) each."""
         raise NotImplementedError
@@ -407,7 +414,7 @@ class StabilityMap(GainMap):
             least = float(theory.least_passive_damping(best, damping, period=p.period, delay=p.delay))
             note.append(f"the stiffest wall is passive with {least:.4g} N s/m of the device's own damping")
         head = "", "stiffness [N/m]", ""
-        return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note))
+        return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note), warnings=self.warnings)
 
 
 def _span(values: Array) -> str:

@@ -24,7 +24,7 @@ LINES = {
     "sweep": ["sweep", "drop", "--set", "plant=exact", *GRID, "stiffness=50000,70000"],
     "sweep, batch": ["sweep", "drop", "--set", "plant=exact", *GRID, "stiffness=50000:70000:8"],
     "sweep, wall": ["sweep", "wall", *GRID, "stiffness=50000,70000"],
-    "stability": ["stability", *LOOP, "--damping", "80"],
+    "stability": ["stability", *LOOP, "--damping", "80", "--plant", "exact"],
     "stability, drops": ["stability", *LOOP, "--damping", "80", "--height", "0.001"],
     "stability, scene": ["stability", "drop", *LOOP],
     "card": ["card", "drop", *LOOP],
