@@ -60,13 +60,14 @@ class Margin(NamedTuple):
 
     @property
     def details(self) -> str:
-        """Verdict with laws, axis, gains, rate and delay."""
+        """Laws, axis, share of the critical stiffness, gains, rate and delay."""
         stiff, damp = (unit_of(unit, self.axis) for unit in ("N/m", "N s/m"))
         limit = f"; stable up to {self.critical_stiffness:.4g} {stiff} at this damping" * (
             self.critical_stiffness > 0.0
         )
+        share = str(self).removeprefix("unstable: ").removeprefix("stable: ")
         return (
-            f"{self.acting} on {self.axis}: {self} (must be below 1) with a total of {self.stiffness:.4g} {stiff} and "
+            f"{self.acting} on {self.axis}: {share} (must be below 1) with a total of {self.stiffness:.4g} {stiff} and "
             f"{self.damping:.4g} {damp}, at {1.0 / self.period:.4g} Hz, delay {self.delay * 1e3:.3g} ms{limit}"
         )
 
