@@ -95,6 +95,16 @@ def stability_map(result: StabilityMap) -> Any:
     figure, (panel,) = new_figure((result.headline, p.loop_title), 1, 1, 5.6)
     x, y, spectral_radius = result.level_sets()
     level_sets(panel, x, y, spectral_radius)
+    above: dict[str, tuple[Array, Any]] = {}  # their boundary
+    if p.own_damping:
+        above["passive"] = result.passive_damping(x, y) - p.own_damping, {"colors": [REFERENCE], "linestyles": ["--"]}
+    if p.quantum:
+        above["quiet"] = y[:, None] - result.quiet_stiffness(x), {"colors": [SECOND], "linestyles": ["-."]}
+    for name, (height, style) in above.items():
+        if height.min() < 0.0 < height.max():
+            panel.contour(x, y, height, levels=[0.0], linewidths=1.8, **style)
+            drawn = {"color": style["colors"][0], "linestyle": style["linestyles"][0]}
+            panel.plot([], [], linewidth=1.8, label=f"{name} below this line", **drawn)
     used = Drop()
 
     def is_shown(gains: Any) -> bool:

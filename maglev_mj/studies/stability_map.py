@@ -6,7 +6,7 @@ In a simulated wall the flotor rests and is displaced slightly; the samples tell
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
@@ -291,12 +291,19 @@ class StabilityParameters(DeviceParameters):
     mass: float = RestingWall.like("mass")
     hand: str = RestingWall.like("hand")
     plant: str = param("simulated plant, or none for theory only", default="none", choices=RestingWall.plants)
+    friction: float = param("Coulomb friction of the device", "N", default=0.0, at_least=0.0)
+    quantum: float = param("resolution of the position sensor", "m", default=0.0, at_least=0.0)
 
     def check(self) -> None:
         """See `Parameters`."""
         super().check()
         transport_delay(self.delay, self.period)
         get_hand(self.hand)
+        for name in ("friction", "quantum"):
+            if self.plant != "none" and getattr(self, name):
+                raise ParameterError(f"{name} must be 0 on a simulated plant (got {getattr(self, name):g})")
+        if bool(self.friction) != bool(self.quantum):
+            raise ParameterError("friction and quantum must be given together: a wall is quiet by both")
         if self.plant != "none" and not self.plain:
             raise ParameterError(
                 f"plant must be none{self.described} (got {self.plant}): plants have a rigid flotor under one law"
@@ -374,10 +381,36 @@ class StabilityMap(GainMap):
     picture: ClassVar = "maglev_mj.studies.pictures:stability_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
-        """Return spectral radius, and `settles` if walls were simulated."""
-        return {"spectral_radius": self.spectral_radius} | (
-            {} if self.simulated is None else {"settles": self.simulated}
-        )
+        """Return spectral radius, `passive` and `quiet` where they are known, and `settles` if walls were simulated."""
+        cells: dict[str, NDArray[Any]] = {"spectral_radius": self.spectral_radius}
+        if self.parameters.own_damping:
+            cells["passive"] = self.passive_damping(self.damping, self.stiffness) <= self.parameters.own_damping
+        if self.parameters.quantum:
+            quiet = self.stiffness[:, None] <= self.quiet_stiffness(self.damping)
+            cells["quiet"] = quiet & theory.is_stable(self.spectral_radius)
+        return cells if self.simulated is None else {**cells, "settles": self.simulated}
+
+    def passive_damping(self, damping: Array, stiffness: Array) -> Array:
+        """Return the least damping of the device's own that makes each wall passive [N s/m], (K, B).
+
+        See `least_passive_damping`; a hand is any passive one.
+        """
+        p = self.parameters
+        return theory.least_passive_damping(stiffness[:, None], damping, period=p.period, delay=p.delay)
+
+    def quiet_stiffness(self, damping: Array) -> Array:
+        """Return the stiffness below which a stable wall always comes to rest, at each damping [N/m], (B,).
+
+        Where the flotor would rest just between two readings, a quantum q apart, the wall's force is K q/2 off, and off
+        by B q/T more for a period T whenever the reading changes. Friction f holds the flotor against both together if
+
+        K <= 2 f/q - 2 B/T.
+
+        Above, it may hum. Derived here; the bound 2 f/q alone, for passivity without damping, is that of Abbott &
+        Okamura 2005 (as quoted by others).
+        """
+        p = self.parameters
+        return 2.0 * p.friction / p.quantum - 2.0 * damping / p.period
 
     def level_sets(self) -> tuple[Array, Array, Array]:
         """Return dampings and stiffnesses of a fine grid, (200,) each, and the spectral radius there, (200, 200)."""
@@ -413,8 +446,20 @@ class StabilityMap(GainMap):
         if best and p.device is None:
             least = float(theory.least_passive_damping(best, damping, period=p.period, delay=p.delay))
             note.append(f"the stiffest wall is passive with {least:.4g} N s/m of the device's own damping")
+        note += self._regions()
         head = "", "stiffness [N/m]", ""
         return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note), warnings=self.warnings)
+
+    def _regions(self) -> Iterator[str]:
+        """Yield where walls are passive and quiet, if known."""
+        stiffness, damping = np.meshgrid(self.stiffness, self.damping, indexing="ij")
+        for name, cells in self.cells().items():
+            if name in ("passive", "quiet") and (found := np.where(cells, stiffness, 0.0)).any():
+                row = int(found.argmax())
+                at = f"{found.flat[row]:.4g} N/m at {damping.flat[row]:.4g} N s/m"
+                yield f"{name}: {cells.sum()} of {cells.size} cells, stiffest {at}"
+            elif name in ("passive", "quiet"):
+                yield f"{name}: no cell"
 
 
 def _span(values: Array) -> str:

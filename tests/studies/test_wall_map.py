@@ -1,0 +1,76 @@
+"""Map of a wall: stable, passive with the device's own damping, quiet on a quantized sensor with friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import Controller, ExactPlant, Hold, Sensor, Timing, theory
+from maglev_mj.control.loop import ControlLoop
+from maglev_mj.errors import ParameterError
+from maglev_mj.studies.stability_map import StabilityMap, StabilityParameters, run_stability
+
+
+def test_a_quiet_wall_comes_to_rest_wherever_it_is() -> None:
+    """Below the bound of friction and sensor resolution all flotors do; far above it some never do."""
+    generator, count, period, quantum = np.random.default_rng(11), 600, 0.005, 5e-6
+    delay = period * generator.choice([0.0, 0.2, 0.5, 0.9], count)
+    stiffness = 0.5 / period**2 * 10.0 ** generator.uniform(-2.0, -0.7, count)
+    damping = 0.5 / period * generator.uniform(0.05, 0.7, count)
+    settles = theory.spectral_radius(stiffness, damping, period=period, delay=delay, mass=0.5) < 0.95
+    delay, stiffness, damping = delay[settles], stiffness[settles], damping[settles]
+    share = np.where(generator.random(len(delay)) < 0.5, 0.99, 10.0)  # of the bound
+    friction = np.full((len(delay), 6), 1e-9)
+    friction[:, 0] = (stiffness + 2.0 * damping / period) * quantum / (2.0 * share)
+    for force in friction[:3, 0]:  # as the map says
+        one = StabilityParameters(period=period, friction=float(force), quantum=quantum, grid=2)
+        row = int(np.flatnonzero(friction[:, 0] == force)[0])
+        bound = replace(_map(), parameters=one).quiet_stiffness(damping[row : row + 1])
+        assert (stiffness[row] < bound[0]) == (share[row] < 1.0)
+    target, pose = quantum * (200.0 + generator.choice([0.5, 0.49, 0.25], (len(delay), 1))), np.zeros((len(delay), 6))
+    pose[:, :1] = target + 2e-4
+    law = Hold(axes="x", stiffness=stiffness[:, None], damping=damping[:, None], target=target)
+    sensor, places = Sensor(quantum=[quantum, *[0.0] * 5]), list[Any]()
+    with ExactPlant(
+        Timing(period=period, delay=delay), mass=0.5, pose=pose, gravity=0.0, dry_friction=friction, sensor=sensor
+    ) as plant:
+        loop = ControlLoop(plant, Controller([law], period=period))
+        loop.cycle(300)
+        for _ in range(40):
+            loop.cycle()
+            places.append(plant.state()[0][:, 0])
+    moves = np.ptp(places, axis=0) > 1e-6 * quantum
+    assert not moves[share < 1.0].any() and moves[share > 1.0].sum() >= 5
+
+
+def _map() -> StabilityMap:
+    loop: dict[str, Any] = {"period": 1e-3, "delay": 5e-4}
+    return run_stability(StabilityParameters(**loop, mass=0.15, own_damping=20.0, friction=0.6, quantum=1e-5, grid=12))
+
+
+def test_a_map_of_stable_passive_and_quiet_walls() -> None:
+    found = _map()
+    cells = found.cells()
+    least = theory.least_passive_damping(found.stiffness[:, None], found.damping, period=1e-3, delay=5e-4)
+    assert (cells["passive"] == (least <= 20.0)).all() and cells["passive"].any() and not cells["passive"].all()
+    stable = theory.is_stable(found.spectral_radius)
+    assert (cells["quiet"] == (stable & (found.stiffness[:, None] <= 1.2e5 - 2e3 * found.damping))).all()
+    assert cells["quiet"].any() and not (cells["passive"] & ~stable).any()
+    alone = replace(found, parameters=StabilityParameters(period=1e-3, delay=5e-4))
+    assert alone.cells().keys() == {"spectral_radius"}
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"friction": 0.1}, "friction and quantum must be given together"),
+        ({"quantum": 1e-6}, "friction and quantum must be given together"),
+        ({"friction": 0.1, "quantum": 1e-6, "plant": "exact"}, "friction must be 0 on a simulated plant"),
+    ],
+)
+def test_a_map_of_quiet_walls_is_theory_alone(given: dict[str, Any], says: str) -> None:
+    with pytest.raises(ParameterError, match=says):
+        StabilityParameters(**given)
