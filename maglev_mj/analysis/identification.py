@@ -38,6 +38,7 @@ from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.recording import RunMetadata, Segment
 from maglev_mj.recording.recording import SEGMENT_TYPE
 from maglev_mj.recording.sample import Face
+from maglev_mj.recording.setup import MEASURED
 from maglev_mj.result import Table, plain
 from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory import largest_stable_stiffness
@@ -52,6 +53,8 @@ _STILL = 1e-9
 """Largest travel of an axis at rest [m, rad]."""
 _HOLDS = 0.5
 """Share of the breakaway force above which friction after a slip counts as continuing."""
+_WRONG_MASS, _ERRORS = 0.05, 3.0
+"""Least error of a stated mass, relative and in standard errors, for which the identified one replaces it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +117,9 @@ class Friction:
 _Estimates: TypeAlias = AxisEstimates | WallEstimates | Friction
 
 
+_RESAMPLED = Estimate(why="resampled")
+
+
 def _every(kind: type[_Estimates], estimate: Estimate) -> dict[str, Estimate]:
     """Return the same estimate for all quantities."""
     return {quantity.name: estimate for quantity in fields(kind) if quantity.type == "Estimate"}
@@ -157,6 +163,8 @@ class Identification:
         friction: Friction of each axis that has some, by its name.
         samples: Largest number of samples used on an axis.
         of: Number of samples in the segment.
+        replaced: Stated masses and moments of inertia, by axis, that the motion of a measured recording contradicts:
+            the identified ones replace them in the gains from the motion.
     """
 
     axes: Mapping[str, AxisEstimates]
@@ -164,6 +172,7 @@ class Identification:
     friction: Mapping[str, Friction]
     samples: int
     of: int
+    replaced: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def delay(self) -> Estimate:
@@ -216,6 +225,10 @@ class Identification:
         for (names, why), owners in failures.items():
             of = f" of {', '.join(owners)}" if any(owners) else ""
             remarks.append(f"not identifiable: {names}{of}: {why}")
+        for axis, stated in self.replaced.items():
+            unit, mass = unit_of("kg", axis), self.axes[axis].inertia.value
+            text = f"{stated:.4g} {unit} was stated, {mass:.4g} {unit} explains the motion and is used for the gains"
+            remarks.append(f"wrong mass on {axis}: {text}")
         if self.outside:
             remarks.append(f"error estimates not validated for: {', '.join(self.outside)}")
         if self.samples < self.of:
@@ -224,7 +237,8 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
-        values = {part.name: plain(getattr(self, part.name)) for part in fields(self)}
+        names = [part.name for part in fields(self) if part.name != "replaced" or self.replaced]
+        values = {name: plain(getattr(self, name)) for name in names}
         return {"outside": self.outside, "delay": plain(self.delay), **values}
 
 
@@ -254,6 +268,8 @@ def identify(segment: Segment, metadata: RunMetadata | None = None, *, anchors: 
     axes: dict[str, AxisEstimates] = {}
     walls: list[WallEstimates] = []
     friction: dict[str, Friction] = {}
+    replaced: dict[str, float] = {}
+    resampled = segment.setup["kind"] == MEASURED and segment.setup["parameters"]["resampled"]
     used = 0
     for index, name in enumerate(AXES):
         stuck = None if anchors is None or not np.isfinite(anchors[:, index]).any() else anchors[:, index]
@@ -261,13 +277,17 @@ def identify(segment: Segment, metadata: RunMetadata | None = None, *, anchors: 
         axis = _Axis.of(segment, index, stuck)
         if isinstance(axis, _Axis):
             axes[name] = axis.estimates()
+            if axis.inertia != segment.metadata.inertia[index]:
+                replaced[name] = float(segment.metadata.inertia[index])
+            if resampled:
+                axes[name] = replace(axes[name], delay=_RESAMPLED, noise=_RESAMPLED)
             used = max(used, int(axis.used.sum()))
             walls += [axis.wall(face) for face in faces]
         else:
             walls += [WallEstimates.of(face, **_every(WallEstimates, axis)) for face in faces]
         if stuck is not None:
             friction[name] = axis.friction() if isinstance(axis, _Axis) else Friction(**_every(Friction, axis))
-    return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(segment))
+    return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(segment), replaced=replaced)
 
 
 class _Axis:
@@ -283,7 +303,7 @@ class _Axis:
     Attributes:
         position: Positions [m, rad], (N,).
         used: True for samples in a window, (N,).
-        inertia: Recorded mass or moment of inertia [kg, kg m²].
+        inertia: Recorded mass or moment of inertia [kg, kg m²]; the identified one if that is wrong.
         faces: Touched walls of the axis.
         forces: All recorded forces, a constant, and those of a holding hand.
         motion: Fit of the motion by these forces. It has their common factor, a constant, and their delay.
@@ -302,6 +322,9 @@ class _Axis:
         self.faces = [face for face in faces if self._count_inside(face) >= _LEAST_INSIDE]
         self.forces = self._forces(np.zeros((len(segment), 0)), segment.applied[:, axis])
         self.motion = fit_motion(self.forces, windows, self.position, self.metadata.delay, self.period)
+        if segment.setup["kind"] == MEASURED and (mass := self._inertia()).known:
+            if abs(mass.value - self.inertia) > max(_ERRORS * mass.standard_error, _WRONG_MASS * self.inertia):
+                self.inertia = mass.value
 
     @classmethod
     def of(cls, segment: Segment, axis: int, anchors: Array | None) -> _Axis | Estimate:

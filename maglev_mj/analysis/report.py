@@ -21,7 +21,7 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Segment
 from maglev_mj.recording.recording import SEGMENT_TYPE
-from maglev_mj.recording.setup import scripted
+from maglev_mj.recording.setup import MEASURED, UNCONTROLLED, scripted
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import recorded_scene
@@ -184,6 +184,8 @@ class SegmentReport(Result):
         below = figures.tables(None if other is None else other.figures)
         if comparison is not None:
             below.append(comparison.table())
+        if self.kind == MEASURED:
+            below.append(Table("", (), (), UNCONTROLLED))
         span = f"{figures.samples} samples, {figures.start:.4g} to {figures.end:.4g} s, {figures.missed} lost"
         return Table(
             f"{self.run_title}: {span}", [], [], below=[*below, self.identified.table()], warnings=self.warnings
@@ -276,14 +278,14 @@ def analyse(
     whole = reconstruct(segment)
     first, last = _rows(whole, begin, end)
     comparison = other = None
-    if simulated and rebuild is not None:
+    if simulated and rebuild is not None and segment.setup["kind"] != MEASURED:
         twin = simulate(segment, whole, rebuild, scene)
         comparison = compare(segment[first : last + 1], twin[first : last + 1], whole.between(first, last))
         until = min(last, len(twin.tick) - 1)
         if until - first >= 1:
             other = _run(twin, reconstruct(twin), None, (first, until), rest)
     run, wall = _run(segment, whole, anchors, (first, last), rest), None
-    if segment.setup["kind"] != "device":  # its link delay is not in the setup
+    if segment.setup["kind"] not in ("device", MEASURED):  # its link delay is not in the setup
         with suppress(MaglevError, KeyError):
             recorded = recorded_scene(segment.setup["scene"], segment.setup["parameters"], scene)
             wall = wall_margin(recorded, held=scripted(segment.setup))

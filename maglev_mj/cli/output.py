@@ -97,7 +97,7 @@ class Progress:
 
 
 _OUTPUTS = "json", "record", "write", "identify", "out"
-_FILES = "render", "export"
+_FILES = "render", "export", "import"
 """Commands whose `out` is a file."""
 
 

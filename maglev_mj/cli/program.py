@@ -68,6 +68,11 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "fault": Command("last cycles before a fault, from its file", "fault-20260101-120000.maglev --all"),
     },
     "recordings": {
+        "import": Command(
+            "measurements of another program as a recording",
+            "rig.csv --columns time=t z=z --units time=s length=m --mass 1",
+            "import_log",
+        ),
         "replay": Command("playback of a recording, or bit-for-bit check", "run.maglev --check"),
         "analyse": Command("recording compared with its simulation", "run.maglev --from 0.1 --out figures"),
         "export": Command("conversion of a recording to MCAP, table, arrays or sound", "run.maglev --to mcap"),
@@ -88,6 +93,7 @@ MODULES: Mapping[str, str] = {
         "device": "info estop commission conform",
         "lessons": "lessons",
         "recordings": "fault replay analyse export",
+        "importing": "import",
     }.items()
     for name in names.split()
 }
@@ -272,7 +278,7 @@ def program_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     parser.epilog = (
         "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] sets --period [s]. "
-        "help(maglev_mj) lists names. Figures: Salcudean & Vlaar (1997).\n\n"
+        "help(maglev_mj) lists names. Figures: Salcudean & Vlaar (1997).\n"
         "Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe"
     )
     command = parser.add_argument(

@@ -67,9 +67,13 @@ def replay(
 
 
 def _check(recording: Recording, own: UserCode | None) -> int:
+    from maglev_mj.recording.setup import MEASURED, UNCONTROLLED
     from maglev_mj.recording.verify import verify
     from maglev_mj.session.replay import rebuild, unsimulated_plant
 
+    if recording.segments[0].setup["kind"] == MEASURED:
+        say(f"  {UNCONTROLLED}")
+        return 1 if recording.damage else 0
     with Progress("replay"):
         verdict = verify(recording, partial(rebuild, own=own))
     print(verdict)
@@ -106,11 +110,12 @@ def _other_code(recording: Recording, own: UserCode | None) -> str:
         RecordingError: If a command differs.
     """
     from maglev_mj.recording import RecordingError, UserCodeError
+    from maglev_mj.recording.setup import MEASURED
     from maglev_mj.recording.verify import first_different_command
     from maglev_mj.session.replay import rebuild
     from maglev_mj.versions import differences, validated_versions, versions
 
-    here, segments = versions(), recording.segments
+    here, segments = versions(), [part for part in recording.segments if part.setup["kind"] != MEASURED]
     theirs = (differences(validated_versions(segment.setup.get("versions")) or {}, here) for segment in segments)
     difference = next(filter(None, theirs), "")
     if not difference:

@@ -315,7 +315,7 @@ INTERPOLATIONS: Mapping[str, Callable[[float], float]] = {
 """Interpolations by name: share of the way from one pose to the next at 0 <= s <= 1; "cubic" adds the slopes."""
 
 
-_MOST_VIA_POINTS = 20
+_MOST_VIA_POINTS, _LEAST_CUBIC_POINTS = 20, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,7 +326,8 @@ class Trajectory:
         times: Time of each pose [s], increasing, (N,).
         poses: The poses [m, rad], (N, 6).
         interpolation: One of `INTERPOLATIONS`. "minimum-jerk" is for a few via points: the path stops at each; "cubic"
-            (slopes by differences, error of third order in the sample period) and "linear" are for recorded motion.
+            (slopes by differences, zero at rest, where a value repeats; error of third order in the sample period;
+            linear below four poses) and "linear" are for recorded motion.
             By default "minimum-jerk" for up to 20 poses, "cubic" for more.
 
     Raises:
@@ -358,8 +359,13 @@ class Trajectory:
             store(self, interpolation="cubic" if times.size > _MOST_VIA_POINTS else "minimum-jerk")
         check_one_of("interpolation", INTERPOLATIONS, self.interpolation)
         slopes = np.zeros_like(poses)
-        if self.interpolation == "cubic" and times.size > 1:
-            slopes = np.gradient(poses, times, axis=0, edge_order=2 if times.size > 2 else 1)
+        if self.interpolation == "cubic" and times.size < _LEAST_CUBIC_POINTS:
+            store(self, interpolation="linear")
+        if self.interpolation == "cubic":
+            slopes = np.gradient(poses, times, axis=0, edge_order=2)
+            steps = np.pad(np.diff(poses, axis=0), ((1, 1), (0, 0)))
+            rests = (steps[1:-1] == 0.0) & (steps[:-2] * steps[2:] >= 0.0)  # not the two samples beside an extremum
+            slopes[1:][rests] = slopes[:-1][rests] = 0.0
         store(self, _times=times.tolist(), _poses=poses.tolist(), _slopes=slopes.tolist())
 
     def at(self, time: float) -> list[float]:

@@ -93,7 +93,7 @@ class Beams:
                 break
             if not np.isfinite(change).all():
                 break
-            pose = _moved(pose, change)
+            pose = moved(pose, change)
             if np.abs(change).max(initial=0.0) < _NEWTON_CLOSE:
                 return pose
         raise SensingError(f"no pose found for the spots {np.array2string(spots, precision=6)} m")
@@ -117,7 +117,7 @@ class Beams:
         return spots.reshape(*pose.shape[:-1], 6), jacobian.reshape(*pose.shape[:-1], 6, 6)
 
 
-def _moved(pose: Array, change: NDArray[Any]) -> Array:
+def moved(pose: Array, change: NDArray[Any]) -> Array:
     """Return poses after a translation and a rotation in stator axes."""
     w, x, y, z = quaternions(change[..., 3:])
     p, a, b, c = quaternions(pose[..., 3:])

@@ -49,6 +49,11 @@ _SLOTS: Mapping[str, tuple[type, ...]] = {
 ALLOW_HINT = "allow it with --scene {}, or with --scene attached for the source in the recording"
 """Advice to the user in an `UserCodeError`."""
 
+MEASURED = "measured"
+"""Kind of a setup without plant and controller: a table of another program, see `import_table`."""
+
+UNCONTROLLED = "measured recording without controller: no simulation, laws or check"
+
 _OBJECTS = ("timing", "sensor", "hand", "hand_force", "path")
 _OWN_SLOTS = ("laws", "velocity")
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
@@ -197,8 +202,10 @@ def rebuild_controller(setup: Setup, own: CodeLoader | None = None) -> Controlle
 
     Raises:
         UserCodeError: If it needs user code that is not allowed to run, or not available.
-        InvalidRecordingError: If a value is missing, of another type, or out of range.
+        InvalidRecordingError: If a value is missing, of another type, or out of range, or there is no controller.
     """
+    if setup["kind"] == MEASURED:
+        raise InvalidRecordingError(UNCONTROLLED)
     with refused(*_INVALID):
         controller = _object("controller", setup["controller"], own)
         if not isinstance(controller, Controller):

@@ -36,7 +36,7 @@ from maglev_mj.recording import (
     open_recording,
 )
 from maglev_mj.recording.sample import RunMetadata, check_setup, value_in
-from maglev_mj.recording.setup import ALLOW_HINT, rebuild_controller, rebuild_plant, refused
+from maglev_mj.recording.setup import ALLOW_HINT, MEASURED, rebuild_controller, rebuild_plant, refused
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
 from maglev_mj.scenes.find import SceneLike, defined_in, object_of_text, recorded_scene, text_of
 from maglev_mj.scenes.run import Begin, checked_phase, run
@@ -149,7 +149,7 @@ def rebuild(
         ('ExactPlant', ['Wall', 'Hold'])
     """
     check_setup(setup)
-    plant = None if setup["kind"] == "device" else rebuild_plant(setup, hand)
+    plant = None if setup["kind"] in ("device", MEASURED) else rebuild_plant(setup, hand)
     return plant, _controller(setup, own)
 
 
@@ -180,7 +180,7 @@ def _scene(setup: Setup, own: UserCode | None) -> Scene:
 
 
 def rebuild_for(segment: Segment, own: UserCode | None = None) -> Rebuild | None:
-    """Return the function that rebuilds plant and controller of a segment; None if that needs user code.
+    """Return the function that rebuilds plant and controller of a segment; None if it needs user code or has none.
 
     A recording never makes this program execute code that it names or contains: only the user can allow it.
 
@@ -188,6 +188,8 @@ def rebuild_for(segment: Segment, own: UserCode | None = None) -> Rebuild | None
         segment: The segment.
         own: User code allowed to run.
     """
+    if segment.setup["kind"] == MEASURED:
+        return None
     try:
         _controller(segment.whole.setup, own)
     except UserCodeError:

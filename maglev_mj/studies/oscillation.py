@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import VelocityEstimator
-from maglev_mj.errors import MaglevError, ParameterError, one_line
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers, read_file
 from maglev_mj.plants.hand import transition
 from maglev_mj.recording import Recording
 from maglev_mj.recording.setup import rebuild_controller
+from maglev_mj.recording.table import read_table
 from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory import stated_gains
 from maglev_mj.theory.closed_loop import pd, rendered_stiffness
@@ -284,7 +285,7 @@ def _compared(mass: float, late: float, stated_mass: float, stated_delay: float,
 def read_motion(path: str | Path) -> tuple[Array, Array, float]:
     """Read time [s] and position [m; mm if the head says so], (N,) each, and the sample period [s] from text columns.
 
-    Separators: semicolon (with decimal point or comma), tab or comma; names in the first line are optional.
+    The table is read by `read_table`.
 
     Raises:
         ParameterError: If the file cannot be read, or the samples are not uniform to within 1 %.
@@ -293,19 +294,13 @@ def read_motion(path: str | Path) -> tuple[Array, Array, float]:
 
 
 def _parsed(text: str) -> tuple[Array, Array, float]:
-    lines = [line for line in text.splitlines() if line.strip()]
-    separator = next((mark for mark in ";\t" if lines and mark in lines[0]), ",")
-    named = bool(lines) and re.search("[a-zA-Z]{2}|^[a-zA-Z]", lines[0]) is not None
-    rows = [line.replace(",", ".") if separator == ";" else line for line in lines[named:]]
-    if len(rows) < 2:
-        raise ParameterError(f"lines of time and position must be at least 2 (got {len(rows)})")
-    try:
-        time, position = np.loadtxt(rows, delimiter=separator, unpack=True, ndmin=2)
-    except ValueError as error:
-        raise ParameterError(f"lines must be time and position, two numbers (got {one_line(str(error))})") from None
-    if named and re.search("(?<![a-z])mm(?![a-z])", lines[0].lower()):
+    table = read_table(text)
+    if len(table.names) != 2 or len(table.rows) < 2:
+        got = f"{len(table.names)} columns, {len(table.rows)} rows"
+        raise ParameterError(f"table must be time and position, at least 2 rows (got {got}); others: maglev-mj import")
+    time, position = (numbers("time and position", table.values(name)) for name in table.names)
+    if re.search("(?<![a-z])mm(?![a-z])", " ".join(table.names).lower()):
         position = position * 1e-3
-    numbers("time and position", np.array([time, position]))
     steps = np.diff(time)
     period = float(np.median(steps))
     worst = int(np.abs(steps - period).argmax())

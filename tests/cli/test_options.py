@@ -125,8 +125,10 @@ NEEDED = {
     "replay": "a.maglev",
     "analyse": "a.maglev",
     "export": "a.maglev --to csv",
+    "import": "a.csv --columns time=t z=z --mass 1",
 }
 TIMED = set("sweep view render drop press stick-slip run diagnose stability design card compare fidelity twin".split())
+TIMED |= {"import"}
 
 
 def test_a_rate_is_understood_where_a_period_is() -> None:
@@ -137,7 +139,7 @@ def test_a_rate_is_understood_where_a_period_is() -> None:
             with suppress(SystemExit):
                 options = vars(program.parse([*words, more]))
                 found.append({name: value for name, value in options.items() if name == "rate" or "period" in name})
-        known = {"rate": 500.0} if command in ("twin", "sweep") else {"parameter period": 0.002}
+        known = {"rate": 500.0} if command in ("twin", "sweep", "import") else {"parameter period": 0.002}
         assert found == (1 if command == "sweep" else 2) * [known] * (command in TIMED), command
 
 

@@ -32,7 +32,7 @@ LINES = {
     "view": ["view", "drop", *LOOP],
 }
 OTHERS = "tour render stick-slip design twin bridge info estop commission conform lessons fault replay analyse export"
-OTHERS += " diagnose"  # which is the verdict
+OTHERS += " import diagnose"  # which is the verdict
 SLOW = {name: pytest.mark.study for name in ("card", "fidelity")}
 
 

@@ -112,6 +112,25 @@ def test_a_recorded_motion_is_followed_between_its_samples(name: str, order: int
     assert np.abs(np.diff(positions)).max() / 2.5e-4 <= amplitude * rate * (1.0 + (rate * step) ** (order - 1))
 
 
+def played(time: Any, values: Any, fine: Any) -> Any:
+    path = Trajectory(time, np.outer(values, [1.0] * 6), "cubic")
+    return np.array([path.at(instant) for instant in fine.tolist()])[:, 0]
+
+
+def test_a_recorded_motion_keeps_its_speed_its_rests_and_its_amplitude() -> None:
+    time = 0.01 * np.arange(50)
+    fine = np.linspace(0.0, time[-1], 5000)
+    assert_allclose(np.gradient(played(time, 0.1 * time, fine), fine), 0.1, atol=2e-12)
+    for samples, most in ((20, 5.1e-4), (10, 4.35e-3)):
+        turn = 2.0 * math.pi / (0.01 * samples)
+        inner = fine[(fine > 0.02) & (fine < time[-1] - 0.02)]
+        assert_allclose(played(time, np.sin(turn * time), inner), np.sin(turn * inner), atol=most)
+    for values in map(np.array, ([0, 0, 1, 1], [0, 1, 1, 1, 0], [0, 0, 1, 1, 2, 2, 2, 1, 1, 1, 0])):
+        between = played(np.arange(len(values)), values, np.linspace(0.0, len(values) - 1.0, 997))
+        assert between.min() >= 0.0 and between.max() <= values.max() + 1e-15
+    assert Trajectory(range(3), np.eye(3, 6), "cubic").interpolation == "linear"
+
+
 def test_the_springs_hand_pulls_as_its_stiffness_says() -> None:
     hand = SpringHand(stiffness=300.0, damping=15.0, turning_stiffness=0.5, turning_damping=0.02)
     plant = MuJoCoPlant(TIMING, gravity=0.0, hand_force=hand)

@@ -157,11 +157,12 @@ def test_text_of_any_program_is_read(tmp_path: Path, text: str) -> None:
     [
         (text_of(",", skip=20), "within 1 % of 0.005 s .got 0.01 s after 0.095 s.: resample"),
         ("time,position\n0,1\n", "at least 2"),
-        ("0,1\n1,left\n", "two numbers"),
+        ("0,1\n1,left\n", "finite numbers .got .left. in row 2"),
         ("0,1\n1,nan\n", "finite"),
-        ("", "at least 2"),
+        ("", "rows of numbers"),
+        ("0,1,2\n1,2,3\n", "got 3 columns, 2 rows.; others: maglev-mj import"),
     ],
-    ids=["gap", "head", "word", "nan", "empty"],
+    ids=["gap", "head", "word", "nan", "empty", "columns"],
 )
 def test_unreadable_text_is_refused_in_a_line(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "run.csv").write_text(text)

@@ -1,0 +1,236 @@
+"""Measurements of other programs: public log formats, known answers, and tables that are refused."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from maglev_mj import Recording, analyse, rebuild, record_run
+from maglev_mj.analysis import identify
+from maglev_mj.cli import main
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import quaternions, rotation_matrix
+from maglev_mj.plants.model import load_model
+from maglev_mj.recording import InvalidRecordingError, Segment, import_table
+from maglev_mj.recording.export import EXPORTS, export
+from maglev_mj.scenes.drop import Drop
+
+TURN = np.array([0.02, -0.03, 0.04])
+W, X, Y, Z = (float(part) for part in quaternions(TURN))
+WAVE = [1e-3 * math.sin(0.3 * k) for k in range(40)]
+
+
+def lines(head: str, rows: list[list[Any]], mark: str = ",") -> str:
+    return "\n".join(
+        [*[head] * bool(head), *(mark.join(f"{part!r}" if part != "" else "" for part in row) for row in rows)]
+    )
+
+
+LOGS: dict[str, tuple[str, str, dict[str, list[float]]]] = {
+    "levitation benchmark, blanks without names": (
+        lines("", [[0.001 * k, 5e-3 + WAVE[k], 0.1, 6.0, 0.8, 5e-3] for k in range(40)], "  "),
+        "time=1 z=2 --units time=s length=m --mass 0.018",
+        {"position.z": [5e-3 + part for part in WAVE]},
+    ),
+    "food acquisition, wrench and pose on rows of their own": (
+        lines(
+            "Time(s),F_x(N),F_y(N),F_z(N),P_x(m),P_y(m),P_z(m),O_z(rad),O_y(rad),O_x(rad)",
+            [
+                row
+                for k in range(40)
+                for row in (
+                    [0.01 * k, 1.0, 2.0 + k, 3.0, *[""] * 6],
+                    [0.01 * k + 0.002, *[""] * 3, 0.3, WAVE[k], 0.1, 0.3, -0.2, 0.1],
+                )
+            ],
+        ),
+        "time=Time(s) x=P_x(m) y=P_y(m) z=P_z(m) euler=ZYX:O_z(rad)+O_y(rad)+O_x(rad) hx=F_x(N) hy=F_y(N) hz=F_z(N) "
+        "--units time=s length=m angle=rad force=N --scale F_y(N)=-1 --join hold --mass 1",
+        {"position.y": WAVE, "hand.y": [-2.0 - k for k in range(40)]},
+    ),
+    "haptic paddle, counts on a host's clock": (
+        lines("time,pos,duty_cycle", [[5.0 + 0.01 * k + 0.002 * (k % 2), 100 * k, 0.5] for k in range(40)]),
+        "time=time x=pos frx=duty_cycle --units time=s --scale pos=1.2e-6 duty_cycle=0.1 --inertia 1,1,1 --mass 1",
+        {"position.x": [1.2e-4 * k for k in range(40)], "applied.rx": [0.05] * 40},
+    ),
+    "force sensor, time since 1970, a second run appended": (
+        lines("", [[1.7e9 + 0.002 * k + 3.0 * (k > 19), 1.0, 2.0, 0.1 * k] for k in range(40)]),
+        "time=1 hx=2 hy=3 hz=4 --units time=s force=N --rate 500 --mass 1",
+        {"hand.z": [0.1 * k for k in range(40)], "tick": [k + 1500.0 * (k > 19) for k in range(40)]},
+    ),
+    "kinodynamics, quaternions with the scalar last and no time": (
+        lines("qX,qY,qZ,qW,gX", [[-X, -Y, -Z, -W, 0.1]] * 40),
+        "quaternion=xyzw:qX+qY+qZ+qW --rate 100 --mass 1",
+        {"position.ry": [-0.03] * 40},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_logs_of_public_data_sets_are_imported(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text, options, expected = LOGS[name]
+    Path("log.csv").write_text(text + "\n")
+    assert main(["import", "log.csv", "--columns", *options.split()]) == 0
+    columns = Recording.load("log.maglev").columns()
+    for column, values in expected.items():
+        assert_allclose(columns[column], values, rtol=0.0, atol=5e-12)
+    assert main(["analyse", "log.maglev"]) == 0
+
+
+def test_euler_angles_are_about_axes_turned_by_those_before(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(lines("a,b,c", [[20.0, -30.0, 10.0]] * 16))
+    columns, units = {"euler": "ZYX:a+b+c"}, {"angle": "deg"}
+    segment = import_table(tmp_path / "log.csv", columns, units, mass=1.0, rate=100.0).segments[0]
+    z, y, x = (rotation_matrix(np.radians(angle) * axis) for angle, axis in zip((20, -30, 10), np.eye(3)[::-1]))
+    assert_allclose(rotation_matrix(segment.position[0, 3:]), z @ y @ x, atol=1e-14)
+
+
+NAMES = "px py pz qx qy qz qw Fx Fy Fz Tx Ty Tz".split()
+COLUMNS = {
+    "time": "stamp",
+    "quaternion": "xyzw:qx+qy+qz+qw",
+    **dict(zip("x y z fx fy fz frx fry frz".split(), NAMES[:3] + NAMES[7:])),
+}
+UNITS = {"time": "ms", "length": "mm", "force": "N", "torque": "Nm"}
+
+
+def written(path: Path, segment: Segment) -> None:
+    """Write a segment as another program would: ms since an arbitrary origin with jitter, mm, quaternions."""
+    w, x, y, z = quaternions(segment.position[:, 3:])
+    stamps = 1e3 * segment.time + 5e7 + np.random.default_rng(1).uniform(-0.2, 0.2, len(segment))
+    table = np.column_stack([stamps, 1e3 * segment.position[:, :3], x, y, z, w, segment.applied])
+    np.savetxt(path, table, fmt="%.17g", delimiter=";", header=";".join(["stamp", *NAMES]), comments="")
+
+
+def test_an_imported_run_identifies_what_its_recording_does_and_a_wrong_mass_is_said(tmp_path: Path) -> None:
+    scene = Drop(pulse=0.0, stiffness=2000.0, damping=30.0, quantize=5e-6, mass=0.3)
+    native = record_run(scene, plant="exact").segments[0]
+    written(tmp_path / "rig.csv", native)
+    known: dict[str, Any] = {"delay": 1.5e-3, "inertia": native.metadata.inertia[3:], "faces": native.metadata.faces}
+    right, wrong = (
+        import_table(tmp_path / "rig.csv", COLUMNS, UNITS, mass=mass, rate=200.0, **known).segments[0]
+        for mass in (0.3, 0.7)
+    )
+    assert_allclose(right.position, native.position, rtol=0.0, atol=5e-12)
+    found, same, heavy = identify(native), identify(right), identify(wrong)
+    for ours in (same, heavy):
+        assert ours.delay.value == pytest.approx(found.delay.value, rel=1e-6)
+        assert ours.axes["z"].inertia.value == pytest.approx(found.axes["z"].inertia.value, rel=1e-6)
+        assert ours.axes["z"].quantum.value == pytest.approx(5e-6)
+        for name in ("stiffness", "damping", "share", "commanded_stiffness"):
+            estimates = (getattr(one.walls[0], name).value for one in (ours, found))
+            assert next(estimates) == pytest.approx(next(estimates), rel=1e-4)
+    assert same.replaced == {} and heavy.replaced == {"z": 0.7}
+    assert "wrong mass on z: 0.7 kg was stated, 0.3 kg explains" in str(heavy.table())
+
+
+def test_stamps_off_a_grid_are_resampled_and_identify_no_delay(tmp_path: Path) -> None:
+    time = np.cumsum(np.random.default_rng(2).uniform(0.5, 1.5, 400)) * 1e-3
+    path, stamps = tmp_path / "log.csv", [1_700_000_000_123_456_789 + round(1e9 * part) for part in time.tolist()]
+    rows = [[stamp, math.sin(30.0 * at), float(at > 0.2)] for stamp, at in zip(stamps, time.tolist())]
+    path.write_text(lines("", rows[:200] + rows[220:]))
+    columns, units = {"time": "1", "z": "2", "fz": "3"}, {"time": "ns", "length": "m", "force": "N"}
+    with pytest.raises(ParameterError, match=r"within 0.25 periods of a \S+ Hz grid .* in row \d+.: resample"):
+        import_table(path, columns, units, mass=0.3)
+    recording = import_table(path, columns, units, mass=0.3, rate=1000.0, resample=True)
+    segment, found = recording.segments[0], identify(recording.segments[0])
+    assert "resampled" in recording.events[0] and 15 <= np.diff(segment.tick).max() <= 25
+    assert_allclose(segment.position[:, 2], np.sin(30.0 * (time[0] + segment.time)), atol=1e-5)
+    assert set(segment.applied[:, 2]) == {0.0, 1.0}
+    assert found.axes["z"].delay.why == found.axes["z"].noise.why == "resampled"
+
+
+def test_currents_give_the_wrench_of_the_coils(tmp_path: Path) -> None:
+    coils = load_model("drop").coils
+    assert coils is not None
+    (tmp_path / "log.csv").write_text(lines("", [[k, *coils.currents(np.arange(6.0)).tolist()] for k in range(16)]))
+    columns = {"time": "1", **{f"i{k}": str(k + 2) for k in range(6)}}
+    units = {"time": "ms", "current": "A"}
+    segment = import_table(tmp_path / "log.csv", columns, units, mass=0.7, inertia=1e-3, coils=coils).segments[0]
+    assert_allclose(segment.applied, np.tile(np.arange(6.0), (16, 1)), atol=1e-12)
+
+
+def test_a_measured_recording_is_replayed_exported_and_analysed_without_a_simulation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text(LOGS["levitation benchmark, blanks without names"][0])
+    recording = import_table("log.csv", {"time": "1", "z": "2"}, {"time": "s", "length": "m"}, mass=0.018)
+    recording.save("log.maglev")
+    for words in ("replay log.maglev --check", "analyse log.maglev --out ."):
+        assert main(words.split()) == 0
+        assert "without controller" in " ".join(capsys.readouterr().out.split())
+    report = analyse(Recording.load("log.maglev").segments[0], rebuild)
+    assert report.simulated is None and report.kind == "measured"
+    with pytest.raises(InvalidRecordingError, match="without controller"):
+        rebuild(recording.segments[0].setup, None)
+    for kind in EXPORTS:
+        export(recording, kind, Path(f"log_.{kind}"))
+
+
+GOOD = [[0.01 * k, WAVE[k], 0.0, 0.0, 1.0] for k in range(40)]
+HEAD = "t,z,a,b,q"
+
+
+def changed(row: int, column: int, value: Any) -> str:
+    return lines(
+        HEAD, [[*part[:column], value, *part[column + 1 :]] if k == row else part for k, part in enumerate(GOOD)]
+    )
+
+
+BROKEN = {
+    "empty": ("", "", "must have rows of numbers"),
+    "no rows": (HEAD, "", "must have rows of numbers"),
+    "repeated name": (lines("t,z,a,a,q", GOOD), "", "column 'a' must be named once"),
+    "short row": (lines(HEAD, [*GOOD[:5], [1.0], *GOOD[5:]]), "", "row 7 must have 5 values"),
+    "word": (changed(3, 1, "left"), "", "left.* in row 5, column 'z'"),
+    "infinity": (changed(3, 1, math.inf), "", "got 'inf' in row 5"),
+    "missing stamp": (changed(3, 0, ""), "", "time is missing in row 5: delete the row"),
+    "equal stamps": (changed(3, 0, 0.02), "", "1 equal stamps, first in row 5.: .* leave out time and give rate"),
+    "back": (changed(3, 0, 0.0), "", "got -0.02 s in row 5, back.: split the file there"),
+    "off grid": (changed(3, 0, 0.034), "", "within 0.25 periods of a .* in row 5.: resample"),
+    "other rate": (lines(HEAD, GOOD), "--rate 110", "of a 110 Hz grid"),
+    "half missing": (
+        lines(HEAD, [[part[0], "" if k % 3 else 0.0, 0, 0, 1] for k, part in enumerate(GOOD)]),
+        "",
+        "got 26 of 40, first row 3.*join hold",
+    ),
+    "few samples": (lines(HEAD, GOOD[:15]), "", "at least 16 samples .got 15"),
+    "absent column": (lines(HEAD, GOOD), "--columns x=zz", "column must be one of t, z, a, b, q .got 'zz'"),
+    "unknown value": (lines(HEAD, GOOD), "--columns up=a", "columns must be one of time"),
+    "value twice": (lines(HEAD, GOOD), "--columns z=a", "columns must be NAME=X, each name once"),
+    "no unit": (lines(HEAD, GOOD), "--columns fz=a", "units must be stated for 'a': force=N|mN; counts need a scale"),
+    "wrong unit": (lines(HEAD, GOOD), "--units force=kg", "unit of force must be one of N, mN"),
+    "wrong quantity": (lines(HEAD, GOOD), "--units mass=kg", "quantity of units must be one of"),
+    "norm": (lines(HEAD, GOOD), "--columns quaternion=wxyz:a+b+t+b --scale b=1", "norm 1 .got 0 in row 2"),
+    "order": (lines(HEAD, GOOD), "--columns quaternion=a+b+z+q", "quaternion must be an order and its columns"),
+    "euler": (lines(HEAD, GOOD), "--columns euler=ZZX:a+b+q --units angle=deg", "euler must be an order"),
+    "two rotations": (lines(HEAD, GOOD), "--columns rx=a quaternion=xyzw:a+a+b+q --units angle=rad", "must be one of"),
+    "turn": (changed(5, 2, 180.0), "--columns rx=a --units angle=deg", "1 rad a sample .got 3.14 in row 7"),
+    "torque": (lines(HEAD, GOOD), "--columns frx=a --units torque=Nm", "inertia must be given"),
+    "currents": (lines(HEAD, GOOD), "--columns i0=a --units current=A", "currents must be i0 to i5"),
+    "face": (lines(HEAD, GOOD), "--face z:0:left", "side of a face must be one of above, below, as in"),
+    "delay": (lines(HEAD, GOOD), "--delay 0.2", "delay must be at most 0.1 s, 10 periods"),
+    "format": (lines(HEAD, GOOD), "--out log.xls", "suffix of out must be one of .maglev"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_table_or_option_is_refused_in_a_line(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text, options, message = BROKEN[name]
+    Path("log.csv").write_text(text)
+    words = "import log.csv --columns time=t z=z --units time=s length=m --mass 1".split()
+    assert main(words + options.split()) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1 and [path.name for path in Path().iterdir()] == ["log.csv"]
+    assert re.search(message, said.err), said.err
