@@ -178,6 +178,7 @@ class Option(NamedTuple):
     inverse: str
     const: object
     default: Callable[[], Any] | None
+    several: bool
     bounds: Mapping[str, float]
 
 
@@ -204,6 +205,7 @@ def option(
     inverse: str = "",
     const: object = None,
     default: Callable[[], Any] | None = None,
+    several: bool = False,
     **bounds: float,
 ) -> Option:
     """Declare an option; a positional argument if the group is empty.
@@ -218,9 +220,10 @@ def option(
         inverse: Name of a hidden option for the inverse.
         const: Value of the option without an argument; None if it requires one.
         default: Function that returns the default, if that needs a slow import.
+        several: True for a list of which each use of the option takes one or more.
         bounds: Bounds of a number; see `number`.
     """
-    return Option(help, group, metavar, name, kind, take, inverse, const, default, bounds)
+    return Option(help, group, metavar, name, kind, take, inverse, const, default, several, bounds)
 
 
 def declare(function: Callable[..., int], parser: Parser) -> None:
@@ -285,6 +288,7 @@ def _add(parser: Parser, name: str, kind: Any, about: Option, default: Any) -> N
         return
     if get_origin(kind) is list:
         settings |= {"action": "append", "default": []}
+        settings |= {"action": "extend", "nargs": "+"} if about.several else {}
     elif default not in (None, Parameter.empty):
         settings["help"] += f" (default {default:g})" if isinstance(default, float) else f" (default {default})"
     if about.inverse:

@@ -7,16 +7,19 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, check_one_of, one_line
 from maglev_mj.frames import AXES, Array, Mask, quaternions, rotation_vector
-from maglev_mj.parameters import SAMPLE_PERIOD, number, numbers, read_file, transport_delay
+from maglev_mj.parameters import number, numbers, read_file
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Trajectory
 from maglev_mj.plants.sensor import moved
@@ -71,10 +74,8 @@ class TextTable(NamedTuple):
 
     def stamps(self, name: str, factor: float) -> Array:
         """Return a column times a factor since its first row, (N,): exact for nanoseconds since 1970."""
-        if len(missing := self.rows[np.isnan(self.values(name))]):
-            raise ParameterError(
-                f"time is missing in row {missing[0]}: delete the row, or leave out time and give rate"
-            )
+        values = self.values(name)
+        _check(np.isfinite(values), self.rows, values, "time must be known", "delete it, or give rate without time")
         stamps = [Decimal(row[self.names.index(name)]) for row in self.words]
         return np.array([float((stamp - stamps[0]) * Decimal(repr(factor))) for stamp in stamps])
 
@@ -102,6 +103,13 @@ def read_table(text: str) -> TextTable:
         if len(part) != len(names):
             raise ParameterError(f"row {row} must have {len(names)} values, like the first row (got {len(part)})")
     return TextTable(names, words, np.array([row for row, _ in lines]))
+
+
+def _check(valid: Mask, rows: NDArray[np.int64], values: Array, rule: str, remedy: str) -> None:
+    """Raise ParameterError for the first value that is not valid."""
+    if not valid.all():
+        index = int(np.argmin(valid))
+        raise ParameterError(f"{rule} (got {values[index]:.4g} in row {rows[index]}): {remedy}")
 
 
 def _is_number(word: str) -> bool:
@@ -164,46 +172,41 @@ def import_table(
         if len(rows) < _LEAST_SAMPLES:
             raise ParameterError(f"table must have at least {_LEAST_SAMPLES} samples (got {len(rows)}): record longer")
         turns = np.linalg.norm(np.diff(parts["position"][:, 3:], axis=0), axis=1)
-        if len(wrong := np.flatnonzero(turns > _LARGEST_TURN)):
-            got = f"got {turns[wrong[0]]:.3g} in row {rows[wrong[0] + 1]}"
-            raise ParameterError(f"rotation must change by at most 1 rad a sample ({got}): check its order and unit")
+        rule, remedy = "rotation must change by at most 1 rad a sample", "check its order and unit"
+        _check(turns <= _LARGEST_TURN, rows[1:], turns, rule, remedy)
         period, tick, error = _grid(time, rows, step)
-        if off_grid := bool(error.max() > _OFF_GRID or (np.diff(tick) < 1.0).any()):
-            if not resample:
-                grid, got = f"a {1.0 / period:.6g} Hz grid", f"got {error.max():.2f} in row {rows[error.argmax()]}"
-                raise ParameterError(f"time must be within 0.25 periods of {grid} ({got}): resample, or give the rate")
+        on_grid = (error <= _OFF_GRID) & (np.diff(tick, prepend=-1.0) > 0.0)
+        if not resample:
+            rule = f"time must be within {_OFF_GRID} periods of its tick at {1.0 / period:.6g} Hz, one row each"
+            _check(on_grid, rows, error, rule, "resample, or give the rate")
+        if off_grid := not on_grid.all():
             path_of = Trajectory(time, parts["position"], "cubic")
-            tick, before = _resampled(time, period)
-            parts = {name: part[before] for name, part in parts.items()}
+            tick = np.arange(np.floor(time[-1] / period + _ROUNDING) + 1.0)
+            before = np.searchsorted(time, (tick + _ROUNDING) * period, side="right") - 1
+            inside = np.append(np.diff(time), 0.0)[before] <= _LONGEST_STEP * period  # not in a gap
+            tick, parts = tick[inside], {name: part[before[inside]] for name, part in parts.items()}
             parts["position"] = np.array([path_of.at(at) for at in (tick * period).tolist()])
         if inertia is None and any(_QUANTITIES[key] in ("torque", "current") for key in columns):
             raise ParameterError("inertia must be given for torques and currents [kg m²]")
         moments = np.broadcast_to(numbers("inertia", 1e-3 if inertia is None else inertia, above=0.0), 3)
         travel = np.ptp(parts["position"], axis=0)
-        metadata = RunMetadata(
-            period=number("period", period, **SAMPLE_PERIOD),
-            delay=float(transport_delay(period if delay is None else delay, period)),
-            inertia=np.array([number("mass", mass, above=0.0)] * 3 + moments.tolist()),
-            load=np.append(mass * numbers("gravity", gravity, shape="(3,)"), np.zeros(3)),
-            before=np.zeros(6),
-            carried=np.zeros(6),
-            faces=[*faces],
+        metadata = RunMetadata.of(
+            Timing(period=period, delay=period if delay is None else delay),
+            Controller([], period=period),
             name=Path(path).stem,
             axis=AXES[faces[0][0] if faces else int(np.argmax(travel[:3] if travel[:3].any() else travel))],
             hand_recorded="hand" in parts,
+            inertia=[number("mass", mass, above=0.0)] * 3 + moments.tolist(),
+            load=[*(mass * numbers("gravity", gravity, shape="(3,)")), 0.0, 0.0, 0.0],
+            before=np.zeros(6),
         )
         arrays = {field.name: np.zeros((len(tick), 6) if field.six else len(tick)) for field in FIELDS}
         arrays |= {name: np.full_like(arrays[name], np.nan) for name in ("hand", "arrival")}
         arrays |= {"tick": tick, "time": tick * period, **parts, "applied": parts.get("command", arrays["command"])}
         check_rows(arrays)
         setup: dict[str, Any] = {"kind": MEASURED, "scene": None, "source": None, "parameters": {"resampled": off_grid}}
-        setup |= {
-            "samples": len(tick),
-            "controller": {},
-            "plant": {},
-            "run": metadata.as_json(),
-            "versions": versions(),
-        }
+        setup |= {"samples": len(tick), "controller": {}, "plant": {}, "versions": versions()}
+        setup["run"] = replace(metadata, faces=[*faces]).as_json()
         note = f"import: {len(tick)} samples at {1.0 / period:.6g} Hz, {int(tick[-1]) + 1 - len(tick)} missing"
         note += f", time off its grid by up to {error.max():.2g} periods" * bool(error.max() > _ROUNDING)
         note += f"{', resampled' * off_grid}{'' if 'command' in parts else '; no wrench of the actuators'}"
@@ -213,12 +216,11 @@ def import_table(
     return read_file("log", path, parsed)
 
 
+_Words: TypeAlias = Mapping[str, str]
+
+
 def _in_si(
-    table: TextTable,
-    columns: Mapping[str, str],
-    units: Mapping[str, str],
-    scale: Mapping[str, float],
-    coils: CoilMap | None,
+    table: TextTable, columns: _Words, units: _Words, scale: Mapping[str, float], coils: CoilMap | None
 ) -> tuple[Array | None, dict[str, Array]]:
     """Return time [s], (N,), None without it, and the fields in use, (N, 6) each, zero for axes without a column."""
     sources = {key: _orders_and_names(key, text) for key, text in columns.items()}
@@ -228,14 +230,12 @@ def _in_si(
         check_one_of(f"unit of {quantity}", UNITS[quantity], unit)
     for name in (*used, *scale):
         check_one_of("column", table.names, name)
-    without = {part: name for name, part in used.items() if part and part not in units and name not in scale}
-    if without:
+    if without := {part: name for name, part in used.items() if part and part not in units and name not in scale}:
         proposed = " ".join(f"{quantity}={_unit_in(name, quantity)}" for quantity, name in without.items())
         names = ", ".join(map(one_line, without.values()))
         raise ParameterError(f"units must be stated for {names}: {proposed}; counts need a scale, SI units per count")
-    factors = {name: number("scale", scale.get(name, 1.0)) for name in used}
-    for name, quantity in used.items():
-        factors[name] *= UNITS[quantity][units[quantity]] if quantity in units else 1.0
+    factors = {name: UNITS[part][units[part]] if part in units else 1.0 for name, part in used.items()}
+    factors |= {name: factors.get(name, 1.0) * number("scale", factor) for name, factor in scale.items()}
     time = table.stamps(columns["time"], factors[columns["time"]]) if "time" in columns else None
     read = {key: [table.values(name) * factors[name] for name in names] for key, (_, names) in sources.items()}
     if turns := [key for key in _ORDERS if key in read]:
@@ -243,12 +243,9 @@ def _in_si(
             raise ParameterError("rotation must be one of rx ry rz, quaternion and euler (got several)")
         vectors = _rotation(sources[turns[0]][0], read[turns[0]], table.rows)
         read |= {axis: [part] for axis, part in zip(AXES[3:], vectors)}
-    none = [np.zeros(len(table.rows))]
-    parts = {
-        field: np.column_stack([read.get(key, none)[0] for key in keys])
-        for field, keys in _GROUPS.items()
-        if {*keys} & {*read}
-    }
+    zero, parts = [np.zeros(len(table.rows))], {}
+    for field in [field for field, keys in _GROUPS.items() if {*keys} & {*read}]:
+        parts[field] = np.column_stack([read.get(key, zero)[0] for key in _GROUPS[field]])
     if "current" in parts:
         if coils is None or "command" in parts or {*_GROUPS["current"]} - {*read}:
             raise ParameterError("columns of currents must be i0 to i5, with a calibration and without a wrench")
@@ -284,9 +281,7 @@ def _rotation(order: str, parts: Sequence[Array], rows: NDArray[np.int64]) -> Se
         pose = moved(pose, np.eye(6)[3 + "XYZ".index(letter)] * angle[:, None])
     w, x, y, z = quaternions(pose[:, 3:]) if len(order) == 3 else (parts[order.index(letter)] for letter in "wxyz")
     size = np.sqrt(w * w + x * x + y * y + z * z)
-    if len(wrong := np.flatnonzero(np.abs(size - 1.0) > _NORM_ERROR)):
-        got = f"got {size[wrong[0]]:.3g} in row {rows[wrong[0]]}"
-        raise ParameterError(f"quaternion must have norm 1 ({got}): check its columns")
+    _check(~(np.abs(size - 1.0) > _NORM_ERROR), rows, size, "quaternion must have norm 1", "check its columns")
     size = np.where(w < 0.0, -size, size)  # the shorter way
     return rotation_vector(w / size, x / size, y / size, z / size, np.sqrt, np.arctan2)
 
@@ -300,21 +295,16 @@ def _complete_rows(rows: NDArray[np.int64], parts: dict[str, Array], hold: bool)
     kept = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts.values()])
     if not hold and 2 * np.count_nonzero(kept) < len(rows):
         got = f"got {np.count_nonzero(~kept)} of {len(rows)}, first row {rows[~kept][0]}"
-        raise ParameterError(
-            f"at most half of the rows may lack values ({got}): if pose and wrench alternate, join hold"
-        )
+        raise ParameterError(f"at most half of the rows may lack values ({got}): join hold if they alternate")
     return np.asarray(kept)
 
 
 def _grid(time: Array, rows: NDArray[np.int64], period: float | None) -> tuple[float, Array, Array]:
     """Return the period [s], the tick of each sample and its distance to it in periods, (N,) each."""
     steps = np.diff(time)
-    if len(wrong := np.flatnonzero(steps <= 0.0)):
-        step, row = steps[wrong[0]], rows[wrong[0] + 1]
-        if step < 0.0:
-            raise ParameterError(f"time must increase (got {step:.4g} s in row {row}, back): split the file there")
-        got, remedy = f"got {len(wrong)} equal stamps, first in row {row}", "leave out time and give rate"
-        raise ParameterError(f"time must increase ({got}): use the device's clock, or {remedy} if each row is a sample")
+    _check(steps >= 0.0, rows[1:], steps, "time must not go back", "split the file there")
+    remedy = "use the device's clock, or give rate without time if each row is a sample"
+    _check(steps > 0.0, rows[1:], steps, "time must increase", remedy)
     step = float(np.median(steps)) if period is None else period
     if period is None:
         step = float(np.polyfit(np.append(0.0, np.cumsum(np.rint(steps / step))), time, 1)[0])
@@ -322,11 +312,3 @@ def _grid(time: Array, rows: NDArray[np.int64], period: float | None) -> tuple[f
     offset = np.median(time - tick * step)
     tick = np.rint((time - offset) / step)
     return step, tick - tick[0], np.abs(time - offset - tick * step) / step
-
-
-def _resampled(time: Array, period: float) -> tuple[Array, NDArray[np.intp]]:
-    """Return the ticks of a grid outside gaps, and the index of the last row up to each, (M,) each."""
-    tick = np.arange(np.floor(time[-1] / period + _ROUNDING) + 1.0)
-    before = np.searchsorted(time, (tick + _ROUNDING) * period, side="right") - 1
-    inside = np.append(np.diff(time), 0.0)[before] <= _LONGEST_STEP * period
-    return tick[inside], before[inside]
