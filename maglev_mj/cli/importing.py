@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from maglev_mj.cli.declare import option
+from maglev_mj.cli.options import assignments
 from maglev_mj.cli.output import check_files, print_written
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.terminal import wrapped
@@ -19,17 +19,6 @@ _VALUES = (
     "column of each value: time, pose x to rz, wrench fx to frz, of a hand hx to hrz, currents i0 to i5, "
     "quaternion=xyzw:A+B+C+D, euler=ZYX:A+B+C; those of a table without names are 1, 2, ..."
 )
-
-
-def _pairs(name: str, words: Sequence[str]) -> dict[str, str]:
-    """Parse words NAME=X."""
-    pairs: dict[str, str] = {}
-    for word in words:
-        key, _, value = word.partition("=")
-        if not (key and value) or key in pairs:
-            raise ParameterError(f"{name} must be NAME=X, each name once (got {word!r})")
-        pairs[key] = value
-    return pairs
 
 
 def _face(text: str) -> Face:
@@ -85,9 +74,9 @@ def import_log(
     if "mass" not in body:
         raise ParameterError("mass or calibration must be given; analyse compares the mass with the motion")
     table: dict[str, Any] = {"rate": rate, "hold": join == "hold", "resample": resample, "delay": delay}
-    table["scale"] = {name: parsed_number("scale", text) for name, text in _pairs("scale", scale).items()}
+    table["scale"] = {name: parsed_number("scale", text) for name, text in assignments("scale", scale).items()}
     table["faces"] = [*map(_face, face)]
-    recording = import_table(file, _pairs("columns", columns), _pairs("units", units), **table, **body)
+    recording = import_table(file, assignments("columns", columns), assignments("units", units), **table, **body)
     if path.suffix == ".maglev":
         recording.save(path)
     else:

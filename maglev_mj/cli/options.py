@@ -127,6 +127,23 @@ def range_of(name: str, words: Sequence[str]) -> tuple[float, float]:
     return values[0], values[-1]
 
 
+def assignments(what: str, words: Sequence[str], spelling: Callable[[str], str] = str) -> dict[str, str]:
+    """Parse words NAME=VALUE; return the text of each value by name.
+
+    Raises:
+        ParameterError: If a word has another form, or a name is given twice.
+    """
+    result: dict[str, str] = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        if not (name and text):
+            raise ParameterError(f"{what} must be given as NAME=VALUE (got {word!r})")
+        if (name := spelling(name)) in result:
+            raise ParameterError(f"{name} must be given once (got {result[name]} and {text})")
+        result[name] = text
+    return result
+
+
 def parameters(declared: Callable[[], Parameters], group: str, prefix: str = "") -> Shared:
     """Declare parameters as one argument with an option each; see `add_parameters` and `chosen`.
 

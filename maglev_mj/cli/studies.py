@@ -23,6 +23,7 @@ from maglev_mj.cli.options import (
     add_parameters,
     add_phase,
     add_scene,
+    assignments,
     chosen,
     chosen_scene,
     described,
@@ -153,8 +154,9 @@ def sweep(
 ) -> int:
     """Run a scene over a grid of its parameters."""
     names, set = [item.name for item in scene.parameters()], set + [f"rate={rate!r}"] * (rate is not None)
-    fixed = with_period(names, {name: [value_of(scene, name, text)] for name, text in _assignments(set).items()})
-    varied = with_period(names, {name: _values(scene, name, text) for name, text in _assignments(vary).items()})
+    fixed, varied = (assignments("a parameter", words, lambda name: name.replace("-", "_")) for words in (set, vary))
+    fixed = with_period(names, {name: [value_of(scene, name, text)] for name, text in fixed.items()})
+    varied = with_period(names, {name: _values(scene, name, text) for name, text in varied.items()})
     if not varied:
         raise ParameterError(f"a sweep needs --vary NAME=VALUES; for one run: maglev-mj run {name}")
     if common := sorted(fixed.keys() & varied.keys()):
@@ -174,20 +176,6 @@ def sweep(
     if len(result.results.failed) == len(result.cells):
         raise MaglevError(f"no cell finished: {result.results[0]['error']}")
     return 0
-
-
-def _assignments(words: list[str]) -> dict[str, str]:
-    """Parse NAME=VALUE words; return the text of each value by name."""
-    result: dict[str, str] = {}
-    for word in words:
-        name, equals, text = word.partition("=")
-        name = name.replace("-", "_")
-        if not (name and equals and text):
-            raise ParameterError(f"a parameter must be given as NAME=VALUE (got {word!r})")
-        if name in result:
-            raise ParameterError(f"{name} must be given once (got {result[name]} and {text})")
-        result[name] = text
-    return result
 
 
 def _values(cls: type[Scene], name: str, text: str) -> list[Any]:

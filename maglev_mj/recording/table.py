@@ -174,12 +174,8 @@ def import_table(
         turns = np.linalg.norm(np.diff(parts["position"][:, 3:], axis=0), axis=1)
         rule, remedy = "rotation must change by at most 1 rad a sample", "check its order and unit"
         _check(turns <= _LARGEST_TURN, rows[1:], turns, rule, remedy)
-        period, tick, error = _grid(time, rows, step)
-        on_grid = (error <= _OFF_GRID) & (np.diff(tick, prepend=-1.0) > 0.0)
-        if not resample:
-            rule = f"time must be within {_OFF_GRID} periods of its tick at {1.0 / period:.6g} Hz, one row each"
-            _check(on_grid, rows, error, rule, "resample, or give the rate")
-        if off_grid := not on_grid.all():
+        period, tick, error = uniform_ticks(time, rows, step, resample=resample)
+        if off_grid := bool(error.max() > _OFF_GRID or (np.diff(tick) < 1.0).any()):
             path_of = Trajectory(time, parts["position"], "cubic")
             tick = np.arange(np.floor(time[-1] / period + _ROUNDING) + 1.0)
             before = np.searchsorted(time, (tick + _ROUNDING) * period, side="right") - 1
@@ -299,8 +295,14 @@ def _complete_rows(rows: NDArray[np.int64], parts: dict[str, Array], hold: bool)
     return np.asarray(kept)
 
 
-def _grid(time: Array, rows: NDArray[np.int64], period: float | None) -> tuple[float, Array, Array]:
-    """Return the period [s], the tick of each sample and its distance to it in periods, (N,) each."""
+def uniform_ticks(
+    time: Array, rows: NDArray[np.int64], period: float | None = None, *, resample: bool = False
+) -> tuple[float, Array, Array]:
+    """Return the period [s], estimated if None, the tick of each sample and its distance to it in periods, (N,) each.
+
+    Raises:
+        ParameterError: If time [s], (N,), of rows of a file does not increase, or is off its ticks without `resample`.
+    """
     steps = np.diff(time)
     _check(steps >= 0.0, rows[1:], steps, "time must not go back", "split the file there")
     remedy = "use the device's clock, or give rate without time if each row is a sample"
@@ -311,4 +313,9 @@ def _grid(time: Array, rows: NDArray[np.int64], period: float | None) -> tuple[f
     tick = np.rint(time / step)
     offset = np.median(time - tick * step)
     tick = np.rint((time - offset) / step)
-    return step, tick - tick[0], np.abs(time - offset - tick * step) / step
+    error = np.abs(time - offset - tick * step) / step
+    if not resample:
+        rule = f"time must be within {_OFF_GRID} periods of its tick at {1.0 / step:.6g} Hz, one row each"
+        on_grid = (error <= _OFF_GRID) & (np.diff(tick, prepend=-math.inf) > 0.0)
+        _check(on_grid, rows, error, rule, "resample, or give the rate")
+    return step, tick - tick[0], error

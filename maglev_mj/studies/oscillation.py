@@ -18,7 +18,7 @@ from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers, r
 from maglev_mj.plants.hand import transition
 from maglev_mj.recording import Recording
 from maglev_mj.recording.setup import rebuild_controller
-from maglev_mj.recording.table import read_table
+from maglev_mj.recording.table import read_table, uniform_ticks
 from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory import stated_gains
 from maglev_mj.theory.closed_loop import pd, rendered_stiffness
@@ -283,12 +283,10 @@ def _compared(mass: float, late: float, stated_mass: float, stated_delay: float,
 
 
 def read_motion(path: str | Path) -> tuple[Array, Array, float]:
-    """Read time [s] and position [m; mm if the head says so], (N,) each, and the sample period [s] from text columns.
-
-    The table is read by `read_table`.
+    """Read time [s] and position [m; mm if the head says so], (N,) each, and the sample period [s] from a table.
 
     Raises:
-        ParameterError: If the file cannot be read, or the samples are not uniform to within 1 %.
+        ParameterError: If the file cannot be read, or the times are not uniform; see `read_table`, `uniform_ticks`.
     """
     return read_file("motion", path, _parsed)
 
@@ -301,14 +299,8 @@ def _parsed(text: str) -> tuple[Array, Array, float]:
     time, position = (numbers("time and position", table.values(name)) for name in table.names)
     if re.search("(?<![a-z])mm(?![a-z])", " ".join(table.names).lower()):
         position = position * 1e-3
-    steps = np.diff(time)
-    period = float(np.median(steps))
-    worst = int(np.abs(steps - period).argmax())
-    if not abs(steps[worst] - period) <= 0.01 * period:
-        remedy = "resample it, or keep the part without gaps"
-        place = f"{steps[worst]:.4g} s after {time[worst]:.4g} s"
-        raise ParameterError(f"steps of time must be within 1 % of {period:.4g} s (got {place}): {remedy}")
-    return time, position, number("period", period, **SAMPLE_PERIOD)
+    period, tick, _ = uniform_ticks(time - time[0], table.rows)
+    return tick * period, position, number("period", period, **SAMPLE_PERIOD)
 
 
 def recorded_motion(recording: Recording) -> RecordedMotion:
