@@ -53,6 +53,7 @@ _BLANK = {"", "nan", "null", "none", "na", "n/a"}
 _LEAST_SAMPLES = 16
 _OFF_GRID, _LONGEST_STEP, _ROUNDING = 0.25, 3.0, 1e-9  # in periods
 _LARGEST_TURN, _NORM_ERROR = 1.0, 0.01
+_LARGEST = 1e100  # with a finite square
 
 
 class TextTable(NamedTuple):
@@ -69,7 +70,7 @@ class TextTable(NamedTuple):
         for row, word in zip(self.rows, words):
             if not _is_number(word):
                 got = f"got {one_line(word)} in row {row}, column {one_line(name)}"
-                raise ParameterError(f"values must be finite numbers ({got}): correct it, or leave the cell empty")
+                raise ParameterError(f"values must be numbers below 1e100 ({got}): correct it, or leave the cell empty")
         return np.array([math.nan if word in _BLANK else float(word) for word in words])
 
     def stamps(self, name: str, factor: float) -> Array:
@@ -114,7 +115,7 @@ def _check(valid: Mask, rows: NDArray[np.int64], values: Array, rule: str, remed
 
 def _is_number(word: str) -> bool:
     try:
-        return word.lower() in _BLANK or math.isfinite(float(word))
+        return word.lower() in _BLANK or abs(float(word)) < _LARGEST
     except ValueError:
         return False
 
@@ -184,7 +185,9 @@ def import_table(
             parts["position"] = np.array([path_of.at(at) for at in (tick * period).tolist()])
         if inertia is None and any(_QUANTITIES[key] in ("torque", "current") for key in columns):
             raise ParameterError("inertia must be given for torques and currents [kg m²]")
-        moments = np.broadcast_to(numbers("inertia", 1e-3 if inertia is None else inertia, above=0.0), 3)
+        moments = np.broadcast_to(
+            numbers("inertia", 1e-3 if inertia is None else inertia, shape="() or (3,)", above=0.0), 3
+        )
         travel = np.ptp(parts["position"], axis=0)
         metadata = RunMetadata.of(
             Timing(period=period, delay=period if delay is None else delay),

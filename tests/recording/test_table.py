@@ -19,6 +19,7 @@ from maglev_mj.frames import quaternions, rotation_matrix
 from maglev_mj.plants.model import load_model
 from maglev_mj.recording import InvalidRecordingError, import_table
 from maglev_mj.recording.export import EXPORTS, export
+from maglev_mj.recording.table import read_table
 from maglev_mj.scenes.drop import Drop
 
 TURN = np.array([0.02, -0.03, 0.04])
@@ -53,8 +54,8 @@ LOGS: dict[str, tuple[str, str, dict[str, list[float]]]] = {
         {"position.y": WAVE, "hand.y": [-2.0 - k for k in range(40)]},
     ),
     "haptic paddle, counts on a host's clock": (
-        lines("time,pos,duty_cycle", [[5.0 + 0.01 * k + 0.002 * (k % 2), 100 * k, 0.5] for k in range(40)]),
-        "time=time x=pos frx=duty_cycle --units time=s --scale pos=1.2e-6 duty_cycle=0.1 --inertia 1,1,1 --mass 1",
+        lines("time,pos,duty_cycle", [[5.0 + 0.01 * k + 0.002 * (-1) ** k, 100 * k, 0.5] for k in range(40)]),
+        "time=time x=pos frx=duty_cycle --units time=s --scale pos=1.2e-6 duty_cycle=0.1 --rate 100 --inertia 1,1,1 --mass 1",
         {"position.x": [1.2e-4 * k for k in range(40)], "applied.rx": [0.05] * 40},
     ),
     "force sensor, time since 1970, a second run appended": (
@@ -133,6 +134,7 @@ def test_stamps_off_a_grid_are_resampled_and_identify_no_delay(tmp_path: Path) -
     assert "resampled" in recording.events[0] and 15 <= np.diff(segment.tick).max() <= 25
     assert_allclose(segment.position[:, 2], np.sin(30.0 * (time[0] + segment.time)), atol=1e-5)
     assert set(segment.applied[:, 2]) == {0.0, 1.0}
+    assert read_table(f"{stamps[0]}\n{stamps[0] + 1}\n").stamps("1", 1e-9)[1] == 1e-9
     assert found.axes["z"].delay.why == found.axes["z"].noise.why == "resampled"
 
 
@@ -204,6 +206,7 @@ BROKEN = {
     "two rotations": (lines(HEAD, GOOD), "--columns rx=a quaternion=xyzw:a+a+b+q --units angle=rad", "must be one of"),
     "turn": (changed(5, 2, 180.0), "--columns rx=a --units angle=deg", "1 rad a sample .got 3.142 in row 7"),
     "torque": (lines(HEAD, GOOD), "--columns frx=a --units torque=Nm", "inertia must be given"),
+    "moments": (lines(HEAD, GOOD), "--inertia 1,2", "inertia must be a number or have shape .3,. .got .2,"),
     "currents": (lines(HEAD, GOOD), "--columns i0=a --units current=A", "currents must be i0 to i5"),
     "face": (lines(HEAD, GOOD), "--face z:0:left", "side of a face must be one of above, below, as in"),
     "delay": (lines(HEAD, GOOD), "--delay 0.2", "delay must be at most 0.1 s, 10 periods"),
