@@ -55,8 +55,9 @@ LOGS: dict[str, tuple[str, str, dict[str, list[float]]]] = {
     ),
     "haptic paddle, counts on a host's clock": (
         lines("time,pos,duty_cycle", [[5.0 + 0.01 * k + 0.002 * (-1) ** k, 100 * k, 0.5] for k in range(40)]),
-        "time=time x=pos frx=duty_cycle --units time=s --scale pos=1.2e-6 duty_cycle=0.1 --rate 100 --inertia 1,1,1 --mass 1",
-        {"position.x": [1.2e-4 * k for k in range(40)], "applied.rx": [0.05] * 40},
+        "time=time x=pos frx=duty_cycle --units time=s --scale pos=1.2e-6 duty_cycle=1 --rate 100 --mass 1 "
+        "--inertia 1,1,1",
+        {"position.x": [1.2e-4 * k for k in range(40)], "applied.rx": [0.5] * 40},
     ),
     "force sensor, time since 1970, a second run appended": (
         lines("", [[1.7e9 + 0.002 * k + 3.0 * (k > 19), 1.0, 2.0, 0.1 * k] for k in range(40)]),
