@@ -307,7 +307,7 @@ class Connection:
         self.answers = AnswerTiming(samples.tick - behind, last, newest, delay_bound, self.arrival - frame.time)
 
     def control(
-        self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO
+        self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO, stop: Sequence[float] = wire.CUT
     ) -> wire.ControlAck | None:
         """Request a change of state; return the answer, or None after `patience`.
 
@@ -316,7 +316,7 @@ class Connection:
         if not self.open:
             return None
         self._request += 1
-        body = wire.Control(self._request, operation, faults, tuple(hover))
+        body = wire.Control(self._request, operation, faults, tuple(hover), tuple(stop))
         for data in _requested(self._link, self.codec, self._session, body, RETRY_INTERVAL, self.patience):
             frame = self._trusted(data)
             if frame is not None and isinstance(frame.body, wire.ControlAck) and frame.body.request == self._request:

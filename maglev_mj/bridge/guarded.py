@@ -18,16 +18,17 @@ from maglev_mj.bridge.flight_guards import DeviceSample, device_guards, larger_r
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
+from maglev_mj.bridge.wire import CUT, Fault, Flag, Frame, Operation, State, StateReport, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
-from maglev_mj.bridge.wire import Fault, Frame, Operation, State, StateReport, fault_names
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants.sensor import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
+_STOPPING = Flag.STOPPING.value
 _UNKNOWN = (math.nan,) * 6
 _PROOFS = 20
-"""Samples in which the currents must be off after a cut."""
+"""Samples in which the currents must be off after a cut or a controlled stop."""
 _LARGEST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
@@ -103,6 +104,7 @@ class GuardedPlant:
             )
             self._output = safety.OutputLimiter(calibration.coils, self.limits, host.wrench, self.period)
             self._hand = HandObserver(calibration, self.period)
+            self._stop = calibration.controlled_stop(self.period + self.delay, self.limits.continuous_current)
             self._prepare()
         except BaseException:
             self._connection.close()
@@ -232,9 +234,10 @@ class GuardedPlant:
 
         Args:
             hover: Currents held by the device while commands are missing [A], six; by default those that carry the
-                flotor.
+                flotor, and a controlled stop follows. With others the device cuts instead.
         """
-        self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
+        stop = self._stop if hover is None else CUT
+        self._ask(Operation.ARM, hover=self._hover if hover is None else hover, stop=stop)
         self.state, self._armed, self.guided = _ACTIVE, True, False
         self._hand.reset()
 
@@ -281,9 +284,9 @@ class GuardedPlant:
             remedy = ": find the cause, then clear the fault with --reset or reset()" if self.state is _FAULT else ""
             raise PlantError(f"no takeoff: device state {self.state.name}, faults {fault_names(self.faults)}{remedy}")
 
-    def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO) -> None:
+    def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO, stop: Sequence[float] = CUT) -> None:
         self._check_open()
-        answer = self._connection.control(operation, hover=hover)
+        answer = self._connection.control(operation, hover=hover, stop=stop)
         if answer is None:
             raise PlantError(f"the device did not answer {operation.name} within {self._connection.patience:g} s")
         if answer.result:
@@ -375,10 +378,11 @@ class GuardedPlant:
         """Return True once a sample shows the device without current, after its answer to the last request."""
         frame = self._frame
         with suppress(Exception):  # a link that has failed proves nothing
-            for _ in range(_PROOFS):
+            for _ in range(_PROOFS + math.ceil(self._stop[6] / self.period)):
                 if frame is not None and frame.time > self._connection.settled:
                     report: StateReport = frame.body  # type: ignore[assignment]
-                    if report.state != _ACTIVE and all(abs(current) <= safety.OFF for current in report.currents):
+                    off = report.state != _ACTIVE and all(abs(current) <= safety.OFF for current in report.currents)
+                    if off and not report.flags & _STOPPING:
                         return True
                 if self.lockstep:  # the device waits for an answer
                     self._send(ZERO, None, 0.0)

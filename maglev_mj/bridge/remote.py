@@ -35,7 +35,7 @@ class RemotePlant(GuardedPlant):
 
     Same interface as `MuJoCoPlant`; use from one thread. The device is the clock: `read` waits for its next sample. A
     lost sample leaves a gap in the tick numbers. All commands pass one output limiter: finite values, wrench,
-    currents, coil temperatures. A failure cuts the currents, latches a fault until `reset`, and writes the last
+    currents, coil temperatures. A failure ends the currents, latches a fault until `reset`, and writes the last
     cycles to a file.
 
     Args:

@@ -277,12 +277,15 @@ class SpotGuard:
     """Detector of frozen sensors and implausible spots.
 
     Samples arrive every `period` [s].
+
+    Attributes:
+        last: Last valid spots [m], six; None without.
     """
 
     def __init__(self, limits: Limits, period: float) -> None:
         self._bound, self._frozen = limits.spot_limit, limits.frozen
         self._step = limits.spot_speed * period
-        self._last: Sequence[float] | None = None
+        self.last: Sequence[float] | None = None
         self._conversions: int | None = None
         self._same: tuple[int, ...] = _CHANGED
 
@@ -297,9 +300,9 @@ class SpotGuard:
         # unrolled: half the time of min and max; comparisons with NaN and infinity fail
         within = -bound <= a <= bound and -bound <= b <= bound and -bound <= c <= bound
         if valid & 7 != 7 or not (within and -bound <= d <= bound and -bound <= e <= bound and -bound <= f <= bound):
-            self._last = None
+            self.last = None
             return fault | Fault.SENSOR_OUT_OF_RANGE
-        last, self._last = self._last, spots
+        last, self.last = self.last, spots
         if last is None:
             return fault
         p, q, r, s, t, u = last

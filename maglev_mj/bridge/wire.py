@@ -52,6 +52,7 @@ class Flag(IntFlag):
 
     HOLDING = 1  # commands are missing: hover currents from ARM are on
     ENABLED = 2  # the amplifier board sees its enable line toggle
+    STOPPING = 4  # a controlled stop: currents flow in FAULT
 
 
 class Operation(IntEnum):
@@ -91,10 +92,13 @@ MAGIC = 0x4A4D
 """The bytes "MJ"."""
 _MAGIC = MAGIC.to_bytes(2, "little")
 
-VERSION = 3
+VERSION = 4
 
 WRAP = NEVER = 0xFFFFFFFF
 """Largest sequence number; sentinel for 'no command' in its number and age."""
+
+CUT = (0.0,) * 8
+"""Parameters of a controlled stop that cuts the currents instead."""
 
 _HEADER = "<HBBIIQ"
 _CRC = struct.Struct("<I")
@@ -140,12 +144,13 @@ class HelloAck(NamedTuple):
 
 
 class Control(NamedTuple):
-    """Request for an `Operation`; `faults` for TRIP, `hover` currents [A] for ARM."""
+    """Request for an `Operation`; `faults` for TRIP, `hover` currents [A] and `stop` for ARM."""
 
     request: int
     operation: int
     faults: int
     hover: tuple[float, ...]
+    stop: tuple[float, ...] = CUT  # controlled stop: damping by spots, six [s/m], duration [s], lift
 
 
 class ControlAck(NamedTuple):
@@ -204,7 +209,7 @@ Body: TypeAlias = Hello | HelloAck | Control | ControlAck | StateReport | Comman
 _TYPES: dict[int, tuple[type[Body], str]] = {
     1: (Hello, "Q16s"),
     2: (HelloAck, "QBBBBI16sQQQQQQIII6d"),
-    3: (Control, "IB3xI6d"),
+    3: (Control, "IB3xI14d"),
     4: (ControlAck, "IBBBxI"),
     5: (StateReport, "6d6f6fBBHIIII"),
     6: (Command, "II6d6dd"),
@@ -215,13 +220,13 @@ _NUMBERS = {body: number for number, (body, _) in _TYPES.items()}
 _STRUCTS = {number: struct.Struct(_HEADER + fields) for number, (_, fields) in _TYPES.items()}
 # bodies with fields of six numbers: to and from flat values
 _FLAT: dict[int, Callable[[Any], Sequence[Any]]] = {
-    3: lambda body: (*body[:3], *body[3]),
+    3: lambda body: (*body[:3], *body[3], *body[4]),
     5: lambda body: (*body[0], *body[1], *body[2], *body[3:]),
     6: lambda body: (body[0], body[1], *body[2], *body[3], body[4]),
     8: lambda body: (*body[:4], *body[4]),
 }
 _NESTED: dict[int, Callable[[tuple[Any, ...]], Body]] = {
-    3: lambda values: Control(values[6], values[7], values[8], values[9:]),
+    3: lambda values: Control(values[6], values[7], values[8], values[9:15], values[15:]),
     5: lambda values: StateReport(values[6:12], values[12:18], values[18:24], *values[24:]),
     6: lambda values: Command(values[6], values[7], values[8:14], values[14:20], values[20]),
     8: lambda values: EstopAck(values[6], values[7], values[8], values[9], values[10:]),

@@ -68,7 +68,7 @@ how to stop a flight, at any time from takeoff to landing:
   maglev-mj estop ADDRESS [--key FILE]
                        cut them from any terminal, even if this program hangs
                        (UDP only: a serial link has one user)
-  this program dies    the device's watchdog cuts the currents
+  this program dies    the device's watchdog starts a controlled stop
 A cut latches a fault; --reset shows and clears it. None of this replaces a
 switch that cuts the amplifiers' power. Exit status: 0 landed; 1 cut, refused,
 or ended by a guard; 2 invalid input; 130 stopped before takeoff.

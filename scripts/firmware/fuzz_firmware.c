@@ -55,7 +55,7 @@ static void read_sample(void *context, struct maglev_reading *r) {
 
 static void drive(void *context, uint64_t at, const double *held, const double *pulsed, double width) {
     (void)context, (void)at;
-    require(device.state == MAGLEV_ACTIVE, "driven in another state than ACTIVE");
+    require(device.state == MAGLEV_ACTIVE || device.stopping, "driven although currents are cut");
     require(width >= 0.0 && width <= 1.0, "a pulse of another width");
     for (int i = 0; i < COILS; i++) {
         double most = 10.0 * (1.0 + 1e-9);
@@ -72,7 +72,7 @@ static void cut(void *context) {
 
 static void toggle(void *context, uint64_t at) {
     (void)context, (void)at;
-    require(device.state == MAGLEV_ACTIVE, "toggled in another state than ACTIVE");
+    require(device.state == MAGLEV_ACTIVE || device.stopping, "toggled although currents are cut");
 }
 
 static uint64_t device_now(void *context) {
@@ -101,6 +101,7 @@ static void fill(struct maglev_frame *f) {
         f->of.ctrl.operation = draw(8) ? device.state == MAGLEV_INACTIVE ? MAGLEV_ARM : MAGLEV_RESET : (uint8_t)draw(8);
         f->of.ctrl.faults = (uint32_t)draw(UINT32_MAX);
         for (int i = 0; i < COILS; i++) f->of.ctrl.hover[i] = number_at_random();
+        for (int i = 0; i < MAGLEV_STOP; i++) f->of.ctrl.stop[i] = number_at_random();
         break;
     case MAGLEV_CMD:
         f->of.cmd.answers = number - (draw(10) ? 0 : (uint32_t)draw(14) - 1);
@@ -142,8 +143,11 @@ static size_t make(uint8_t *data) {
 static void look(size_t length) {
     require(length <= MAGLEV_LARGEST, "an answer longer than it may be");
     require(device.state <= MAGLEV_FAULT && (device.faults != 0) == (device.state == MAGLEV_FAULT), "a state that is none");
-    if (device.state == MAGLEV_ACTIVE) return;
-    for (int i = 0; i < COILS; i++) require(flowing[i] == 0.0, "a current outside ACTIVE");
+    require(!device.stopping || device.state == MAGLEV_FAULT, "a controlled stop outside FAULT");
+    for (int i = 0; i < COILS && device.stopping; i++)
+        require(flowing[i] >= -3.0 && flowing[i] <= 3.0, "more than the continuous current in a controlled stop");
+    for (int i = 0; i < COILS && device.state != MAGLEV_ACTIVE && !device.stopping; i++)
+        require(flowing[i] == 0.0, "a current after a cut");
 }
 
 static void run(unsigned long count) {

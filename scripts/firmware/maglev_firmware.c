@@ -10,11 +10,15 @@
                      BLAKE2s; 26 000 instructions, without a key 16 000.
    Add 4 400 for each maglev_heat() and what the hardware's functions take. Doubles are the wire's; a Cortex-M4
    computes them in software, which is in these figures. */
+#include <float.h>
+
 #include "maglev_firmware.h"
 
 #define SILENCE UINT64_C(1000000000) /* [ns]; another host may take over after this time without a frame */
 #define LONGEST UINT64_C(1000000000) /* [ns]; largest watchdog timeout */
 #define GAP 2          /* periods without a command before hover currents */
+#define LONGEST_STOP 1.0 /* [s] */
+#define SOFT (MAGLEV_WATCHDOG | MAGLEV_INVALID_COMMAND | MAGLEV_HOST) /* TRIP with these only: controlled stop */
 #define PATIENCE 3     /* consecutive samples with a wrong current */
 #define CLOSE 0.25     /* [A]; tolerance of currents, */
 #define CLOSE_SHARE 0.1 /* plus this fraction of the command */
@@ -26,7 +30,7 @@ enum { MAGIC = 0x4A4D, HEADER = 20, CRC = 4, TAG = 16, BLOCK = 64 };
 
 const char *const maglev_reasons[MAGLEV_REASONS] = {"short", "magic", "crc", "version", "type", "length", "tag",
                                                     "direction", "session", "old", "inactive", "busy"};
-static const uint8_t SIZES[MAGLEV_TYPES] = {0, 44, 160, 80, 32, 136, 132, 28, 68}; /* of header and body */
+static const uint8_t SIZES[MAGLEV_TYPES] = {0, 44, 160, 144, 32, 136, 132, 28, 68}; /* of header and body */
 
 #ifdef MAGLEV_NO_LIBRARY /* what the compiler needs of a C library */
 void *memset(void *start, int value, size_t count);
@@ -59,6 +63,11 @@ static double size(double value) { return value < 0.0 ? -value : value; }
 static bool finite(double value) {
     union { double value; uint64_t bits; } both = {value};
     return (both.bits >> 52 & 0x7FF) != 0x7FF;
+}
+
+/* As f32, clamped: a conversion outside its range is undefined. */
+static float single(double value) {
+    return (float)(value > FLT_MAX ? FLT_MAX : value < -FLT_MAX ? -FLT_MAX : value);
 }
 
 static bool all_finite(const double *values) {
@@ -192,7 +201,7 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
         f64(c, &f->of.hello_ack.spot_limit, 1), f64(c, &f->of.hello_ack.spot_speed, 1); break;
     case MAGLEV_CTRL:
         u32(c, &f->of.ctrl.request), u8(c, &f->of.ctrl.operation), gap(c, 3), u32(c, &f->of.ctrl.faults);
-        f64(c, f->of.ctrl.hover, MAGLEV_COILS); break;
+        f64(c, f->of.ctrl.hover, MAGLEV_COILS), f64(c, f->of.ctrl.stop, MAGLEV_STOP); break;
     case MAGLEV_CTRL_ACK:
         u32(c, &f->of.ctrl_ack.request), u8(c, &f->of.ctrl_ack.operation), u8(c, &f->of.ctrl_ack.result);
         u8(c, &f->of.ctrl_ack.state), gap(c, 1), u32(c, &f->of.ctrl_ack.faults); break;
@@ -355,49 +364,77 @@ static bool follows(const struct maglev_reading *r) {
     return true;
 }
 
-/* Faults at a sample in ACTIVE, added to `fault`. */
+/* Faults at a sample while currents flow, added to `fault`. */
 static uint32_t flight_fault(struct maglev_device *d, const struct maglev_reading *r, uint32_t fault) {
     fault |= spot_fault(d, r);
     if (d->has_conversions && r->conversions == d->conversions) fault |= MAGLEV_SENSOR_STOPPED;
     d->has_conversions = true, d->conversions = r->conversions;
     if (strikes(&d->not_following, !follows(r), PATIENCE)) fault |= MAGLEV_COIL_NOT_FOLLOWING;
     if (strikes(&d->not_enabled, !r->enabled, 2)) fault |= MAGLEV_WATCHDOG;
-    if (d->profile->lockstep) return fault;
-    uint64_t waited = r->time - d->commanded_at;
-    if (r->time < d->commanded_at) waited = 0;
-    if (waited > d->profile->watchdog) fault |= MAGLEV_WATCHDOG;
-    else if (waited > GAP * d->profile->period && !d->holding && !fault) {
-        d->holding = true;
-        d->hardware->drive(d->hardware->context, r->time, d->hover, d->hover, 0.0);
-    }
     return fault;
+}
+
+/* Hold hover currents while commands are missing; return true after the timeout. */
+static bool silent(struct maglev_device *d, uint64_t now, uint32_t fault) {
+    uint64_t waited = now > d->commanded_at && !d->profile->lockstep ? now - d->commanded_at : 0;
+    if (waited > d->profile->watchdog) return true;
+    if (waited > GAP * d->profile->period && !d->holding && !fault) {
+        d->holding = true;
+        d->hardware->drive(d->hardware->context, now, d->hover, d->hover, 0.0);
+    }
+    return false;
 }
 
 /* ---- states ---- */
 
 static void cut(struct maglev_device *d) {
     d->hardware->cut(d->hardware->context);
-    d->holding = false;
+    d->holding = d->stopping = false;
 }
 
-static void latch(struct maglev_device *d, uint32_t faults, uint64_t now) {
-    cut(d);
+/* Latch faults, and cut the currents; if `soft`, by a controlled stop if currents flow. */
+static void latch(struct maglev_device *d, uint32_t faults, uint64_t now, bool soft) {
+    bool flying = d->state == MAGLEV_ACTIVE && (d->holding || d->answers != MAGLEV_NONE);
+    if (soft && flying && d->stop[6] > 0.0) {
+        d->stopping = true, d->holding = false, d->stopped_at = now;
+        d->hardware->drive(d->hardware->context, now, d->hover, d->hover, 0.0);
+    } else if (!(soft && d->stopping)) cut(d);
     if (d->state != MAGLEV_FAULT) d->fault_time = now, d->first = faults;
     d->state = MAGLEV_FAULT, d->faults |= faults;
 }
 
+/* Controlled stop: fade the hover currents out, and damp the motion along the lift by the spots alone. */
+static void descend(struct maglev_device *d, uint64_t now, const double *before, uint32_t steps) {
+    double elapsed = now > d->stopped_at ? (double)(now - d->stopped_at) * 1e-9 : 0.0, motion = 0.0;
+    double currents[MAGLEV_COILS];
+    if (!(elapsed < d->stop[6])) {
+        cut(d);
+        return;
+    }
+    for (int i = 0; i < MAGLEV_SPOTS; i++) motion += d->stop[i] * (d->spots[i] - before[i]);
+    double seconds = (double)(steps ? steps : 1) * (double)d->profile->period * 1e-9;
+    double scale = 1.0 - elapsed / d->stop[6] - motion / seconds;
+    scale = !(scale > 0.0) ? 0.0 : scale < d->stop[7] ? scale : d->stop[7]; /* 0 for NaN, too */
+    for (int i = 0; i < MAGLEV_COILS; i++) currents[i] = scale * d->hover[i];
+    d->hardware->drive(d->hardware->context, now, currents, currents, 0.0);
+}
+
 void maglev_trip(struct maglev_device *d, uint32_t faults) {
-    latch(d, faults, d->hardware->now(d->hardware->context));
+    latch(d, faults, d->hardware->now(d->hardware->context), false);
 }
 
 void maglev_lose_host(struct maglev_device *d) {
-    if (d->state == MAGLEV_ACTIVE) maglev_trip(d, MAGLEV_WATCHDOG);
+    if (d->state == MAGLEV_ACTIVE || d->stopping) maglev_trip(d, MAGLEV_WATCHDOG);
     d->session = 0, d->peer = 0;
 }
 
-static bool arm(struct maglev_device *d, const double *hover, uint64_t now) {
+static bool arm(struct maglev_device *d, const double *hover, const double *stop, uint64_t now) {
     if (d->state != MAGLEV_INACTIVE || !all_within(hover, d->profile->hover_limit)) return false;
-    copy_six(d->hover, hover);
+    if (!all_finite(stop) || !(stop[6] >= 0.0 && stop[6] <= LONGEST_STOP)) return false;
+    if (!(stop[7] >= 0.0 && finite(stop[7]))) return false;
+    for (int i = 0; i < MAGLEV_COILS; i++)
+        if (!(size(stop[7] * hover[i]) <= d->profile->continuous_current)) return false;
+    copy_six(d->hover, hover), copy_six(d->stop, stop), d->stop[6] = stop[6], d->stop[7] = stop[7];
     d->commanded_at = now, d->answers = MAGLEV_NONE, d->holding = d->has_spots = d->has_conversions = false;
     d->not_following = d->not_off = d->not_enabled = 0;
     d->state = MAGLEV_ACTIVE;
@@ -406,7 +443,8 @@ static bool arm(struct maglev_device *d, const double *hover, uint64_t now) {
 }
 
 static bool reset(struct maglev_device *d) {
-    if (d->state == MAGLEV_ACTIVE || !(warmest(d) < WARNING_RISE) || !all_within(d->measured, CLOSE)) return false;
+    bool off = d->state != MAGLEV_ACTIVE && !d->stopping && all_within(d->measured, CLOSE);
+    if (!off || !(warmest(d) < WARNING_RISE)) return false;
     d->state = MAGLEV_INACTIVE, d->faults = d->first = 0, d->fault_time = 0;
     return true;
 }
@@ -414,11 +452,12 @@ static bool reset(struct maglev_device *d) {
 static bool perform(struct maglev_device *d, const struct maglev_frame *f, uint64_t now) {
     uint32_t known = f->of.ctrl.faults & MAGLEV_ALL_FAULTS;
     switch (f->of.ctrl.operation) {
-    case MAGLEV_TRIP: latch(d, known ? known : MAGLEV_HOST, now); return true;
+    case MAGLEV_TRIP: latch(d, known ? known : MAGLEV_HOST, now, !(known & ~(uint32_t)SOFT)); return true;
     case MAGLEV_RESET: return reset(d);
-    case MAGLEV_ARM: return arm(d, f->of.ctrl.hover, now);
+    case MAGLEV_ARM: return arm(d, f->of.ctrl.hover, f->of.ctrl.stop, now);
     case MAGLEV_DISARM: case MAGLEV_BYE:
-        if (d->state == MAGLEV_ACTIVE) cut(d), d->state = MAGLEV_INACTIVE;
+        if (d->state == MAGLEV_ACTIVE || d->stopping) cut(d);
+        if (d->state == MAGLEV_ACTIVE) d->state = MAGLEV_INACTIVE;
         return true;
     default: return false;
     }
@@ -485,17 +524,17 @@ static size_t obey(struct maglev_device *d, const struct maglev_frame *f, uint64
         d->commanded_at = now, d->answers = f->of.cmd.answers;
     if (d->state != MAGLEV_ACTIVE) return ignore(d, MAGLEV_NOT_ACTIVE);
     uint32_t fault = command_fault(d, f->of.cmd.held, f->of.cmd.pulsed, f->of.cmd.width);
-    if (fault) return latch(d, fault, now), 0;
+    if (fault) return latch(d, fault, now, true), 0;
     d->commanded_at = now, d->answers = f->of.cmd.answers, d->holding = false;
     d->hardware->drive(d->hardware->context, now, f->of.cmd.held, f->of.cmd.pulsed, f->of.cmd.width);
     return 0;
 }
 
 static size_t emergency(struct maglev_device *d, const struct maglev_frame *f, uint64_t now, uint8_t *answer) {
-    latch(d, MAGLEV_ESTOPPED, now);
+    latch(d, MAGLEV_ESTOPPED, now, false);
     struct maglev_frame a = {MAGLEV_ESTOP_ACK, 0, 0, now, .of.estop_ack = {
         .request = f->of.estop.request, .state = d->state, .faults = d->faults, .sampled = d->sampled}};
-    for (int i = 0; i < MAGLEV_COILS; i++) a.of.estop_ack.currents[i] = (float)d->measured[i];
+    for (int i = 0; i < MAGLEV_COILS; i++) a.of.estop_ack.currents[i] = single(d->measured[i]);
     return maglev_encode(d->profile, &a, answer);
 }
 
@@ -537,15 +576,16 @@ size_t maglev_receive(struct maglev_device *d, const uint8_t *data, size_t lengt
     return f.type == MAGLEV_CTRL ? control(d, &f, now, answer) : obey(d, &f, now);
 }
 
-static size_t report(struct maglev_device *d, const struct maglev_reading *r, uint8_t *data) {
+static size_t report(struct maglev_device *d, const struct maglev_reading *r, bool stopping, uint8_t *data) {
     struct maglev_frame f = {MAGLEV_STATE, d->session, r->number, r->time, .of.state = {
         .state = d->state, .valid = r->valid, .faults = d->faults, .answered = d->answers, .age = MAGLEV_NONE,
-        .flags = (uint16_t)((d->holding ? MAGLEV_HOLDING : 0) | (r->enabled ? MAGLEV_ENABLED : 0)),
+        .flags = (uint16_t)((d->holding ? MAGLEV_HOLDING : 0) | (r->enabled ? MAGLEV_ENABLED : 0) |
+                            (stopping ? MAGLEV_STOPPING : 0)),
         .conversions = r->conversions}};
     copy_six(f.of.state.spots, r->spots);
     for (int i = 0; i < MAGLEV_COILS; i++) {
-        f.of.state.currents[i] = (float)r->measured[i];
-        f.of.state.temperatures[i] = (float)d->rises[i];
+        f.of.state.currents[i] = single(r->measured[i]);
+        f.of.state.temperatures[i] = single(d->rises[i]);
     }
     if (d->answers != MAGLEV_NONE) {
         uint64_t age = r->time > d->commanded_at ? (r->time - d->commanded_at) / 1000 : 0;
@@ -558,12 +598,19 @@ size_t maglev_sample(struct maglev_device *d, uint8_t *data) {
     struct maglev_reading r = {0};
     d->hardware->read(d->hardware->context, &r);
     if (!d->heated && d->has_sampled) maglev_heat(d, (double)(r.time - d->sampled) * 1e-9, r.measured);
+    double before[MAGLEV_SPOTS];
+    uint32_t steps = r.number - d->number;
+    copy_six(before, d->has_spots ? d->spots : r.spots);
     d->heated = false, d->has_sampled = true, d->number = r.number, d->sampled = r.time;
     copy_six(d->measured, r.measured);
     uint32_t fault = warmest(d) < 1.0 ? 0 : MAGLEV_COIL_OVERTEMP;
-    if (d->state == MAGLEV_ACTIVE) fault = flight_fault(d, &r, fault);
+    if (d->state == MAGLEV_ACTIVE || d->stopping) fault = flight_fault(d, &r, fault);
     else if (strikes(&d->not_off, !all_within(r.measured, CLOSE), PATIENCE)) fault |= MAGLEV_COIL_NOT_OFF;
-    if (fault) latch(d, fault, r.time);
-    if (d->state == MAGLEV_ACTIVE) d->hardware->toggle(d->hardware->context, r.time); /* last, in case the step hangs */
-    return d->session ? report(d, &r, data) : 0;
+    bool stopping = d->stopping, lost = d->state == MAGLEV_ACTIVE && silent(d, r.time, fault);
+    if (fault || lost) latch(d, fault | (lost ? MAGLEV_WATCHDOG : 0), r.time, !fault);
+    stopping |= d->stopping; /* also where it ends: these currents were measured before */
+    if (d->stopping) descend(d, r.time, before, steps);
+    if (d->state == MAGLEV_ACTIVE || d->stopping) /* last, in case the step hangs */
+        d->hardware->toggle(d->hardware->context, r.time);
+    return d->session ? report(d, &r, stopping, data) : 0;
 }

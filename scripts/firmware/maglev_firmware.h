@@ -1,4 +1,4 @@
-/* Device side of docs/reference/protocol.md, version 3, in freestanding C99: no heap, no library, no clock.
+/* Device side of docs/reference/protocol.md, version 4, in freestanding C99: no heap, no library, no clock.
 
    A board fills in a profile and a hardware structure, then calls maglev_receive() for each received frame and
    maglev_sample() once per sample period. README.md specifies the interrupts, and the function and time limit of each
@@ -11,9 +11,10 @@
 #include <stdint.h>
 
 enum {
-    MAGLEV_VERSION = 3,
+    MAGLEV_VERSION = 4,
     MAGLEV_COILS = 6,
     MAGLEV_SPOTS = 6,     /* x and y on diodes 0, 1 and 2 */
+    MAGLEV_STOP = 8,      /* controlled stop at ARM: damping by spots, six [s/m], duration [s], lift */
     MAGLEV_HASH = 16,     /* bytes of a calibration digest */
     MAGLEV_KEY = 32,      /* largest key [bytes] */
     MAGLEV_LARGEST = 256, /* largest frame [bytes] */
@@ -28,7 +29,7 @@ enum maglev_state { MAGLEV_INACTIVE, MAGLEV_ACTIVE, MAGLEV_FAULT };
 enum maglev_operation { MAGLEV_ARM = 1, MAGLEV_DISARM, MAGLEV_RESET = 4, MAGLEV_TRIP, MAGLEV_BYE };
 enum maglev_status { MAGLEV_WELCOME, MAGLEV_OTHER_VERSION, MAGLEV_BUSY, MAGLEV_OTHER_CALIBRATION };
 enum maglev_result { MAGLEV_DONE, MAGLEV_REFUSED };
-enum maglev_flag { MAGLEV_HOLDING = 1, MAGLEV_ENABLED = 2 };
+enum maglev_flag { MAGLEV_HOLDING = 1, MAGLEV_ENABLED = 2, MAGLEV_STOPPING = 4 };
 enum maglev_fault {
     MAGLEV_SENSOR_OUT_OF_RANGE = 1, MAGLEV_COIL_OVERTEMP = 2, MAGLEV_COIL_OVERCURRENT = 4, MAGLEV_FLOTOR_OVERSPEED = 8,
     MAGLEV_WATCHDOG = 32, MAGLEV_INVALID_COMMAND = 64, MAGLEV_ESTOPPED = 128, MAGLEV_COIL_NOT_FOLLOWING = 256,
@@ -108,7 +109,8 @@ struct maglev_frame {
             uint32_t faults, first, frozen;
             double current_limit, continuous_current, hover_limit, thermal_time, spot_limit, spot_speed;
         } hello_ack;
-        struct { uint32_t request; uint8_t operation; uint32_t faults; double hover[MAGLEV_COILS]; } ctrl;
+        struct { uint32_t request; uint8_t operation; uint32_t faults; double hover[MAGLEV_COILS], stop[MAGLEV_STOP];
+        } ctrl;
         struct { uint32_t request; uint8_t operation, result, state; uint32_t faults; } ctrl_ack;
         struct {
             double spots[MAGLEV_SPOTS];
@@ -137,6 +139,7 @@ struct maglev_device {
     uint32_t counts[MAGLEV_REASONS];   /* ignored frames, by reason */
     uint8_t state;
     bool is_answered, holding;
+    bool stopping;                     /* a controlled stop: currents flow in FAULT */
     double rises[MAGLEV_COILS];        /* temperatures; a coil trips at 1 */
 
     /* the session */
@@ -144,8 +147,8 @@ struct maglev_device {
     uint32_t sequence;
     struct { uint32_t request; uint8_t operation, result; bool any; } last;
     /* the flight */
-    double hover[MAGLEV_COILS];
-    uint64_t commanded_at;
+    double hover[MAGLEV_COILS], stop[MAGLEV_STOP];
+    uint64_t commanded_at, stopped_at;
     uint32_t answers;
     /* the sensors */
     double spots[MAGLEV_SPOTS], measured[MAGLEV_COILS];
@@ -177,7 +180,7 @@ void maglev_heat(struct maglev_device *device, double seconds, const double *cur
 /* Cut the currents and latch faults for a reason detected by the board, such as its emergency stop. */
 void maglev_trip(struct maglev_device *device, uint32_t faults);
 
-/* Lockstep: the host is lost. Latch WATCHDOG if active, and end the session. */
+/* Lockstep: the host is lost. Latch WATCHDOG if currents flow, cut them, and end the session. */
 void maglev_lose_host(struct maglev_device *device);
 
 /* Write a frame, with a tag if the profile has a key; return its length. */

@@ -85,7 +85,7 @@ class _Device(ctypes.Structure):
         *[(name, c_uint32) for name in ("session", "faults", "first", "answered")],
         ("counts", c_uint32 * _REASONS),
         ("state", c_uint8),
-        *[(name, c_bool) for name in ("is_answered", "holding")],
+        *[(name, c_bool) for name in ("is_answered", "holding", "stopping")],
         ("rises", _Six),
     ]
 
@@ -171,6 +171,10 @@ class CoreFirmware:
     @faults.setter
     def faults(self, faults: Fault) -> None:
         self._device.faults = faults
+
+    @property
+    def stopping(self) -> bool:
+        return bool(self._device.stopping)
 
     @property
     def counts(self) -> Counter[str]:

@@ -59,8 +59,8 @@ def failed(tmp_path_factory: pytest.TempPathFactory) -> Failed:
 def test_a_file_of_last_cycles_holds_what_was_measured_and_when_it_was_answered(failed: Failed) -> None:
     rig, record = failed.rig, failed.record
     assert record.faults == record.first == "COIL_NOT_FOLLOWING" and record.message == "reported by the device"
-    assert record.fault_time == pytest.approx(rig.twin.tick * 0.005) and record.period == 0.005
-    assert (record.tick, record.lost, record.skipped) == (rig.plant.samples.tick, 0, 0)
+    assert record.fault_time == pytest.approx(record.tick * 0.005) and record.period == 0.005
+    assert (record.lost, record.skipped) == (0, 0) and rig.twin.tick - 20 <= record.tick <= rig.twin.tick
     measured, held = record.six("measured"), record.six("held")
     assert measured.shape == (200, 6) and (measured[-3:, 2] == 0.0).all() and (np.abs(held[-3:, 2]) > 1.0).all()
     assert measured[1:-4] == pytest.approx(held[:-5], abs=1e-6)  # each sample measures the previous answer
@@ -197,7 +197,7 @@ def test_a_flight_without_a_fault_shows_its_last_cycles(tmp_path: Path) -> None:
 
 
 def test_the_table_says_what_when_and_the_last_cycles(failed: Failed) -> None:
-    rig, record = failed.rig, failed.record
+    record = failed.record
     table = record.table(whole=True)
     first = f"first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s (device clock)"
     assert f"faults COIL_NOT_FOLLOWING; {first}" in table.note.splitlines()
@@ -206,7 +206,7 @@ def test_the_table_says_what_when_and_the_last_cycles(failed: Failed) -> None:
         and record.message in table.headline
         and "COIL_NOT_FOLLOWING: a measured current" in table.note
     )
-    number = rig.plant.samples.tick
+    number = record.tick
     assert f", fault from {number}, last {number}" in table.note and "device's sample numbers: active at " in table.note
     assert "200 Hz; since the handshake, with the preflight check: 0 samples lost, 0 skipped" in table.note
     assert [row[0] for row in (table.rows[-2], table.rows[-1])] == ["-5.0", "0.0"] and len(table.rows) == 200

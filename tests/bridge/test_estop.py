@@ -146,7 +146,7 @@ def test_a_current_that_does_not_fall_is_not_confirmed() -> None:
 
 def test_a_device_that_answers_and_flies_on_has_not_stopped() -> None:
     rig = Rig(pose=CENTRE)
-    rig.twin.firmware.trip = lambda faults, now: None  # type: ignore[method-assign]
+    rig.twin.firmware.trip = lambda faults, now, **_: None  # type: ignore
     rig.plant.read()
     report = estop(Beside(rig), patience=0.1)
     assert not report.confirmed and report.currents == (0.0,) * 6 and rig.twin.firmware.state == State.INACTIVE

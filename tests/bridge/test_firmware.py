@@ -15,6 +15,7 @@ import pytest
 from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.twin.firmware import Reading
 from maglev_mj.bridge.wire import (
+    CUT,
     Codec,
     Command,
     Control,
@@ -39,6 +40,7 @@ CALIBRATION = bytes(range(16))
 ZERO = (0.0,) * 6
 ONES = (1.0, 1.0, 1.0, -1.0, -1.0, -1.0)
 HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
+STOP = (*(0.5, 0.0) * 3, 0.2, 1.5)  # damped by the x of each spot
 NAN, INF = math.nan, math.inf
 
 
@@ -112,9 +114,9 @@ class Bench:
         assert self.last.sequence == 0 and self.last.time == self.now
         return answer
 
-    def ask(self, operation: int, *, faults: int = 0, hover: Sequence[float] = HOVER) -> ControlAck:
+    def ask(self, operation: int, *, faults: int = 0, stop: tuple[float, ...] = CUT) -> ControlAck:
         self.request += 1
-        answer = self.give(Control(self.request, operation, faults, tuple(hover)))
+        answer = self.give(Control(self.request, operation, faults, HOVER, stop))
         assert isinstance(answer, ControlAck)
         assert self.last.sequence == 0 and self.last.time == self.now
         return answer
@@ -181,6 +183,17 @@ def _firmware(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(Bench, "make", staticmethod(FIRMWARE[request.param]), raising=False)
 
 
+def in_controlled_stop(**options: Any) -> Bench:
+    """Return a bench whose host tripped in flight."""
+    bench = Bench(**options).brought_to(State.INACTIVE)
+    bench.ask(Operation.ARM, stop=STOP)
+    bench.command()
+    bench.sample()
+    bench.ask(Operation.TRIP)
+    assert bench.device.stopping and bench.currents == HOVER and not bench.cuts
+    return bench
+
+
 def moving(tick: int) -> list[float]:
     """Return spots that change at each sample, as with noise."""
     return [1e-3 + 1e-6 * (tick % 2 + place) for place in range(6)]
@@ -220,6 +233,48 @@ def test_a_host_that_is_lost(state: State) -> None:
     assert bench.device.faults == (Fault.WATCHDOG if lost else before)
     assert bench.cuts >= lost and bench.device.session == 0 and bench.sample() is None
     assert bench.hello(nonce=2).status == HelloStatus.WELCOME
+
+
+@pytest.mark.parametrize(
+    ("fault", "samples", "reading"),
+    [
+        (Fault.SENSOR_OUT_OF_RANGE, 1, {"valid": 5}),
+        (Fault.FLOTOR_OVERSPEED, 1, {"spots": [0.009] * 6}),
+        (Fault.SENSOR_FROZEN, 31, {"spots": [1e-3] * 6}),
+        (Fault.SENSOR_STOPPED, 1, {"conversions": 2}),
+        (Fault.COIL_NOT_FOLLOWING, 3, {"measured": ONES}),
+        (Fault.WATCHDOG, 2, {"enabled": False}),
+        (Fault.COIL_OVERTEMP, 1, {"currents": (200.0,) * 6}),
+    ],
+)
+def test_each_guard_cuts_during_a_controlled_stop(fault: Fault, samples: int, reading: dict[str, Any]) -> None:
+    bench = in_controlled_stop()
+    for count in range(samples):
+        assert bench.device.stopping, count
+        report = bench.sample(**reading)
+    assert report is not None and report.flags & Flag.STOPPING  # its currents were measured before the cut
+    assert not bench.device.stopping
+    bench.has_tripped(Fault.HOST | fault)
+
+
+@pytest.mark.parametrize("end", ["lost", "bye"])
+def test_the_end_of_a_session_cuts_during_a_controlled_stop(end: str) -> None:
+    bench = in_controlled_stop(lockstep=True)
+    bench.device.lose_host(bench.now) if end == "lost" else bench.ask(Operation.BYE)
+    assert bench.cuts and bench.currents == ZERO and not bench.device.stopping
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_a_controlled_stop_damps_the_motion_within_its_bounds(steps: int) -> None:
+    bench, before = in_controlled_stop(), 1e-3
+    bench.sample(spots=[before, 0.0] * 3)
+    for speed in (0.1, -0.1, -0.5, 0.9):
+        spot = before + speed * steps * 0.005
+        bench.sample(spots=[spot, 1e-6 * bench.tick] * 3, steps=steps)
+        elapsed = (bench.now - START) * 1e-9 - bench.period * 1e-9
+        scale = min(max(1.0 - elapsed / 0.2 - 1.5 * speed, 0.0), 1.5)
+        assert bench.currents == pytest.approx([scale * current for current in HOVER], abs=1e-9)
+        before = spot
 
 
 def test_a_device_that_nobody_flies_may_be_opened() -> None:

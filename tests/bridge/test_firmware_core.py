@@ -87,6 +87,7 @@ class Exchange:
     Attributes:
         faults: All faults latched so far.
         frames: Number of answers to each frame type.
+        stops: Number of steps in controlled stops.
     """
 
     WRONGS = ("nothing", "frames", "currents", "silence", "spots", "frozen", "stopped", "measured", "hot", "disabled")
@@ -98,7 +99,7 @@ class Exchange:
         self.tick = 2**32 - 500  # numbers go round
         self.wrong = "nothing"
         self.spots = [1e-3] * 6
-        self.faults, self.frames = Fault(0), Counter[int]()
+        self.faults, self.frames, self.stops = Fault(0), Counter[int](), 0
 
     def run(self, steps: int) -> None:
         """Run frames and samples; compare after each."""
@@ -116,6 +117,8 @@ class Exchange:
         python, c = outcomes
         assert c == python
         self.faults |= self.sides[0].device.faults
+        self.stops += self.sides[0].device.stopping
+        assert self.sides[1].device.stopping == self.sides[0].device.stopping
         if python[0]:
             self.frames[int(python[0][6:8], 16)] += 1
 
@@ -125,9 +128,9 @@ class Exchange:
         session = self.draw.randrange(2**32) if self.bad("frames", 0.05) else device.session
         data = bytearray(self.host.encode(session, self.sequence % 2**32, self.draw.randrange(2**64), body))
         if self.bad("frames", 0.1):
-            data[self.draw.randrange(len(data))] ^= 1 << self.draw.randrange(8)
+            data[self.draw.randrange(self.draw.choice([4, len(data)]))] ^= 1 << self.draw.randrange(8)
         if self.bad("frames", 0.05):
-            del data[self.draw.randrange(len(data)) :]
+            del data[self.draw.randrange(self.draw.choice([4, len(data)])) :]
         self.now += self.draw.randrange(PERIOD // 2) if self.bad("frames", 0.5) else 0
         self.compare([side.outcome(side.device.receive(bytes(data), self.now, peer)) for side in self.sides])
 
@@ -139,9 +142,11 @@ class Exchange:
             return draw.choice([Estop(draw.randrange(2**64)), ControlAck(1, 1, 0, 0, 0)])
         if kind < 0.3 or self.wrong == "silence":
             usual = {State.INACTIVE: Operation.ARM, State.FAULT: Operation.RESET}.get(self.sides[0].device.state, 0)
-            operation = draw.choice([*Operation, Operation.TRIP, 0, 3, 255]) if self.bad("frames", 0.4) else usual
+            others = [*Operation, *[Operation.TRIP] * 3, 0, 3, 255]
+            operation = draw.choice(others) if self.bad("frames", 0.4) else usual
             self.request += draw.choice([1, 1, 1, 1, 0, -1, 5])
-            return Control(self.request % 2**32, operation, draw.choice([0, 1040, 2**31]), self.currents())
+            faults = draw.choice([0, 32, 1040, 1040, 2**31])
+            return Control(self.request % 2**32, operation, faults, self.currents(), self.stop())
         self.sequence += draw.choice([1] * 8 + [0, -1, 3])
         answers = self.tick - (draw.choice([1, 3, 4, 5, -1]) if self.bad("frames", 0.2) else 0)
         width = draw.choice([-1e-9, 1.1, *ODD]) if self.bad("currents", 0.03) else draw.choice([0.0, 0.001])
@@ -152,6 +157,13 @@ class Exchange:
         if self.bad("currents", 0.03):
             currents[self.draw.randrange(6)] = self.draw.choice(ODD)
         return tuple(currents)
+
+    def stop(self) -> tuple[float, ...]:
+        draw = self.draw
+        stop = [*(draw.uniform(-2.0, 2.0) for _ in range(6)), draw.choice([0.0, 0.03, 0.5, 1.0]), draw.uniform(0, 2.2)]
+        if self.bad("currents", 0.1):
+            stop[draw.randrange(8)] = draw.choice(ODD)
+        return tuple(stop)
 
     def sample(self) -> None:
         draw = self.draw
@@ -185,6 +197,7 @@ def test_it_does_what_the_firmware_in_python_does(key: bytes | None, lockstep: b
     for seed in range(seeds):
         exchange = Exchange(replace(PROFILE, lockstep=lockstep), key and key[: 32 - 5 * seed], seed)
         exchange.run(5000)
+        assert exchange.stops > 50
         faults |= exchange.faults
         frames += exchange.frames
         counts += exchange.sides[1].device.counts + exchange.sides[1].codec.dropped
@@ -236,6 +249,13 @@ def test_a_board_that_tells_no_heating_has_its_coils_heated_by_what_is_measured(
     assert tick * PERIOD * 1e-9 == pytest.approx(expected, abs=2.1 * PERIOD * 1e-9)
 
 
+def test_a_current_beyond_f32_is_clamped() -> None:
+    side = Side(CoreFirmware, PROFILE, None)
+    side.device.receive(Codec().encode(0, 0, 0, Hello(1, CALIBRATION)), 0, "host")
+    frame: Any = side.codec.decode(side.device.sample(1, PERIOD, Reading(ZERO, 7, (1e300, -1e300, *ZERO[2:]), ZERO)))
+    assert frame.body.currents[:2] == (largest := (2.0 - 2.0**-23) * 2.0**127, -largest)
+
+
 @pytest.mark.parametrize("length", [15, 33])
 def test_it_does_not_start_with_a_key_of_another_length(length: int) -> None:
     codec = Codec(KEY)
@@ -254,7 +274,7 @@ def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
     side = Side(CoreFirmware, PROFILE, None)
     for length, reason in ((256, "version"), (257, "length")):
         data = bytearray(length)
-        data[:4] = b"MJ\x04\x01"
+        data[:4] = b"MJ\x05\x01"
         answer = side.device.receive(sealed(bytes(data)), 0, "host")
         assert (answer is not None) == (reason == "version") and side.codec.dropped[reason] == 1
 

@@ -26,7 +26,8 @@ from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.interactive import Joystick
 from tests.bridge.impaired import ImpairedLine, Impairment
-from tests.sweeps import sweep
+from tests.bridge.slow_lines import PUSHES, fly
+from tests.sweeps import further, sweep
 
 ANALYSIS = 80_000_000
 """Time of an analysis on a slow machine [ns]."""
@@ -83,17 +84,18 @@ class Witnessed:
         self.state.clear()
 
     def check(self, first: Fault) -> None:
-        """Check that a fault ended the currents at once."""
+        """Check that a fault ended the currents, by a controlled stop or at once."""
         self.wait()
+        longest = 2 * self.plant.period + 0.5 * (first == Fault.HOST)
         assert self.twin.firmware._first == first and self.state[1] == State.FAULT
         carried = [most > 0.0 for _, most in self.intervals]
         zero = carried.index(False)
         assert not any(carried[zero:])
-        assert sum(span for span, _ in self.intervals[:zero]) <= 2 * self.plant.period
+        assert sum(span for span, _ in self.intervals[:zero]) <= longest
 
 
 @pytest.mark.parametrize(("delays", "at"), sweep(DELAYS, range(200), every=199))
-def test_a_law_that_raises_ends_the_currents_at_once(
+def test_a_law_that_raises_ends_the_currents(
     delays: str, at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if delays == "none measured":
@@ -108,6 +110,25 @@ def test_a_law_that_raises_ends_the_currents_at_once(
     assert (late > 2.5e-3) == (delays == "longer than expected" and at > 0)
     assert (late == late) == (delays != "none measured" and at > 0)
     assert caught.value.path is not None and load_fault(caught.value.path).message == "ValueError: no square root"
+
+
+SILENT = 1.6
+"""Time at which the line is cut [s]."""
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "hand", "most"),
+    [
+        ("joystick", 200, "none", 0.1),
+        ("drop", 200, "8", 0.23),
+        *further(*((name, rate, "none", 0.1) for name in PUSHES for rate in (200, 1000))),
+    ],
+)
+def test_a_lost_host_leaves_the_flotor_set_down(name: str, rate: int, hand: str, most: float, tmp_path: Path) -> None:
+    flown = fly(name, rate=rate, hand=hand, delay=lambda time: 9.0 * (time > SILENT), folder=tmp_path)
+    assert flown.at_stop(SILENT) <= most
+    low = flown.after(SILENT + 0.055 + 0.5)
+    assert low[:, 3].max() < -4.4e-3 and not low[3:, 13].any()
 
 
 class Broken:

@@ -189,7 +189,7 @@ def test_an_untagged_frame_of_another_version_does_not_end_a_keyed_handshake() -
     assert plant.state == State.INACTIVE
     with pytest.raises(HandshakeError, match=r"no device answered within 1 s; frames dropped: \d+ for version \(7\)$"):
         RemotePlant(Disturbed(Twin(TwinParameters(), key=KEY), KEY, mute=True), key=KEY)
-    with pytest.raises(HandshakeError, match="protocol version mismatch: device 7, host 3"):
+    with pytest.raises(HandshakeError, match="protocol version mismatch: device 7, host 4"):
         RemotePlant(Disturbed(Twin(TwinParameters()), None))
 
 

@@ -100,6 +100,22 @@ def test_before_the_first_sample_and_while_its_line_stands_a_board_lets_nothing_
     assert tuple(twin.plant.currents) == (1.0,) * 6 and twin.board.enabled
 
 
+@pytest.mark.parametrize(("plant", "period"), [("mujoco", 0.005), ("exact", 0.005), *further(("mujoco", 0.001))])
+def test_a_controlled_stop_sets_the_flotor_down_from_any_pose(plant: str, period: float) -> None:
+    draw = np.random.default_rng(1)
+    for _ in range(6):
+        rig = Rig(pose=draw.uniform(-1.0, 1.0, 6) * ([0.0035] * 2 + [0.0042] + [0.06] * 3), plant=plant, period=period)
+        rig.plant.arm()
+        rig.plant.read()
+        rig.plant.drive(rig.plant.calibration.hover.tolist())
+        rig.plant.trip(Fault.HOST)
+        speeds = []
+        for _ in range(round(0.5 / period) + 2):
+            rig.twin.sample()
+            speeds.append(-rig.twin.plant.state()[1][2])
+        assert max(speeds) <= 0.1 and rig.twin.pose[2] < -0.0043 and not rig.twin.plant.currents.any()
+
+
 def test_a_board_that_opens_by_itself_is_the_watchdog() -> None:
     # As where the wire of the enable line has come off: the firmware toggles it, and the board does not see that.
     rig = Rig(pose=CENTRE)

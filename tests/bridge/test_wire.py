@@ -295,13 +295,13 @@ def test_frames_without_the_right_key_are_dropped() -> None:
     ("data", "reason"),
     [
         (b"", "short"),
-        (b"MJ\x03\x06", "crc"),
+        (b"MJ\x04\x06", "crc"),
         (b"JM\x03\x06" + bytes(132), "magic"),
-        (sealed(b"MJ\x04\x07" + bytes(28)), "version"),
-        (sealed(b"MJ\x03\x09" + bytes(132)), "type"),
-        (sealed(b"MJ\x03\x06" + bytes(4)), "length"),
-        (sealed(b"MJ\x03\x06" + bytes(133)), "length"),
-        (b"MJ\x04\x06" + bytes(132), "crc"),
+        (sealed(b"MJ\x05\x07" + bytes(28)), "version"),
+        (sealed(b"MJ\x04\x09" + bytes(132)), "type"),
+        (sealed(b"MJ\x04\x06" + bytes(4)), "length"),
+        (sealed(b"MJ\x04\x06" + bytes(133)), "length"),
+        (b"MJ\x05\x06" + bytes(132), "crc"),
     ],
 )
 def test_what_is_no_frame_is_counted_by_reason(data: bytes, reason: str) -> None:

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from maglev_mj.bridge.wire import CUT
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
@@ -24,6 +25,11 @@ from maglev_mj.spec import GRAVITY, INERTIA
 
 _FORMAT = "maglev_mj calibration 1"
 _UNIT_LENGTH = 1e-9
+
+_DAMPING = 0.3
+"""Damping rate times latency: the largest without overshoot, up to a delay of two periods."""
+_STOP, _LIFT = 0.5, 2.5
+"""Duration of a controlled stop [s]; largest multiple of the hover currents, which brakes at 1.5 g."""
 
 _COILS = {"points": (6, 3), "directions": (6, 3), "force_constants": (6,)}
 _BEAMS = {"leds": (3, 3), "directions": (3, 3), "diodes": (3, 3), "across": (3, 2, 3)}
@@ -110,6 +116,27 @@ class Calibration:
     def hover(self) -> Array:
         """Hover currents at the centre, upright [A], (6,)."""
         return self.coils.currents(np.concatenate([-self.mass * self.gravity, np.zeros(3)]))
+
+    def controlled_stop(self, latency: float, current: float) -> tuple[float, ...]:
+        """Return the parameters of a device's controlled stop, eight.
+
+        The device reduces the hover currents linearly to zero and damps the motion against gravity, measured by its
+        spots alone.
+
+        Args:
+            latency: Sample period plus delay of a command [s].
+            current: Limit of a coil current [A].
+
+        Returns:
+            Damping by the velocity of each spot, six [s/m]; duration [s]; largest multiple of the hover currents.
+        """
+        weight, most = float(np.linalg.norm(self.gravity)), float(np.abs(self.hover).max())
+        if not weight or not most:
+            return CUT
+        steps = 1e-6 * np.eye(6)
+        slopes = (self.beams.spots(steps) - self.beams.spots(-steps)).T / 2e-6
+        up = -self.gravity / weight @ np.linalg.inv(slopes)[:3]
+        return (*(_DAMPING / latency / weight * up).tolist(), _STOP, min(_LIFT, 0.99 * current / most))
 
     @property
     def digest(self) -> bytes:

@@ -27,6 +27,10 @@ from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus
 from maglev_mj.frames import ZERO
 
 _JUNK = 500
+_FADE = (*ZERO, 0.2, 1.0)
+"""Controlled stop of 0.2 s without damping."""
+_GENTLE = 0.1
+"""Largest speed at which a controlled stop sets the flotor down [m/s]."""
 
 
 @check("HELLO_ACK has this version and calibration, and plausible limits")
@@ -181,19 +185,20 @@ def _operations(t: Tester) -> str:
     return f"{3 * len(table)} of {3 * len(table)}"
 
 
-@check("ARM is refused if a hover current is not finite or exceeds hover_limit")
+@check("ARM is refused if a hover current or a number of the controlled stop is not finite or exceeds its bounds")
 def _arm(t: Tester) -> str:
-    above = 1.01 * t.welcome.hover_limit
-    for coil in range(6):
-        for current in (above, -above, math.nan, math.inf, -math.inf):
-            answer = t.ask(Operation.ARM, hover=[*t.half[:coil], current, *t.half[coil + 1 :]])
-            same(
-                f"{current:g} A in coil {coil}: result, state",
-                (answer.result, answer.state),
-                (Result.REFUSED, State.INACTIVE),
-            )
+    above, most = 1.01 * t.welcome.hover_limit, 1.01 * t.welcome.continuous_current / max(map(abs, t.half))
+    cases: list[tuple[str, Sequence[float], int, float]] = [
+        *(("hover", t.half, coil, current) for coil in range(6) for current in (above, -above, *_UNREAL)),
+        *(("stop", _FADE, index, value) for index in range(8) for value in _UNREAL),
+        *(("stop", _FADE, index, value) for index, value in ((6, -1e-6), (6, 1.001), (7, -1e-6), (7, most))),
+    ]
+    for field, values, index, value in cases:
+        changed: dict[str, Any] = {field: [*values[:index], value, *values[index + 1 :]]}
+        answer, name = t.ask(Operation.ARM, **changed), f"{value:g} in {field}[{index}]: result, state"
+        same(name, (answer.result, answer.state), (Result.REFUSED, State.INACTIVE))
     t.expect(State.INACTIVE)
-    return f"30 of 30, at {above:.3g} A"
+    return f"{len(cases)} of {len(cases)}, hover currents at {above:.3g} A"
 
 
 @check("RESET is refused while a measured current is above 0.25 A")
@@ -447,6 +452,51 @@ def _stale_answers(t: Tester) -> str:
     return same("WATCHDOG; status of another host's HELLO", t.greet(draw()).body.status, HelloStatus.BUSY)
 
 
+# the controlled stop
+
+
+@check("controlled stop: TRIP and an invalid CMD fade the hover currents out; RESET is refused meanwhile", "stop")
+def _fading(t: Tester) -> str:
+    period = t.welcome.period
+    for held in ((), NAN, (1.001 * t.welcome.current_limit,) * 6):
+        with case(f"by a CMD of {shown(held)} A" if held else "by TRIP"):
+            t.bring(State.ACTIVE, t.half, stop=_FADE)
+            t.once = [[held]] if held else []
+            t.states(1) if held else t.ask(Operation.TRIP)
+            frames = t.states(150_000_000 // period)
+            same("result of RESET", t.ask(Operation.RESET).result, Result.REFUSED)
+            frames += t.states(50_000_000 // period + 8)
+            on = [frame for frame in frames if frame.body.flags & Flag.STOPPING] or fail("STOPPING is never set")
+            if abs((span := on[-1].time - on[0].time) - 200_000_000) > 2 * period:
+                fail(f"ended after {span / 1e6:.4g} ms instead of 200 ms")
+            for frame in on:
+                close(frame, [(1.0 - (frame.time - on[0].time) / 2e8) * current for current in t.half])
+            zero(t)
+    return f"zero after {span / 1e6:.4g} ms"
+
+
+@check("ESTOP, DISARM and any other fault cut during a controlled stop; before the first command there is none")
+def _stop_cut(t: Tester) -> str:
+    ends: dict[str, Callable[[], object]] = {
+        "ESTOP": lambda: stopped(t, faults=Fault.ESTOP | Fault.HOST),
+        "DISARM": lambda: t.ask(Operation.DISARM),
+        "TRIP of BOUNDARY": lambda: t.ask(Operation.TRIP, faults=Fault.BOUNDARY),
+    }
+    for name, end in ends.items():
+        with case(name):
+            t.bring(State.ACTIVE, t.half, stop=_FADE)
+            t.ask(Operation.TRIP)
+            end()
+            zero(t)
+            same("STOPPING", t.last.body.flags & Flag.STOPPING, 0)
+    t.bring(State.INACTIVE, answering=False)
+    t.ask(Operation.ARM, stop=_FADE)
+    t.ask(Operation.TRIP)
+    t.answering = True
+    same("STOPPING before a command", t.states(2)[-1].body.flags & Flag.STOPPING, 0)
+    return "cut"
+
+
 # frames that are ignored
 
 
@@ -564,7 +614,7 @@ def _silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> str:
     for frame in frames:
         if held[0].time + welcome.delay < frame.time <= cut[0].time:
             close(frame, hover)
-        elif frame.time > cut[0].time and not is_off(frame.body.currents):
+        elif frame.time > cut[0].time and not (frame.body.flags & Flag.STOPPING or is_off(frame.body.currents)):
             fail(f"{times}, then {shown(frame.body.currents)} A")
     return times
 
@@ -595,16 +645,25 @@ def _bad_line(t: Tester) -> str:
     return t.hovers()
 
 
-@check("in flight: silence gives hover currents, then WATCHDOG", flight=True, real_time=True)
+def _set_down(t: Tester) -> str:
+    """Check that a controlled stop sets the flotor down gently."""
+    period = t.welcome.period
+    frames = t.states(600_000_000 // period)
+    same("STOPPING", bool(frames[0].body.flags & Flag.STOPPING), True)
+    speed = max((t.locate(a)[2] - t.locate(b)[2]) * 1e9 / (b.time - a.time) for a, b in pairwise(frames))
+    return fail(f"it falls at {speed:.2f} m/s") if speed > _GENTLE else f"{zero(t)}, set down at {speed:.2f} m/s"
+
+
+@check("in flight: silence gives hover currents, WATCHDOG, and a controlled stop", flight=True, real_time=True)
 def _flight_silence(t: Tester) -> str:
-    return _silence(t, t.calibration.hover.tolist())
+    return f"{_silence(t, t.calibration.hover.tolist())}; {_set_down(t)}"
 
 
-@check("in flight: a CMD above current_limit cuts the currents", flight=True)
+@check("in flight: a CMD above current_limit ends in a controlled stop", flight=True)
 def _flight_over_current(t: Tester) -> str:
     t.once = [[[1.001 * t.welcome.current_limit] * 6]]
     t.expect(State.FAULT, Fault.COIL_OVERCURRENT, 1)
-    return zero(t)
+    return _set_down(t)
 
 
 check("in flight: ESTOP cuts the currents", "flight-estop", flight=True)(stopped)
@@ -634,4 +693,4 @@ def _keeps(name: str, expected: str) -> None:
 
 _keeps("frames", "every frame has the right length, CRC, tag, zeros, session and number; time never decreases")
 _keeps("samples", "every STATE is finite, whole periods after the last, with conversions; FAULT has faults")
-_keeps("cut", "no current outside ACTIVE")
+_keeps("cut", "no current outside ACTIVE, except in a controlled stop")

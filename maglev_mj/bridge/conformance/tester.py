@@ -28,7 +28,8 @@ _PATIENCE = 2.0  # [s]
 _ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}
 _LED = 0.6  # [s] of takeoff and landing
 _ASIDE, _ASKEW = 0.001, 0.03  # from the centre [m], [rad]
-_Law: TypeAlias = Callable[[Any], Sequence[float]]
+_Numbers: TypeAlias = Sequence[float]
+_Law: TypeAlias = Callable[[Any], _Numbers]
 
 
 class Unexpected(MaglevError):
@@ -68,6 +69,7 @@ class Tester:
         self._answer: Sequence[Any] = []
         self.others: list[Any] = []
         self._sessions: set[int] = set()
+        self._times: dict[int, int] = {}  # of the last frame from each address
         self._random, self._raw, self._idle = random.Random(1), b"", 0
         self._track, self._offsets = PoseTracker(calibration.beams), calibration.spot_offsets.tolist()
 
@@ -147,8 +149,10 @@ class Tester:
             "padding": self.codec.encode(*frame) != data,
             "sequence number": frame.sequence > 0 and not reports,
             "session": (frame.session not in self._sessions) if ours else (frame.session != 0) != welcomes,
-            "time": self.last is not None and frame.time + self.welcome.period < self.last.time,
+            # per address: the order of arrival at two of them is arbitrary
+            "time": source in self._times and frame.time + self.welcome.period < self._times[source],
         }
+        self._times[source] = frame.time
         if any(wrong.values()):
             names = ", ".join(name for name, is_wrong in wrong.items() if is_wrong)
             self.wrong.setdefault("frames", f"wrong {names} of a {kind.__name__}: {data.hex()}")
@@ -181,12 +185,14 @@ class Tester:
         """Record violations in a sample."""
         body, period = frame.body, self.welcome.period
         # after a cut, currents take a few samples to decay
-        self._idle = 0 if body.state == State.ACTIVE else self._idle + 1
+        stopping = body.flags & Flag.STOPPING
+        self._idle = 0 if body.state == State.ACTIVE or stopping else self._idle + 1
         wrong = {
             "frames": body.flags & ~int(sum(Flag)) or body.valid > 7 or body.state > max(State),
             "samples": not all(map(math.isfinite, (*body.spots, *body.currents, *body.temperatures)))
             or (body.state == State.FAULT) != bool(body.faults)
-            or (body.flags & Flag.HOLDING and body.state != State.ACTIVE),
+            or (body.flags & Flag.HOLDING and body.state != State.ACTIVE)
+            or (stopping and body.state != State.FAULT),
             "cut": self._idle > 3 and not is_off(body.currents),
         }
         if before is not None:
@@ -219,28 +225,34 @@ class Tester:
             if status == HelloStatus.WELCOME:
                 self.welcome, self.session, self.greeted, self.last = frame.body, frame.session, frame.time, None
                 self.sequence = self.request = 0
+                self._times.clear()
                 return
             if status != HelloStatus.BUSY or self.now() > end:
                 raise HandshakeError(f"the device answered HELLO with status {_named(HelloStatus, status)}")
             self.wait(0.1)
 
-    def ask(self, operation: int, *, faults: int = 0, hover: Sequence[float] = (), **header: int) -> wire.ControlAck:
+    def ask(
+        self, operation: int, *, faults: int = 0, hover: _Numbers = (), stop: _Numbers = wire.CUT, **header: int
+    ) -> wire.ControlAck:
         """Send a new request and return its answer."""
         self.request = (self.request + 1) & WRAP
-        body = wire.Control(self.request, operation, faults, tuple(hover or self.half))
+        body = wire.Control(self.request, operation, faults, tuple(hover or self.half), tuple(stop))
         frame = self.exchange(body, **header) or fail(f"no answer to {_named(Operation, operation)}")
         answer: wire.ControlAck = frame.body
         self.asked_at = frame.time
         same("operation", answer.operation, operation)
         return answer
 
-    def bring(self, state: State, currents: Sequence[float] = ZERO, *, answering: bool = True) -> None:
+    def bring(
+        self, state: State, currents: _Numbers = ZERO, *, answering: bool = True, stop: _Numbers = wire.CUT
+    ) -> None:
         """Bring the device to a state and check it in a sample.
 
         Args:
             state: Target state.
             currents: Commanded currents in ACTIVE [A].
             answering: False to stop sending commands afterwards.
+            stop: Parameters of the controlled stop at ARM.
         """
         self.law, self.answering, self.loss, self.once = _zeros, True, 0.0, []
         try:
@@ -258,7 +270,7 @@ class Tester:
             answer = self.ask(Operation.TRIP, faults=Fault.HOST)
         elif state == State.ACTIVE:
             self.law = lambda frame: currents
-            answer = self.ask(Operation.ARM)
+            answer = self.ask(Operation.ARM, stop=stop)
             self.states(1 + math.ceil(self.welcome.delay / self.welcome.period))
         same("state", answer.state, state)
         self.expect(state, Fault.HOST if state == State.FAULT else 0, 1)
@@ -296,9 +308,11 @@ class Tester:
         # before ARM: computing time in flight would trip the watchdog
         output = OutputLimiter(calibration.coils, profile_of(welcome, self.greeted).limits, None, period)
         leader = Leader(calibration, period, welcome.delay * 1e-9)
+        hover = calibration.hover.tolist()
+        stop = calibration.controlled_stop(period + welcome.delay * 1e-9, welcome.continuous_current)
 
         def law(frame: Any) -> Sequence[float]:
-            pose = self._locate(frame)
+            pose = self.locate(frame)
             return output.currents(leader.step(Sample(frame.sequence, frame.time * 1e-9, pose)), pose)[1]
 
         def off_path(pose: Sequence[float]) -> None:
@@ -309,7 +323,7 @@ class Tester:
         leader.aim(straight(rest, ZERO, _LED), off_path)
         self.law = law
         try:
-            same("state after ARM", self.ask(Operation.ARM, hover=calibration.hover.tolist()).state, State.ACTIVE)
+            same("state after ARM", self.ask(Operation.ARM, hover=hover, stop=stop).state, State.ACTIVE)
             self.states(led)
             self.hovers()
             yield
@@ -322,7 +336,7 @@ class Tester:
 
     def hovers(self) -> str:
         """Check that the flotor hovers at the centre; return its pose as text."""
-        pose = self._locate(self.expect(State.ACTIVE))
+        pose = self.locate(self.expect(State.ACTIVE))
         if math.hypot(*pose[:3]) > _ASIDE or math.hypot(*pose[3:]) > _ASKEW:
             fail(f"the flotor hovers off centre: {pose_shown(pose)}")
         return pose_shown(pose)
@@ -332,12 +346,13 @@ class Tester:
         motion, end = Motion(self.welcome.period * 1e-9), self.now() + 10_000_000_000
         while not (motion.full and motion.at_rest):
             frame = self.states(1)[0]
-            motion.add(Sample(frame.sequence, frame.time * 1e-9, self._locate(frame)))
+            motion.add(Sample(frame.sequence, frame.time * 1e-9, self.locate(frame)))
             if self.now() > end:
                 fail(f"the flotor is not at rest after 10 s: {motion}")
         return motion.pose
 
-    def _locate(self, frame: Any) -> list[float]:
+    def locate(self, frame: Any) -> list[float]:
+        """Return the pose of a sample [m, rad]."""
         return self._track([spot - offset for spot, offset in zip(frame.body.spots, self._offsets)])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -11,6 +12,9 @@ from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Profile, SpotG
 from maglev_mj.bridge.wire import NEVER, WRAP, Codec, Fault, HelloStatus, Operation, State, newer
 from maglev_mj.frames import ZERO
 
+_SOFT = Fault.WATCHDOG | Fault.INVALID_COMMAND | Fault.HOST
+"""Faults of the host at which a TRIP starts a controlled stop."""
+_LONGEST_STOP = 1.0
 _GAP = 2
 _SILENCE = 1_000_000_000
 _HELLO = 1
@@ -51,6 +55,7 @@ class Firmware:
         draw: Function that returns a new session number, 1 to 2³² - 1; unpredictable except in tests.
 
     Attributes:
+        stopping: True during a controlled stop: currents flow in FAULT.
         counts: Ignored frames by reason, besides those of the codec.
         answered: Number of the newest sample that was answered; None before the first.
         peer: Address of the host in session; None for none.
@@ -58,7 +63,7 @@ class Firmware:
 
     def __init__(self, profile: Profile, amplifiers: Amplifiers, codec: Codec, draw: Callable[[], int]) -> None:
         self.profile, self._amplifiers, self._codec, self._draw = profile, amplifiers, codec, draw
-        self.state, self.faults = State.INACTIVE, Fault(0)
+        self.state, self.faults, self.stopping = State.INACTIVE, Fault(0), False
         self.counts: Counter[str] = Counter()
         self.answered: int | None = None
         self.peer: Any = None
@@ -66,6 +71,8 @@ class Firmware:
         self._nonce, self._heard, self._sequence = 0, 0, 0
         self._acknowledgement: wire.ControlAck | None = None
         self._hover: Sequence[float] = ZERO
+        self._stop: Sequence[float] = wire.CUT
+        self._stopped_at = 0
         self._commanded_at, self._answers, self._holding, self._sampled = 0, NEVER, False, 0
         self._thermal = ThermalModel(profile.limits)
         self._watchdog = profile.stated["watchdog"]
@@ -123,51 +130,78 @@ class Firmware:
         spots, valid, measured, commanded, intervals, conversions, enabled = reading
         steps, self._sampled = (tick - self._sampled) & WRAP, tick & WRAP
         self._sampled_at, self._measured = now, measured
+        before, stopping = self._spots.last, self.stopping
         faults = Fault.COIL_OVERTEMP if self._thermal.add(intervals) >= 1.0 else Fault(0)
-        if self.state == State.ACTIVE:
+        if self.state == State.ACTIVE or self.stopping:
             faults |= self._coils.check(commanded, measured)
             faults |= self._spots.check(spots, valid, conversions, steps)
             self._disabled = 0 if enabled else self._disabled + 1
             if self._disabled > 1:
                 faults |= Fault.WATCHDOG
-            faults |= self._hold_or_trip(now, faults)
         elif self._off.check(ZERO, measured):
             faults |= Fault.COIL_NOT_OFF
-        if faults:
-            self.trip(faults, now)
-        if self.state == State.ACTIVE:
+        silent = self.state == State.ACTIVE and self._hold(now, faults)
+        if faults or silent:
+            self.trip(faults | Fault.WATCHDOG * silent, now, soft=not faults)
+        stopping |= self.stopping  # also where it ends: these currents were measured before
+        if self.stopping:
+            self._descend(now, spots, before, steps)
+        if self.state == State.ACTIVE or self.stopping:
             self._amplifiers.toggle(now)  # last, so that the amplifiers open if this step hangs
         if self.session == 0:
             return None
         age = min(max(now - self._commanded_at, 0) // 1000, NEVER - 1) if self._answers != NEVER else NEVER
-        flags = wire.Flag.HOLDING * self._holding | wire.Flag.ENABLED * enabled
+        flags = wire.Flag.HOLDING * self._holding | wire.Flag.ENABLED * enabled | wire.Flag.STOPPING * stopping
         sixes, count = (tuple(spots), tuple(measured), tuple(self._thermal.rises)), conversions & WRAP
         body = wire.StateReport(*sixes, self.state, valid, flags, self.faults, self._answers, age, count)
         return self._codec.encode(self.session, tick, now, body)
 
-    def trip(self, faults: Fault, now: int) -> None:
-        """Cut the currents and latch faults at `now` [ns]."""
-        self._amplifiers.cut()
+    def trip(self, faults: Fault, now: int, *, soft: bool = False) -> None:
+        """Latch faults at `now` [ns], and cut the currents; if `soft`, by a controlled stop if currents flow."""
+        flying = self.state == State.ACTIVE and (self._holding or self._answers != NEVER)
+        if soft and flying and self._stop[6]:
+            self.stopping, self._stopped_at = True, now
+            self._amplifiers.drive(now, self._hover, None, 0.0)
+        elif not (soft and self.stopping):
+            self._cut()
         if not self.faults:
             self._first, self._fault_time = faults, now
         self._holding = False
         self.state, self.faults = State.FAULT, self.faults | faults
 
     def lose_host(self, now: int) -> None:
-        """End the session; trip the watchdog if active."""
-        if self.state == State.ACTIVE:
+        """End the session; trip the watchdog if currents flow, without a controlled stop: lockstep stands still."""
+        if self.state == State.ACTIVE or self.stopping:
             self.trip(Fault.WATCHDOG, now)
         self.session, self.peer = 0, None
 
-    def _hold_or_trip(self, now: int, faults: Fault) -> Fault:
-        """Hold hover currents while commands are missing; return WATCHDOG after the timeout."""
+    def _cut(self) -> None:
+        self._amplifiers.cut()
+        self.stopping = self._holding = False
+
+    def _hold(self, now: int, faults: Fault) -> bool:
+        """Hold hover currents while commands are missing; return True after the timeout."""
         gap = 0 if self.profile.lockstep else now - self._commanded_at
         if gap > self._watchdog:
-            return Fault.WATCHDOG
+            return True
         if gap > _GAP * self.profile.period and not self._holding and not faults:
             self._holding = True
             self._amplifiers.drive(now, self._hover, None, 0.0)
-        return Fault(0)
+        return False
+
+    def _descend(self, now: int, spots: Sequence[float], before: Sequence[float] | None, steps: int) -> None:
+        """Scale the hover currents: fade out, and damp the motion along the lift."""
+        *damping, duration, lift = self._stop
+        elapsed = max(now - self._stopped_at, 0) * 1e-9
+        if not elapsed < duration:
+            self._cut()
+            return
+        motion = 0.0
+        for share, new, old in zip(damping, spots, before or spots):
+            motion += share * (new - old)
+        scale = 1.0 - elapsed / duration - motion / (max(steps, 1) * self.profile.period * 1e-9)
+        scale = min(scale, lift) if scale > 0.0 else 0.0  # also for NaN
+        self._amplifiers.drive(now, tuple([scale * current for current in self._hover]), None, 0.0)
 
     def _hello(self, hello: wire.Hello, now: int, peer: Any) -> bytes:
         if self.session and hello.nonce == self._nonce and peer == self.peer:
@@ -203,7 +237,7 @@ class Firmware:
                 self._commanded_at, self._answers = now, command.answers
             return
         if wrong := command_fault(self.profile.limits, command.held, command.pulsed, command.width):
-            self.trip(wrong, now)
+            self.trip(wrong, now, soft=True)
             return
         self._commanded_at, self._answers, self._holding = now, command.answers, False
         self._amplifiers.drive(now, command.held, command.pulsed if command.width else None, command.width)
@@ -226,23 +260,31 @@ class Firmware:
         """Execute an operation; return True if done."""
         operation = control.operation
         if operation == Operation.TRIP:
-            self.trip(Fault(control.faults & sum(Fault)) or Fault.HOST, now)
+            faults = Fault(control.faults & sum(Fault)) or Fault.HOST
+            self.trip(faults, now, soft=not faults & ~_SOFT)
         elif operation == Operation.RESET:
             return self._reset()
         elif operation == Operation.ARM:
-            return self._arm(control.hover, now)
+            return self._arm(control, now)
         elif operation in (Operation.DISARM, Operation.BYE):
+            if self.state == State.ACTIVE or self.stopping:
+                self._cut()
             if self.state == State.ACTIVE:
-                self._amplifiers.cut()
-                self.state, self._holding = State.INACTIVE, False
+                self.state = State.INACTIVE
         else:
             return False
         return True
 
-    def _arm(self, hover: Sequence[float], now: int) -> bool:
-        if self.state != State.INACTIVE or not all(abs(x) <= self.profile.limits.hover_limit for x in hover):
+    def _arm(self, control: wire.Control, now: int) -> bool:
+        hover, stop, limits = control.hover, control.stop, self.profile.limits
+        if self.state != State.INACTIVE or not all(abs(x) <= limits.hover_limit for x in hover):
             return False
-        self._hover, self._commanded_at, self._answers, self._holding = hover, now, NEVER, False
+        if not (all(map(math.isfinite, stop)) and 0.0 <= stop[6] <= _LONGEST_STOP and stop[7] >= 0.0):
+            return False
+        if not all(abs(stop[7] * x) <= limits.continuous_current for x in hover):
+            return False
+        self._hover, self._stop = hover, stop
+        self._commanded_at, self._answers, self._holding = now, NEVER, False
         self._reset_guards()
         self.state = State.ACTIVE
         self._amplifiers.toggle(now)
@@ -250,7 +292,7 @@ class Firmware:
 
     def _reset(self) -> bool:
         off = all(abs(x) <= OFF for x in self._measured)
-        if self.state == State.ACTIVE or max(self._thermal.rises) >= WARNING_RISE or not off:
+        if self.state == State.ACTIVE or self.stopping or max(self._thermal.rises) >= WARNING_RISE or not off:
             return False
         self.state, self.faults, self._first, self._fault_time = State.INACTIVE, Fault(0), Fault(0), 0
         return True
