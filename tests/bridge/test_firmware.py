@@ -233,6 +233,10 @@ def test_a_host_that_is_lost(state: State) -> None:
     assert bench.device.faults == (Fault.WATCHDOG if lost else before)
     assert bench.cuts >= lost and bench.device.session == 0 and bench.sample() is None
     assert bench.hello(nonce=2).status == HelloStatus.WELCOME
+    for operation in (None, Operation.BYE):
+        bench = in_controlled_stop(lockstep=True)
+        bench.ask(operation) if operation else bench.device.lose_host(bench.now)
+        assert bench.cuts and bench.currents == ZERO and not bench.device.stopping
 
 
 @pytest.mark.parametrize(
@@ -255,13 +259,6 @@ def test_each_guard_cuts_during_a_controlled_stop(fault: Fault, samples: int, re
     assert report is not None and report.flags & Flag.STOPPING  # its currents were measured before the cut
     assert not bench.device.stopping
     bench.has_tripped(Fault.HOST | fault)
-
-
-@pytest.mark.parametrize("end", ["lost", "bye"])
-def test_the_end_of_a_session_cuts_during_a_controlled_stop(end: str) -> None:
-    bench = in_controlled_stop(lockstep=True)
-    bench.device.lose_host(bench.now) if end == "lost" else bench.ask(Operation.BYE)
-    assert bench.cuts and bench.currents == ZERO and not bench.device.stopping
 
 
 @pytest.mark.parametrize("steps", [1, 3])

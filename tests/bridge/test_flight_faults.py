@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.interactive import Joystick
 from tests.bridge.impaired import ImpairedLine, Impairment
-from tests.bridge.slow_lines import PUSHES, fly
+from tests.bridge.slow_lines import PUSHES, ChangedLaw, fly
 from tests.sweeps import further, sweep
 
 ANALYSIS = 80_000_000
@@ -117,18 +118,26 @@ SILENT = 1.6
 
 
 @pytest.mark.parametrize(
-    ("name", "rate", "hand", "most"),
+    ("name", "rate", "hand", "most", "change"),
     [
-        ("joystick", 200, "none", 0.1),
-        ("drop", 200, "8", 0.23),
-        *further(*((name, rate, "none", 0.1) for name in PUSHES for rate in (200, 1000))),
+        ("joystick", 200, "none", 0.1, None),
+        ("joystick", 200, "none", 0.1, lambda tick, own: math.nan),
+        ("drop", 200, "8", 0.23, None),
+        *further(*((name, rate, "none", 0.1, None) for name in PUSHES for rate in (200, 1000))),
+        *further(("joystick", 200, "none", 0.1, lambda tick, own: 1 / (tick % 1 or 0))),
     ],
 )
-def test_a_lost_host_leaves_the_flotor_set_down(name: str, rate: int, hand: str, most: float, tmp_path: Path) -> None:
-    flown = fly(name, rate=rate, hand=hand, delay=lambda time: 9.0 * (time > SILENT), folder=tmp_path)
-    assert flown.at_stop(SILENT) <= most
-    low = flown.after(SILENT + 0.055 + 0.5)
-    assert low[:, 3].max() < -4.4e-3 and not low[3:, 13].any()
+def test_a_host_that_fails_leaves_the_flotor_set_down(
+    name: str, rate: int, hand: str, most: float, change: Any, tmp_path: Path
+) -> None:
+    options: dict[str, Any] = {"delay": lambda time: 9.0 * (time > SILENT)}
+    if change is not None:
+        options = {"law": partial(ChangedLaw, change=change)}
+    flown = fly(name, rate=rate, hand=hand, folder=tmp_path, **options)
+    failed = flown.rows[flown.rows[:, 14] == State.FAULT, 0][0]
+    assert flown.at_stop(failed) <= most
+    low = flown.after(failed + 0.51)
+    assert low[:, 3].max() < -4.4e-3 and not low[:, 13].any()
 
 
 class Broken:

@@ -150,7 +150,7 @@ class Tester:
             "sequence number": frame.sequence > 0 and not reports,
             "session": (frame.session not in self._sessions) if ours else (frame.session != 0) != welcomes,
             # per address: the order of arrival at two of them is arbitrary
-            "time": source in self._times and frame.time + self.welcome.period < self._times[source],
+            "time": self.last is not None and frame.time + self.welcome.period < self._times.get(source, 0),
         }
         self._times[source] = frame.time
         if any(wrong.values()):
@@ -308,7 +308,6 @@ class Tester:
         # before ARM: computing time in flight would trip the watchdog
         output = OutputLimiter(calibration.coils, profile_of(welcome, self.greeted).limits, None, period)
         leader = Leader(calibration, period, welcome.delay * 1e-9)
-        hover = calibration.hover.tolist()
         stop = calibration.controlled_stop(period + welcome.delay * 1e-9, welcome.continuous_current)
 
         def law(frame: Any) -> Sequence[float]:
@@ -323,7 +322,8 @@ class Tester:
         leader.aim(straight(rest, ZERO, _LED), off_path)
         self.law = law
         try:
-            same("state after ARM", self.ask(Operation.ARM, hover=hover, stop=stop).state, State.ACTIVE)
+            armed = self.ask(Operation.ARM, hover=calibration.hover.tolist(), stop=stop)
+            same("state after ARM", armed.state, State.ACTIVE)
             self.states(led)
             self.hovers()
             yield
