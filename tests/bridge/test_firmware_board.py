@@ -190,7 +190,7 @@ def test_a_hand_presses_the_wall_and_it_lands(
 def test_a_killed_host_is_given_up(
     program: Program, start: Starter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    board = start()
+    board = start(program.still)  # takeoff begins when the check ends
     command = [sys.executable, "-m", "maglev_mj", "bridge", board.address, "--out", str(tmp_path), *program.options]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as host:
         try:
