@@ -186,7 +186,7 @@ def test_an_answer_read_late_at_the_second_address_is_no_violation() -> None:
         waited = 0
 
         def receive(self, timeout: float) -> bytes | None:
-            self.waited = (self.waited + 1) % 6  # meanwhile samples are answered at the first address
+            self.waited = (self.waited + 1) % 25  # meanwhile samples are answered at the first address
             return super().receive(timeout) if self.waited == 0 else None
 
     device = Mortal(TwinParameters(lockstep=True))
