@@ -25,7 +25,8 @@ Control loop:
     drive                    runs a controller on a plant for a number of samples
     Timing                   sample period, delay and sampling phase
     Sample                   measured pose and time, input of the controller
-    Command                  wrench and pulse, output of the controller
+    Command                  wrench, pulse and walls, output of the controller
+    DeviceWall               wall that the device renders at its own rate
     AXES                     names of the six axes
 
 Plants and the hand on them:

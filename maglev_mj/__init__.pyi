@@ -30,6 +30,7 @@ from maglev_mj.errors import ParameterError as ParameterError
 from maglev_mj.errors import PlantError as PlantError
 from maglev_mj.frames import AXES as AXES
 from maglev_mj.frames import Command as Command
+from maglev_mj.frames import DeviceWall as DeviceWall
 from maglev_mj.frames import Sample as Sample
 from maglev_mj.interop.hand_devices import AxisMapping as AxisMapping
 from maglev_mj.parameters import Turn as Turn

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,14 +75,40 @@ class Sample:
         return join(self.position)
 
 
+class DeviceWall(NamedTuple):
+    """PD wall that the device renders at its own rate, f = -K (x - edge) - B v inside.
+
+    Attributes:
+        axis: Index into AXES.
+        edge: Edge x0 [m, rad].
+        side: 1 for a wall that fills x <= edge, -1 for x >= edge, 0 for a spring and damper on both sides.
+        stiffness: Stiffness K [N/m, N m/rad].
+        damping: Damping B [N s/m, N m s/rad].
+        cutoff: Cutoff frequency of the velocity's low-pass filter [Hz]; None for the finite difference.
+
+    Example:
+        >>> from maglev_mj import Command, DeviceWall
+        >>> Command([0.0] * 6, walls=(DeviceWall(axis=2, stiffness=60e3, damping=200.0),)).walls[0].side
+        1
+    """
+
+    axis: int
+    edge: Component = 0.0
+    side: int = 1
+    stiffness: Component = 0.0
+    damping: Component = 0.0
+    cutoff: float | None = None
+
+
 @dataclass(slots=True, eq=False)
 class Command:
-    """Controller output: wrench, held until the next command takes effect, and pulse.
+    """Controller output: wrench and walls, held until the next command takes effect, and pulse.
 
     Attributes:
         force: Six components of the held wrench on the flotor, in stator axes [N, N m].
         extra: Six components added for `pulse_width` once the command takes effect; None for no pulse.
         pulse_width: Duration of the pulse [s].
+        walls: All walls that the device renders beside the wrench.
 
     Example:
         >>> from maglev_mj import Command
@@ -94,6 +120,7 @@ class Command:
     force: Six
     extra: Six | None = None
     pulse_width: float = 0.0
+    walls: Sequence[DeviceWall] = ()
 
     @property
     def wrench(self) -> Array:

@@ -183,17 +183,17 @@ def _has_shape(shape: tuple[int, ...], allowed: str) -> bool:
     return len(shape) == len(sizes) and all(name in (str(size), "N", "L", "M", "P") for size, name in zip(shape, sizes))
 
 
-def transport_delay(value: ArrayLike, period: ArrayLike) -> Array:
-    """Return checked delays [s], (...,), of at most ten of the periods [s], (...,).
+def transport_delay(value: ArrayLike, period: ArrayLike, name: str = "delay") -> Array:
+    """Return checked delays [s], (...,), of at most ten of the periods [s], (...,); `name` is for messages.
 
     Raises:
         ParameterError: If one is not a number, is negative or too long, or the shapes do not match.
     """
-    delays, periods = numbers("delay", value, at_least=0.0), np.asarray(period)
+    delays, periods = numbers(name, value, at_least=0.0), np.asarray(period)
     shape = common_shape("period and delay", periods.shape, delays.shape)
     if ((ratio := delays / periods) > MAX_DELAY_PERIODS * (1.0 + 1e-9)).any():
         delay, time = (float(np.broadcast_to(part, shape).flat[np.argmax(ratio)]) for part in (delays, periods))
-        number("delay", delay, at_most=MAX_DELAY_PERIODS * time, unit=f"s, {MAX_DELAY_PERIODS} periods")
+        number(name, delay, at_most=MAX_DELAY_PERIODS * time, unit=f"s, {MAX_DELAY_PERIODS} periods")
     return delays
 
 

@@ -66,6 +66,9 @@ RESOLUTION = (*[Spec.translation_resolution.value] * 3, *[Spec.rotation_resoluti
 MIN_PERIOD, MAX_PERIOD, MAX_DELAY_PERIODS = 1e-6, 0.1, 10
 """Bounds of sample periods [s], and of delays in sample periods, everywhere."""
 
+DEVICE_PERIOD, DEVICE_DELAY = 1e-3, 2e-4
+"""Sample period of laws on the device, and delay to their effect [s]; assumed."""
+
 DRIVER_TIME_CONSTANT = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
 """Time constant of the drivers' first-order lag [s]."""
 

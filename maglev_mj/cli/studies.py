@@ -234,7 +234,7 @@ def compare(
         elif vary is None:
             result = compare_laws(scene, law, **around)
         else:
-            ((name, text),) = _assignments([vary]).items()
+            ((name, text),) = assignments("a parameter", [vary], lambda name: name.replace("-", "_")).items()
             result = sweep_laws(scene, law, name, _values(type(scene), name, text), figure=figure, **around)
     write_result(json, result, pictures, f"compare_{scene.name}_{'map' if map else 'vary'}" if map or vary else "")
     return 0

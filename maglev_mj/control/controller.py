@@ -16,7 +16,7 @@ import numpy as np
 from maglev_mj.control.laws.base import Face, Law, VelocityEstimator, answer, as_law, shape_of
 from maglev_mj.control.laws.velocity import FiniteDifference
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
-from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample, Six, components, not_finite
+from maglev_mj.frames import AXES, ZERO, Array, Command, Component, DeviceWall, Sample, Six, components, not_finite
 from maglev_mj.keywords import mismatch
 from maglev_mj.parameters import SAMPLE_PERIOD, number
 
@@ -67,6 +67,7 @@ class Controller:
         self._estimate = self.velocity.__call__
         self._calls: _Calls = tuple(enumerate(law.__call__ for law in self.laws))
         self._first_calls: _Calls = tuple(enumerate(partial(answer, law) for law in self.laws))
+        self._walled = tuple((index, law.device_walls) for index, law in enumerate(self.laws) if law.on == "device")
         self.reset()
 
     def reset(self) -> None:
@@ -90,6 +91,17 @@ class Controller:
     def faces(self) -> tuple[Face, ...]:
         """Wall planes of all laws: index into AXES, normal, edge."""
         return tuple(face for law in self.laws for face in law.faces())
+
+    @property
+    def on_device(self) -> bool:
+        """True if a law is rendered on the device, which a plant must be able to do."""
+        return bool(self._walled)
+
+    @property
+    def device_walls(self) -> Sequence[DeviceWall]:
+        """Walls on the device after the last sample."""
+        parts = [walls(self._states[index]) for index, walls in self._walled]
+        return parts[0] if len(parts) == 1 else [wall for walls in parts for wall in walls]
 
     @property
     def carried(self) -> Array:
@@ -147,7 +159,10 @@ class Controller:
             states[index], extra = law(position, velocity, states[index], wrench)
             if extra is not None:
                 pulse = extra if pulse is None else [first + second for first, second in zip(pulse, extra)]
-        return Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
+        command = Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
+        if self._walled:
+            command.walls = self.device_walls
+        return command
 
     def _skip(self, position: Six, velocity: Six, periods: int) -> None:
         """Advance the states over lost samples, at constant velocity; over at most 100, to bound the time of a tick."""

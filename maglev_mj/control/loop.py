@@ -56,7 +56,8 @@ class ControlLoop:
         record: Callback that records each cycle.
 
     Raises:
-        ParameterError: If the periods differ, or plant and controller are swapped.
+        ParameterError: If the periods differ, plant and controller are swapped, or the plant cannot render the
+            controller's walls on the device.
     """
 
     def __init__(
@@ -79,6 +80,9 @@ class ControlLoop:
             raise ParameterError(
                 f"controller period must equal the plant's {plant.period:g} s (got {controller.period:g} s)"
             )
+        if getattr(controller, "on_device", False) and not getattr(plant, "renders_walls", False):
+            name = type(plant).__name__
+            raise ParameterError(f"{name} cannot render walls on the device; use laws with on='host'")
         self._plant, self._controller, self._observe, self._record = plant, controller, observe, record
         self._cycles: deque[tuple[Sample, Command]] = deque(maxlen=_HISTORY)
 

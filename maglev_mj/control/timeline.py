@@ -12,7 +12,7 @@ import numpy as np
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import SAMPLE_PERIOD, number, numbers, store, transport_delay, whole
-from maglev_mj.spec import Spec
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, Spec
 
 Interval: TypeAlias = tuple[Any, Any]
 """Duration [s] and drive in effect, of the type passed to the `Timeline`."""
@@ -67,6 +67,9 @@ class Timing:
         jitter: Half-width of the uniform distribution delay ± jitter [s], common to a batch. It must not move a
             command into another period.
         seed: Seed of the jitter; equal seeds give equal runs.
+        device_period: Sample period of walls on the device [s].
+        device_delay: Delay to their effect [s], up to 10 such periods.
+        device_phase: Phase of the device's samples after the first one of the host, in [0, 1).
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -84,6 +87,9 @@ class Timing:
     phase: Component = 0.0
     jitter: float = 0.0
     seed: int = 0
+    device_period: float = DEVICE_PERIOD
+    device_delay: float = DEVICE_DELAY
+    device_phase: float = 0.0
     whole: int = field(init=False)
     """Whole periods in the delay."""
     rest: Component = field(init=False)
@@ -107,10 +113,18 @@ class Timing:
         largest = float(np.minimum(rest, period - rest).min())
         if jitter > largest:
             raise ParameterError(f"jitter must be at most {largest:g} s at this delay and period (got {jitter:g} s)")
+        number("device_period", self.device_period, **SAMPLE_PERIOD)
+        transport_delay(number("device_delay", self.device_delay), self.device_period, "device_delay")
+        number("device_phase", self.device_phase, at_least=0.0, below=1.0)
         parts = {"delay": delay, "phase": phase, "rest": rest}
         store(self, **{name: part if part.ndim else float(part) for name, part in parts.items()})
         store(self, period=period, jitter=jitter, seed=whole("seed", self.seed))
         store(self, whole=int(periods.flat[0]), negligible=_ROUNDING * period)
+
+    @property
+    def device(self) -> tuple[float, float]:
+        """Sample period and delay of walls on the device [s]."""
+        return self.device_period, self.device_delay
 
     def rest_at(self, tick: int) -> Component:
         """Return the offset [s] from `tick` to the command that takes effect after it, with jitter."""

@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from math import isfinite
-from typing import Any, Self, TypeAlias, TypedDict
+from typing import Any, ClassVar, Self, TypeAlias, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Interval, Timeline, Timing
 from maglev_mj.errors import DivergenceError, PlantError, check_instance
-from maglev_mj.frames import Array, Command, Component, Sample, Six, clipped, components, join, not_finite
+from maglev_mj.frames import Array, Command, Component, DeviceWall, Sample, Six, clipped, components, join, not_finite
 from maglev_mj.parameters import flag, number, numbers, six
+from maglev_mj.plants.device_walls import DeviceWalls, Held
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
 from maglev_mj.plants.trace import HandWork, Trace, TraceRecorder
@@ -66,8 +67,11 @@ class SampledPlant(ABC):
     # rarely used attributes, in slots: lookup is slower in an object with more than 30 attributes
     __slots__ = ("__dict__", "__weakref__", "_longest_step", "batch", "before", "given", "inertia", "load", "start")
 
+    renders_walls: ClassVar[bool] = True
+    """True: the plant renders the walls of a command on the device."""
     hand: Hand | None = None
     given: Mapping[str, Any]
+    inertia: Any
 
     def __new__(cls, *timing: Any, **options: Any) -> Self:
         """Store the constructor arguments in the new plant."""
@@ -108,15 +112,16 @@ class SampledPlant(ABC):
         self._tick = -1
         self._offset: Component = 0.0
         self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
-        self._intervals: list[Interval] = []
+        self._intervals: Iterable[Interval] = []
         self._closed = False
         # copies, because they are used on every tick
         self._period, self._phase = timing.period, timing.phase
-        self._intervals_of = self._timeline.period
+        self._intervals_of: Callable[..., Iterable[Interval]] = self._timeline.period
         self._answer: tuple[Any, Any, float] | None = None
         self.unanswered: Sample | None = None
         numbers("delay", timing.delay, shape=f"() or {batch}")
         self._limits = self._limit is not None
+        self._walls: DeviceWalls | None = None
 
     @abstractmethod
     def _prepare(self, force: Six) -> Any:
@@ -125,6 +130,10 @@ class SampledPlant(ABC):
     @abstractmethod
     def _advance(self, duration: Component, drive: Any, pieces: int = 1) -> None:
         """Advance the state by `duration` [s] under a constant drive, in an engine by `pieces` equal steps."""
+
+    @abstractmethod
+    def _motion(self) -> tuple[Six, Six]:
+        """Return the present true pose and velocity components."""
 
     @abstractmethod
     def _position(self) -> list[Component]:
@@ -207,13 +216,35 @@ class SampledPlant(ABC):
             raise PlantError(f"a command must have 6 components, and so must its pulse (got {command})") from None
         if len(total) != 6 or not (isfinite(check) if check.__class__ is float else self._valid(check)):
             raise _invalid(total, self._tick, self.batch)
+        walls = command.walls
         if self._limits:
             command = self._limited(command)
             if width:
                 total = [held + pulse for held, pulse in zip(command.force, command.extra or ())]
         self._answer = self._prepare(command.force), self._prepare(total) if width else None, width
+        if walls or self._walls is not None:
+            command = self._on_device(command, total, walls)
         self.unanswered = None
         return command
+
+    def _on_device(self, command: Command, total: Six, walls: Sequence[DeviceWall]) -> Command:
+        """Add walls on the device to the answer; return the command with them."""
+        if self._walls is None:
+            sensor = self.given.get("sensor")
+            self._walls = DeviceWalls(self._timeline, self._motion, self._driven, self.inertia, self.batch, sensor)
+            self._intervals_of = self._walls.period
+        walls = self._walls.check(walls)
+        held, pulsed, width = self._answer or (None, None, 0.0)
+        # copied: the caller may reuse its list or arrays
+        force, both = (
+            [part if part.__class__ is float else np.array(part) for part in six] for six in (command.force, total)
+        )
+        self._answer = Held((force, walls), held), Held((both, walls), pulsed) if width else None, width
+        return Command(command.force, command.extra, command.pulse_width, walls)
+
+    def _driven(self, force: Six) -> Any:
+        """Return the drive of a wrench within the limits."""
+        return self._prepare(self._limited(Command(force)).force if self._limits else force)
 
     def _switch(
         self,
@@ -242,12 +273,19 @@ class SampledPlant(ABC):
         """
         if self._recorder is None or self._tick < 0:
             raise PlantError("no trace: create the plant with record=True and read at least one sample")
-        return self._recorder.finish(self._tick, self._snapshot(self._timeline.now()))
+        drive = self._timeline.now() if self._walls is None else self._walls.drive
+        return self._recorder.finish(self._tick, self._snapshot(drive))
 
     def state(self) -> tuple[Array, Array]:
         """Return true pose and twist at the last sample, (..., 6) each."""
-        pose, twist, _ = self._arrays([self._snapshot(self._timeline.acting)])
+        drive = self._timeline.acting if self._walls is None else self._walls.drive
+        pose, twist, _ = self._arrays([self._snapshot(drive)])
         return pose[0], twist[0]
+
+    @property
+    def _last_intervals(self) -> list[Interval]:
+        """Intervals of the last period, in order."""
+        return self._walls.intervals if self._walls is not None else list(self._intervals)
 
     @property
     def started(self) -> bool:

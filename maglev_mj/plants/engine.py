@@ -16,6 +16,7 @@ from maglev_mj.errors import ModelError, PlantError, check_one_of
 from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.lazy import has_engine, mujoco
 from maglev_mj.parameters import flag, number
+from maglev_mj.plants.device_walls import HALF_ACCELERATION, HALF_ANGULAR
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import COILS, Device, Model, acceleration, load_model, reference_state
 
@@ -205,10 +206,6 @@ def longest_step(
     return min((step for applies, step in limits if applies), default=None)
 
 
-_HALF_ACCELERATION, _HALF_ANGULAR = 60.0, 2500.0
-"""Half the largest acceleration of the flotor under coils and hand [m/s², rad/s²]."""
-
-
 def near_stops(reach: Sequence[float], position: Sequence[float], velocity: Sequence[float], period: float) -> bool:
     """Return True if the flotor may reach a metal stop within one period, so that contact needs short steps.
 
@@ -220,10 +217,10 @@ def near_stops(reach: Sequence[float], position: Sequence[float], velocity: Sequ
     """
     x, y, z, w = position
     u, v, s, p, q, r = velocity
-    if max(abs(x), abs(y), abs(z)) + period * (max(abs(u), abs(v), abs(s)) + _HALF_ACCELERATION * period) > reach[0]:
+    if max(abs(x), abs(y), abs(z)) + period * (max(abs(u), abs(v), abs(s)) + HALF_ACCELERATION * period) > reach[0]:
         return True
     angle = 2.0 * math.sqrt(max(1.0 - w * w, 0.0))
-    return angle + period * (math.sqrt(p * p + q * q + r * r) + _HALF_ANGULAR * period) > reach[1]
+    return angle + period * (math.sqrt(p * p + q * q + r * r) + HALF_ANGULAR * period) > reach[1]
 
 
 class Steps:

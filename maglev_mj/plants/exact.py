@@ -191,6 +191,9 @@ class ExactPlant(SampledPlant):
         fx, fy, fz, tx, ty, tz = effort
         self._pull = fx * per_mass, fy * per_mass, fz * per_mass, tx * by_x, ty * by_y, tz * by_z
 
+    def _motion(self) -> tuple[Six, Six]:
+        return self._pose, self._velocity
+
     def _position(self) -> list[Component]:
         self._check_escape(self._pose)
         return self._pose.copy()

@@ -90,7 +90,7 @@ class ExactCoilPlant(ExactPlant):
     @property
     def intervals(self) -> list[Interval]:
         """Durations [s] and six currents [A] of the last period, in order."""
-        return self._intervals
+        return self._last_intervals
 
     def _prepare(self, force: Six) -> Any:
         return tuple(self._coils.inverse_at_angle(*self._pose[3:]).dot(force).tolist())

@@ -274,14 +274,17 @@ class MuJoCoPlant(SampledPlant):
         kind = mujoco.mjtState.mjSTATE_INTEGRATION
         state = np.empty(mujoco.mj_stateSize(self._model, kind))
         mujoco.mj_getState(self._model, self._data, state, kind)
-        parts = (self, self._timeline, self._steps, self._steps.stops, self._coil_drive)
+        parts = (self, self._timeline, self._steps, self._steps.stops, self._coil_drive, self._walls)
         states = states_of(*(part for part in parts if part is not None))
-        return states, state, self._angle, _copy_of(self._sensor)
+        measures = self._sensor, None if self._walls is None else self._walls.measure
+        return states, state, self._angle, *map(_copy_of, measures)
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Restore a state of `saved`, from which the motion repeats exactly."""
-        states, state, self._angle, sensor = saved
+        states, state, self._angle, sensor, own = saved
         restore(states)
+        if self._walls is not None:
+            self._walls.measure = _copy_of(own)
         mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         direct, self._sensor = self._measure is self._sensor, _copy_of(sensor)
         if direct:
@@ -290,7 +293,7 @@ class MuJoCoPlant(SampledPlant):
     @property
     def intervals(self) -> list[tuple[float, Sequence[float]]]:
         """Durations [s] and six commanded currents [A] (wrenches without coils) of the last period, in order."""
-        return [(duration, drive[1]) for duration, drive in self._intervals]
+        return [(duration, drive[1]) for duration, drive in self._last_intervals]
 
     def _limited(self, command: Command) -> Command:
         command = super()._limited(command)
@@ -329,6 +332,10 @@ class MuJoCoPlant(SampledPlant):
             push[self._turning] = np.dot(effort[3:], self._rotation.reshape(3, 3))  # in flotor axes
         else:
             push[self._turning] = 0.0
+
+    def _motion(self) -> tuple[Six, Six]:
+        x, y, z, q0, q1, q2, q3 = self._look()
+        return [x, y, z, *rotation_vector(q0, q1, q2, q3)], self._qvel.tolist()
 
     def _position(self) -> list[float]:
         if not self._tick & _SELDOM:
@@ -524,6 +531,8 @@ class MuJoCoBatchPlant(SampledPlant):
         if driver_lag:
             self._engine.bind("act")[:] = self._timeline.acting[1]
 
+    inertia = MuJoCoPlant.inertia
+
     def _prepare(self, force: Six) -> _BatchDrive:
         wrench = np.broadcast_to(join(force), (*self.batch, 6))
         if self._inverse_map is None:
@@ -563,6 +572,9 @@ class MuJoCoBatchPlant(SampledPlant):
         self._efforts[:, start : start + 3] = np.einsum(
             "na,nab->nb", wrench[:, 3:], _matrices(self._qpos[:, 3:]).reshape(-1, 3, 3)
         )
+
+    def _motion(self) -> tuple[Six, Six]:
+        return _pose(self._where()), list(self._qvel.T)
 
     def _position(self) -> list[Component]:
         if self._engine.warning.any():

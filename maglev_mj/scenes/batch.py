@@ -189,7 +189,7 @@ def _kind(member: _Member) -> Hashable:
     fixed = content(
         (
             (scene.axis, scene.end, scene.period, type(member.hand)),
-            (timing.period, timing.delay, timing.jitter, timing.seed),
+            (timing.period, timing.delay, timing.jitter, timing.seed, *timing.device),
             {name: value for name, value in options.items() if name not in _STACKED},
             [name for name in _STACKED if options.get(name) is None],
             member.velocity,
@@ -201,6 +201,8 @@ def _kind(member: _Member) -> Hashable:
 def _most_of(member: _Member) -> int:
     """Return the largest batch size, limited by the memory of the recorded motion."""
     step = member.options.get("longest_step") or math.inf
+    if any(getattr(law, "on", "host") == "device" for law in member.laws):
+        step = min(step, 0.5 * member.timing.device_period)
     knots = 3.0 * member.scene.ticks(member.timing) * max(math.ceil(member.scene.period / step), 1)
     return max(min(_MOST, int(_MEMORY / (knots * _PER_KNOT))), 1)
 

@@ -51,7 +51,7 @@ class Drop(WallScene):
         """Return the wall and the hold of the other axes."""
         # without a limit there is no clipped impulse to carry over
         limit = self.force_limit if self.force_limit and self.carry else math.inf
-        return [self.wall(force_limit=limit), hold(self, others("z"))]
+        return [self.wall(force_limit=limit), *self.damper(), hold(self, others("z"))]
 
     def variants(self) -> Mapping[str, Self]:
         """Return the drops to compare: this one, first, and the one without a pulse, last.

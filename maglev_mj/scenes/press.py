@@ -80,11 +80,11 @@ class Press(WallScene):
 
     def laws(self) -> list[Law]:
         """Return the wall and the hold of the other axes."""
-        return [self.wall(gate=self.pulse_gate), hold(self, others("z"))]
+        return [self.wall(gate=self.pulse_gate), *self.damper(), hold(self, others("z"))]
 
     def timing(self, phase: Component = 0.0) -> Timing:
         """Return a timing without phase, which shifts the hand's motion instead: the hand is always in contact."""
-        return Timing(period=self.period, delay=self.delay)
+        return super().timing()
 
     def scripted_hand(self, phase: float = 0.0) -> GuidedHand:
         """Return the hitting and pressing hand."""

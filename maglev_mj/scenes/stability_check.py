@@ -82,7 +82,7 @@ def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: floa
     stiffness, damping = (float(gain[index, index]) for gain in (verdict.stiffness, verdict.damping))
     around: Any = {"period": period, "delay": delay}
     ratio = math.nan
-    if verdict.stated:
+    if verdict.stated and not scene.controller().on_device:
         around |= {"mass": body[index], "velocity": scene.controller().velocity}
         ratio = float(theory.largest_stable_stiffness(damping, **around)) / stiffness if stiffness else 0.0
     acting = acting_words(verdict.acting, "other laws" if verdict.stated else "all laws")
@@ -121,7 +121,9 @@ def wall_margin(
     def loop(factor: float, axis: int, normal: float, edge: float) -> tuple[float, float]:
         controller = (scene if factor == 1.0 else scene.replace(stiffness=factor * gain)).controller()
         pose = along(AXES[axis], edge - normal * float(body[0]) * GRAVITY / gain)
-        return axis_loop(controller, axis, pose=pose, delay=delay, inertia=body, hand=hand)
+        return axis_loop(
+            controller, axis, pose=pose, delay=delay, inertia=body, hand=hand, device=scene.timing().device
+        )
 
     loops = {face: loop(1.0, *face) for face in faces}
     worst = max(faces, key=lambda face: loops[face][1])
@@ -198,6 +200,9 @@ def unstable(scenes: Sequence[Scene]) -> list[bool]:
     for index, scene in enumerate(scenes):
         with suppress(Exception):  # the run reports errors of a user's scene
             controller = scene.controller()
+            if controller.on_device:
+                result[index] = stability(scene).stable is False
+                continue
             kind = scene.period, scene.delay, *scene.body.inertia.tolist(), repr(controller.velocity)
             for pair in (stated_gains(controller) or {}).values():
                 loops[kind].append((index, controller, pair))

@@ -15,10 +15,10 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, param
-from maglev_mj.plants import Sensor
+from maglev_mj.plants import Sensor, Timing
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.spec import INERTIA, Spec
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_PERIOD, MIN_PERIOD, Spec
 
 
 def others(axis: str) -> list[str]:
@@ -88,7 +88,7 @@ def wall_controller(
 
 
 class WallScene(Scene):
-    """Wall that fills z <= 0, with a braking pulse; the five other axes are held."""
+    """Wall that fills z <= 0, with a braking pulse or on the device; the five other axes are held."""
 
     stiffness: float = param("wall stiffness", "N/m", default=6000.0, at_least=0.0, at_most=1e8, live=True)
     damping: float = param("wall damping", "N s/m", default=80.0, at_least=0.0, at_most=1e6, live=True)
@@ -108,11 +108,62 @@ class WallScene(Scene):
     quantize: float = param(
         "resolution of the position sensor; 0 for an ideal sensor", "m", default=0.0, at_least=0.0, at_most=1.0
     )
+    wall_on: str = param(
+        "where the wall is rendered; on the device without a pulse", default="host", choices=("host", "device")
+    )
+    device_damping: float | None = param(
+        "damper on the device beside a wall on the host",
+        "N s/m",
+        default=None,
+        at_least=0.0,
+        at_most=1e6,
+        optional=True,
+    )
+    device_period: float | None = param(
+        f"sample period of the device; {DEVICE_PERIOD:g} by default",
+        "s",
+        default=None,
+        at_least=MIN_PERIOD,
+        at_most=MAX_PERIOD,
+        optional=True,
+    )
+    device_delay: float | None = param(
+        f"delay on the device; {DEVICE_DELAY:g} by default", "s", default=None, at_least=0.0, at_most=1.0, optional=True
+    )
+    device_cutoff: float | None = param(
+        "cutoff of the velocity filter on the device", "Hz", default=None, above=0.0, at_most=1e6, optional=True
+    )
 
     def check(self) -> None:
         """See `Scene`."""
         if self.pulse > 0.0 and self.pulse_width == 0.0:
             raise ParameterError("pulse_width must be above 0 for a pulse (got 0.0)")
+        if self.device_damping and self.wall_on == "device":
+            raise ParameterError(f"device_damping must be None for a wall on the device (got {self.device_damping:g})")
+        self.timing()
+
+    @property
+    def unpulsed_label(self) -> str:
+        """Label of a drop without a pulse."""
+        return "no pulse" if self.wall_on == "host" else "wall on the device"
+
+    @property
+    def braking(self) -> float:
+        """Damping of the braking pulse [N s/m]; a wall on the device has none."""
+        return self.pulse if self.wall_on == "host" else 0.0
+
+    def timing(self, phase: Component = 0.0) -> Timing:
+        """See `Scene`."""
+        timing: Any = {"period": self.period, "delay": self.delay, "phase": phase}
+        own = {name: getattr(self, name) for name in ("device_period", "device_delay")}
+        return Timing(**timing, **{name: value for name, value in own.items() if value is not None})
+
+    def damper(self) -> list[Law]:
+        """Return the damper on the device, if any."""
+        if not self.device_damping:
+            return []
+        damper: Any = {"damping": self.device_damping, "on": "device", "cutoff": self.device_cutoff}
+        return [Wall(axes="z", lower=0.0, stiffness=0.0, **damper)]
 
     def wall(self, *, gate: float = 0.0, force_limit: float = math.inf) -> Wall:
         """Return the PD wall with its braking pulse, eq. (3) of Salcudean & Vlaar 1997.
@@ -126,16 +177,18 @@ class WallScene(Scene):
             lower=0.0,
             stiffness=self.stiffness,
             damping=self.damping,
-            pulse=self.pulse,
+            pulse=self.braking,
             pulse_width=self.pulse_width,
             pulse_gate=gate,
             force_limit=force_limit,
+            on=self.wall_on,
+            cutoff=self.device_cutoff,
         )
 
     def variants(self) -> Mapping[str, Self]:
         """See `Scene`."""
         if (without := self.unpulsed()) is None:
-            return super().variants() if self.pulse else {"no pulse": self}
+            return super().variants() if self.braking else {self.unpulsed_label: self}
         return {"with pulse": self, "without pulse": without}
 
     def unpulsed(self) -> Self | None:

@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.control import FiniteDifference, LinearController, LowPass
+from maglev_mj.control.controller import Controller
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.keywords import with_hints
 from maglev_mj.parameters import SAMPLE_PERIOD, Parameters, number, param, transport_delay
 from maglev_mj.plants.hand import Mode, exponential, get_mode
-from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, MAX_PERIOD, MIN_PERIOD
 
 _FEWEST, _MOST, _EVENTS = 4, 128, 512  # denominators, and device periods in a hyperperiod
 _TOLERANCE, _EXACT = 0.02, 1e-9
@@ -46,8 +47,8 @@ class DeviceLaw:
 
     stiffness: float = 0.0
     damping: float = 0.0
-    period: float = 1e-3
-    delay: float = 2e-4
+    period: float = DEVICE_PERIOD
+    delay: float = DEVICE_DELAY
     cutoff: float | None = None
 
     def __post_init__(self) -> None:
@@ -62,6 +63,17 @@ class DeviceLaw:
     def velocity(self) -> FiniteDifference | LowPass:
         """Velocity estimator."""
         return FiniteDifference() if self.cutoff is None else LowPass(self.cutoff)
+
+
+def laws_on_device(controller: Controller, device: tuple[float, float]) -> dict[int, DeviceLaw]:
+    """Return the laws of a controller's walls on the device by axis, in contact; the stiffer one of two on an axis.
+
+    Args:
+        controller: The controller.
+        device: Sample period and delay on the device [s].
+    """
+    walls = sorted(controller.device_walls, key=lambda wall: (wall.stiffness, wall.damping))
+    return {wall.axis: DeviceLaw(wall.stiffness, wall.damping, *device, wall.cutoff) for wall in walls}
 
 
 class DeviceParameters(Parameters):
@@ -80,9 +92,9 @@ class DeviceParameters(Parameters):
     device_stiffness: float = param("stiffness of a law on the device", "N/m", default=0.0, at_least=0.0, at_most=1e9)
     device_damping: float = param("damping of a law on the device", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
     device_period: float = param(
-        "sample period of a law on the device", "s", default=1e-3, at_least=MIN_PERIOD, at_most=MAX_PERIOD
+        "sample period of a law on the device", "s", default=DEVICE_PERIOD, at_least=MIN_PERIOD, at_most=MAX_PERIOD
     )
-    device_delay: float = param("delay of a law on the device", "s", default=2e-4, at_least=0.0, at_most=0.01)
+    device_delay: float = param("delay of a law on the device", "s", default=DEVICE_DELAY, at_least=0.0, at_most=0.01)
 
     def check(self) -> None:
         """See `Parameters`."""

@@ -18,15 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
+from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, TooManyCallsError
 from maglev_mj.frames import AXES, ZERO, Array, Sample, unit_of
 from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import Body
 from maglev_mj.result import Result, Table, plain
-from maglev_mj.spec import INERTIA, MAX_DELAY_PERIODS, RANGE
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_DELAY_PERIODS, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
+from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device, rates_of
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
 """Tolerances of a spectral radius, of gains relative to their responses, and of the mean of a double root at 1."""
@@ -180,6 +182,9 @@ class Judged(Protocol):
     def start(self) -> Any:
         """Return the state at release, with its `pose`."""
 
+    def timing(self) -> Timing:
+        """Return the timing of host and device."""
+
     @property
     def body(self) -> Body:
         """Flotor of the device in use."""
@@ -206,7 +211,8 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
         raise ParameterError(f"scene must be a Scene, such as find_scene('drop')() (got {scene!r})")
     body, delay = scene.body.bounded, scene.delay if delay is None else delay
     inertia = body.inertia if inertia is None else inertia
-    return judge(scene.controller(), delay=delay, pose=scene.start().pose, inertia=inertia, reach=body.range)
+    pose, device = scene.start().pose, scene.timing().device
+    return judge(scene.controller(), delay=delay, pose=pose, inertia=inertia, reach=body.range, device=device)
 
 
 def judge(
@@ -216,6 +222,7 @@ def judge(
     pose: ArrayLike = ZERO,
     inertia: ArrayLike = INERTIA,
     reach: ArrayLike = RANGE,
+    device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
 ) -> Verdict:
     """Return the stability verdict on the closed loop of a free flotor.
 
@@ -229,6 +236,7 @@ def judge(
         pose: Start of the flotor [m, rad], (6,).
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         reach: Range of motion [m, rad], (6,).
+        device: Sample period and delay of walls on the device [s].
 
     Raises:
         ParameterError: If `controller` is no Controller, or a value is outside its bounds.
@@ -243,9 +251,11 @@ def judge(
     start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
     transport_delay(number("delay", delay), controller.period)
     gains = stated_gains(controller)
+    if gains is None and controller.on_device:
+        raise ParameterError("stability of a law with walls on the device needs declared gains: define gains()")
     if gains is None:
         return _numerically(controller, delay, start, body, numbers("reach", reach, shape="(6,)", above=0.0))
-    return _by_gains(gains, controller, delay, start, body)
+    return _by_gains(gains, controller, delay, start, body, laws_on_device(controller, device))
 
 
 _Gains: TypeAlias = dict[tuple[str, ...], tuple[Array, Array]]
@@ -256,7 +266,7 @@ def stated_gains(controller: Controller) -> _Gains | None:
 
     None if a law declares no gains, a gain is negative, or the velocity estimator is not linear.
     """
-    sums: dict[str, Array] = {"always": np.zeros((2, len(AXES)))}
+    sums: dict[str, Array] = {state: np.zeros((2, len(AXES))) for state in ("always", "contact")}
     for law in controller.laws:
         stated = law.gains()
         if stated is None or law.batch:
@@ -266,7 +276,7 @@ def stated_gains(controller: Controller) -> _Gains | None:
     if not hasattr(controller.velocity, "linear"):
         return None
     always = sums.pop("always")
-    states = sorted(state for state, gains in sums.items() if gains.any())
+    states = sorted({*["contact"] * controller.on_device, *(state for state, gains in sums.items() if gains.any())})
     totals = {}
     for active in product((False, True), repeat=len(states)):
         acting = tuple(compress(states, active))
@@ -275,23 +285,35 @@ def stated_gains(controller: Controller) -> _Gains | None:
     return None if any((gains < 0.0).any() for both in totals.values() for gains in both) else totals
 
 
-def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
-    """Return the verdict from declared gains."""
+def _by_gains(
+    gains: _Gains, controller: Controller, delay: float, pose: Array, body: Array, laws: Mapping[int, DeviceLaw]
+) -> Verdict:
+    """Return the verdict from declared gains, and laws on the device in contact."""
     kinds: dict[tuple[Any, ...], tuple[list[str], NDArray[Any]]] = {}
-    own = [{acting: (float(k[axis]), float(b[axis])) for acting, (k, b) in gains.items()} for axis in range(len(AXES))]
-    roots_of = _roots_by_gains(own, controller, delay, body)
+    touching: Mapping[Any, Mapping[int, DeviceLaw]] = {acting: laws if "contact" in acting else {} for acting in gains}
+    own = [
+        {acting: (float(k[axis]), float(b[axis]), touching[acting].get(axis)) for acting, (k, b) in gains.items()}
+        for axis in range(len(AXES))
+    ]
+    loop: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
+    cases = {mass: {pair for axis in np.flatnonzero(body == mass) for pair in own[axis].values()} for mass in {*body}}
+    roots_of = {mass: _poles_of(pairs, mass=mass, **loop) for mass, pairs in cases.items()}  # once for equal axes
     for axis, mass, axis_gains in zip(AXES, body.tolist(), own, strict=True):
         states_here = [acting[0] for acting in gains if len(acting) == 1 and axis_gains[acting] != axis_gains[()]]
         for acting in (acting for acting in gains if set(acting) <= set(states_here)):
-            stiffness, damping = axis_gains[acting]
+            stiffness, damping, law = case = axis_gains[acting]
+            if law is not None:
+                stiffness, damping = stiffness + law.stiffness, damping + law.damping
             free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
-            roots = roots_of[mass, stiffness, damping]
+            roots = roots_of[mass][case]
             others = tuple(name for name in states_here if name not in acting)
             kind = acting, others, round(_spectral_radius(roots, free), 12), free > 0
             kinds.setdefault(kind, ([], roots))[0].append(axis)
     states = tuple(LoopState(tuple(axes), *kind) for kind, (axes, _) in kinds.items())
     worst, (_, roots) = max(zip(states, kinds.values(), strict=True), key=lambda pair: pair[0].spectral_radius)
-    stiff, damp = gains[worst.acting]
+    stiff, damp = map(np.array, gains[worst.acting])
+    for index, beside in touching[worst.acting].items():
+        stiff[index], damp[index] = stiff[index] + beside.stiffness, damp[index] + beside.damping
     return Verdict(
         stable=worst.spectral_radius < 1.0 - _ROUNDING,
         spectral_radius=worst.spectral_radius,
@@ -306,16 +328,20 @@ def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, 
     )
 
 
-def _roots_by_gains(
-    own: Sequence[Mapping[tuple[str, ...], tuple[float, float]]], controller: Controller, delay: float, body: Array
-) -> dict[tuple[float, float, float], NDArray[Any]]:
-    """Return poles by mass, stiffness and damping, computed once for equal axes."""
-    roots_of: dict[tuple[float, float, float], NDArray[Any]] = {}
-    for mass in dict.fromkeys(body.tolist()):
-        pairs = [*{pair: None for axis in np.flatnonzero(body == mass).tolist() for pair in own[axis].values()}]
-        loop = SampledLoop(period=controller.period, delay=delay, mass=mass, velocity=controller.velocity)
-        roots = np.linalg.eigvals(loop.matrix(*np.array(pairs).T))
-        roots_of |= {(mass, *pair): each for pair, each in zip(pairs, roots, strict=True)}
+_Case: TypeAlias = tuple[float, float, DeviceLaw | None]
+
+
+def _poles_of(cases: Iterable[_Case], **loop: Any) -> dict[_Case, NDArray[Any]]:
+    """Return the poles per host period of gains beside a law on the device, those without one at once."""
+    cases = list(cases)
+    alone = [case for case in cases if case[2] is None]
+    stiffness, damping = np.array([case[:2] for case in alone]).reshape(-1, 2).T
+    poles = np.linalg.eigvals(SampledLoop(**loop).matrix(stiffness, damping))
+    roots_of: dict[_Case, NDArray[Any]] = dict(zip(alone, poles, strict=True))
+    for stiff, damp, law in cases:
+        if law is not None:
+            roots = np.linalg.eigvals(SampledLoop(device=law, **loop).matrix(stiff, damp)).astype(np.complex128)
+            roots_of[stiff, damp, law] = roots ** (1.0 / rates_of(loop["period"], law).host)
     return roots_of
 
 
@@ -488,7 +514,14 @@ def _grouped(loops: Sequence[_Loop]) -> Iterator[_Group]:
 
 
 def axis_loop(
-    controller: Controller, axis: int, *, pose: ArrayLike, delay: float, inertia: Array, hand: Hand | None = None
+    controller: Controller,
+    axis: int,
+    *,
+    pose: ArrayLike,
+    delay: float,
+    inertia: Array,
+    hand: Hand | None = None,
+    device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
 ) -> tuple[float, float]:
     """Return static stiffness and spectral radius of one axis with all of its laws active.
 
@@ -501,6 +534,7 @@ def axis_loop(
         delay: Transport delay [s], up to 10 periods.
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         hand: The hand on the axis; None for a free flotor.
+        device: See `judge`.
 
     Returns:
         Stiffness [N/m, N m/rad], infinite for an integrator, and spectral radius, below 1 for a stable loop; NaN if
@@ -523,8 +557,10 @@ def axis_loop(
     if (gains := stated_gains(controller)) is not None:
         stiffness, damping = (float(both[axis]) for both in list(gains.values())[-1])
         around: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
-        spectral_radius = SampledLoop(mass=inertia[axis], hand=held, **around).spectral_radius(stiffness, damping)
-        return stiffness, float(spectral_radius)
+        law = laws_on_device(controller, device).get(axis)
+        loop = SampledLoop(mass=inertia[axis], hand=held, device=law, **around)
+        total = stiffness + (law.stiffness if law is not None else 0.0)
+        return total, float(loop.spectral_radius(stiffness, damping))
     loop = _axis(controller, axis, pose, inertia)
     if loop is None:
         return math.nan, math.nan

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import MaglevError, ParameterError, named
-from maglev_mj.frames import AXES, Array, Component, Six
+from maglev_mj.frames import AXES, Array, Component, DeviceWall, Six
 from maglev_mj.keywords import with_hints
 from maglev_mj.parameters import SAMPLE_PERIOD, axis_indices, batch_shape, flag, number, numbers, per_axis, store
 from maglev_mj.spec import INERTIA
@@ -83,6 +83,8 @@ class Law:
     """Batch shape of per-device parameters; () for common parameters."""
     pulse_width: float = 0.0
     """Duration of the law's force pulses [s]; 0 for none."""
+    on: str = "host"
+    """Where the law is rendered: "device" for a law with `device_walls`."""
 
     def start(self) -> Any:
         """Return the state before the first sample."""
@@ -112,6 +114,10 @@ class Law:
 
     def faces(self) -> Sequence[Face]:
         """Return the wall planes."""
+        return ()
+
+    def device_walls(self, state: Any) -> Sequence[DeviceWall]:
+        """Return the walls that the device renders from this sample on; not called on the host."""
         return ()
 
     def signals(self, state: Any) -> Mapping[str, Sequence[Component]]:
@@ -220,7 +226,7 @@ class AxisLaw(Law):
         super().__init_subclass__(**keywords)
         with_hints(dataclass(frozen=True, kw_only=True, eq=False)(cls))
         cls.per_device = tuple(entry.name for entry in fields(cls) if "gain" in entry.metadata)
-        names = (name for name in inspect.get_annotations(cls) if name not in ("axes", "pulse_width"))
+        names = (name for name in inspect.get_annotations(cls) if name not in ("axes", "pulse_width", "on"))
         if hidden := [name for name in names if hasattr(AxisLaw, name)]:
             raise ParameterError(
                 f"{cls.__name__} must not have a gain called {hidden[0]}: the name is an attribute of every law"

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.laws.base import Answer, AxisLaw, Face, Gains, LinearController, choose, gain, setting
 from maglev_mj.control.timeline import check_delay
-from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, ZERO, Array, Component, Six, clipped
+from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.frames import AXES, ZERO, Array, Component, DeviceWall, Six, clipped
 from maglev_mj.parameters import flag, number, store
 from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 
@@ -59,6 +59,8 @@ class Wall(AxisLaw):
             triggers pulses while the flotor rests at the edge.
         force_limit: Force limit [N, N m], used to compute the remaining impulse; the plant itself saturates the force.
             Other laws on the axis are not counted.
+        on: "host", or "device" for the PD wall alone at the device's own rate; its force is not part of the command.
+        cutoff: Cutoff frequency of the velocity's low-pass filter on the device [Hz]; None for the finite difference.
 
     Raises:
         ParameterError: If a gain, the width, the gate or the limit is negative, no edge is finite, `lower` is not below
@@ -85,12 +87,20 @@ class Wall(AxisLaw):
     pulse_width: float = 0.0
     pulse_gate: ArrayLike = gain(unit="m/s, rad/s", default=0.0)
     force_limit: ArrayLike = gain(unit="N, N m", default=math.inf, finite=False)
+    on: str = "host"
+    cutoff: float | None = None
 
     _title = "wall"
     _faces: tuple[_Face, ...] = field(init=False, repr=False)
+    _on_device: tuple[DeviceWall, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_one_of("wall on", ("host", "device"), self.on)
+        if self.on == "device" and np.any(self.pulse):
+            raise ParameterError(f"wall pulse must be 0 on the device (got {self.pulse!r})")
+        if self.cutoff is not None:
+            number("wall cutoff", self.cutoff, above=0.0)
         if not np.less(self.lower, self.upper).all():
             raise ParameterError(f"wall lower must be below upper (got {self.lower!r} and {self.upper!r})")
         width = number("wall pulse_width", self.pulse_width, at_least=0.0, at_most=1.0, unit="s")
@@ -101,14 +111,24 @@ class Wall(AxisLaw):
         faces = tuple(face for face in (*lower, *upper) if face is not None)
         if not faces:
             raise ParameterError("wall needs a finite lower or upper, not -inf and inf")
-        store(self, pulse_width=width, _faces=faces)
+        walls = [
+            DeviceWall(axis, edge, int(normal), spring, damper, self.cutoff)
+            for axis, normal, edge, spring, damper, _ in faces
+        ]
+        store(self, pulse_width=width, _faces=faces, _on_device=tuple(walls) if self.on == "device" else ())
 
     def faces(self) -> tuple[Face, ...]:
         """Return the wall planes; see `Face`."""
         return tuple(face[:3] for face in self._faces)
 
+    def device_walls(self, state: Any) -> tuple[DeviceWall, ...]:
+        """Return the faces, if they are on the device."""
+        return self._on_device
+
     def gains(self) -> Iterable[Gains]:
-        """Return stiffness and damping in contact."""
+        """Return stiffness and damping in contact; none on the host for a wall on the device."""
+        if self.on == "device":
+            return ()
         stiffness, damping = np.zeros((2, *self.batch, len(AXES)))
         for axis, _, _, spring, damper, _ in self._faces:
             stiffness[..., axis], damping[..., axis] = spring, damper
@@ -122,6 +142,8 @@ class Wall(AxisLaw):
         """Add the forces for one sample; see `Law`."""
         pulses: list[Component] | None = None
         following = []
+        if self._on_device:
+            return state, None
         for (axis, normal, edge, stiffness, damping, braking), (free, remaining) in zip(self._faces, state):
             offset = position[axis] - edge
             inside = offset <= 0.0 if normal > 0.0 else offset >= 0.0
