@@ -177,9 +177,11 @@ class GuardedPlant:
 
         Raises:
             DeviceFault: If the command is not finite.
-            PlantError: If no sample was read.
+            PlantError: If no sample was read, or the command has walls on the device, which the protocol cannot carry.
         """
         frame = self._answered_frame("write")
+        if command.walls:
+            raise PlantError(f"a command to a device must have no walls on the device (got {len(command.walls)})")
         try:
             command, held, pulsed, width = self._output.currents(command, self.pose)
         except (PlantError, TypeError) as error:
