@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from math import isfinite
 from typing import Any, ClassVar, Self, TypeAlias, TypedDict
 
@@ -235,12 +236,13 @@ class SampledPlant(ABC):
             self._intervals_of = self._walls.period
         walls = self._walls.check(walls)
         held, pulsed, width = self._answer or (None, None, 0.0)
-        # copied: the caller may reuse its list or arrays
-        force, both = (
-            [part if part.__class__ is float else np.array(part) for part in six] for six in (command.force, total)
-        )
-        self._answer = Held((force, walls), held), Held((both, walls), pulsed) if width else None, width
-        return Command(command.force, command.extra, command.pulse_width, walls)
+        force, both = self._copied(command.force), self._copied(total) if width else None
+        self._answer = Held((force, walls), held), Held((both, walls), pulsed) if both else None, width
+        return command if command.walls is walls else replace(command, walls=walls)
+
+    def _copied(self, force: Six) -> list[Component]:
+        """Return a copy of a wrench: the caller may reuse its list or arrays."""
+        return [np.array(part) for part in force] if self.batch else list(force)
 
     def _driven(self, force: Six) -> Any:
         """Return the drive of a wrench within the limits."""

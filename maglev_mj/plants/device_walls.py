@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from operator import is_
 from typing import Any, NamedTuple, TypeAlias
@@ -103,7 +103,7 @@ class DeviceWalls:
             ParameterError: If a value is outside its bounds or has another batch shape.
         """
         if len(walls) == len(self._checked) and all(map(is_, walls, self._checked)):
-            return self._checked
+            return walls if isinstance(walls, tuple) else self._checked
         for wall in walls:
             if wall.axis not in range(len(AXES)) or wall.side not in (-1, 0, 1):
                 raise ParameterError(f"device wall needs an axis from 0 to 5 and a side of -1, 0 or 1 (got {wall})")
@@ -118,10 +118,14 @@ class DeviceWalls:
 
     def period(self, tick: int, answer: tuple[Any, Any, float] | None = None) -> Iterator[Interval]:
         """Yield the intervals of constant force from sample `tick` to the next; advance the plant between them."""
-        self.intervals, end = [], 0.0
-        for duration, held in self._timeline.period(tick, answer):
+        self.intervals, end, host = [], 0.0, self._timeline.period(tick, answer)
+        free = min(self._reach(held) for _, held in host) >= self._host + self._period
+        for duration, held in host:
             begin, end = end, end + duration
-            pieces = self._rendered(tick, begin, end, held) if isinstance(held, Held) else iter([(duration, held)])
+            if free or not isinstance(held, Held):
+                pieces: Iterable[Interval] = ((duration, held.drive if isinstance(held, Held) else held),)
+            else:
+                pieces = self._rendered(tick, begin, end, held)
             for duration, self.drive in pieces:
                 self.intervals.append((duration, self.drive))
                 yield duration, self.drive
@@ -171,7 +175,7 @@ class DeviceWalls:
                 speeds[axis, cutoff] = velocity
             offset = x - edge
             inside = side * offset <= 0.0
-            if not np.any(inside):
+            if inside is False or (inside is not True and not inside.any()):
                 continue
             forces = forces or [0.0] * len(AXES)
             forces[axis] = forces[axis] - inside * (stiffness * offset + damping * velocity)
@@ -187,19 +191,23 @@ class DeviceWalls:
         self._next = math.ceil((now - self._least) / self._period - self._phase)
         if self._last is not None and self._last[0] >= self._next:
             self._next = self._last[0] + 1
-        if self._force is None and not self._waiting:
-            until = math.floor((now + self._reach(held) + self._least) / self._period - self._phase)
-            self._next = max(self._next, until)
+        until = math.floor((now + self._reach(held) + self._least) / self._period - self._phase)
+        self._next = max(self._next, until)
 
-    def _reach(self, held: Held) -> float:
+    def _reach(self, held: Any) -> float:
         """Return the time in which no flotor can reach a wall [s], up to a period of the host and one of the device."""
+        if self._force is not None or self._waiting or not isinstance(held, Held):
+            return 0.0
         (pose, velocity), (force, walls) = self._motion(), held.key
         least = self._host + self._period
         for axis, edge, side, _, _, cutoff in walls:
             half = (HALF_ACCELERATION if axis < 3 else HALF_ANGULAR) + 0.5 * abs(force[axis]) / self._inertia[axis]
             gap, speed = side * (pose[axis] - edge) - self._margin[axis], -side * velocity[axis]
-            if not np.all(gap > 0.0):
-                return 0.0
-            time = float(np.min((np.sqrt(speed * speed + 4.0 * half * gap) - speed) / (2.0 * half)))
+            if gap.__class__ is float and speed.__class__ is float:
+                time = (math.sqrt(speed * speed + 4.0 * half * gap) - speed) / (2.0 * half) if gap > 0.0 else 0.0
+            else:
+                time = float(
+                    np.min((np.sqrt(speed * speed + 4.0 * half * np.maximum(gap, 0.0)) - speed) / (2.0 * half))
+                )
             least = min(least, time - (0.0 if cutoff is None else _SETTLED / (2.0 * math.pi * cutoff)))
         return max(least, 0.0)

@@ -77,13 +77,16 @@ def render(scene: str, path: Path, *options: str) -> None:
     _maglev("render", scene, "--plain", "--out", str(path), *(options or ("--size", "560x350")))
 
 
+_PAGES = {"mine.py": "compare.md", "device.py": "wall_on_the_device.md"}
+
+
 def chart(path: Path, *command: str) -> None:
     """Run a command or script that writes charts into a folder, and keep one of them."""
     with tempfile.TemporaryDirectory() as folder:
         program = [str(ROOT / command[0])] if command[0].endswith(".py") else ["-m", "maglev_mj", command[0]]
-        if "mine.py" in command:  # the law of the page
-            page = (ROOT / "docs/howto/compare.md").read_text("utf-8")
-            (Path(folder) / "mine.py").write_text(page.partition("```python\n")[2].partition("```")[0], "utf-8")
+        for name in _PAGES.keys() & set(command):  # the law of the page
+            page = (ROOT / "docs/howto" / _PAGES[name]).read_text("utf-8")
+            (Path(folder) / name).write_text(page.partition("```python\n")[2].partition("```")[0], "utf-8")
         words = [sys.executable, *program, *command[1:], "--out", folder]
         subprocess.run(words, check=False, stdout=subprocess.DEVNULL, cwd=folder)  # status 1: some runs do not settle
         shutil.copyfile(Path(folder) / path.name, path)
@@ -241,6 +244,7 @@ PICTURES: Mapping[str, Picture] = {
     ),
     "diagnosis.png": _chart(*"diagnose --stiffness 500 --damping 1 --rate 200 --delay 0.005 --mass 0.15".split()),
     "compare_drop.png": _chart("compare", "drop", *_LAWS),
+    "compare_drop_phases.png": _chart(*"compare drop --pulse 0 --law pd --law device.py".split()),
     "design.png": _chart(*_DESIGN),
     "gallery.png": _chart("scripts/examples/gallery.py"),
     **{
