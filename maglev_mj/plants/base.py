@@ -236,11 +236,11 @@ class SampledPlant(ABC):
             self._intervals_of = self._walls.period
         walls = self._walls.check(walls)
         held, pulsed, width = self._answer or (None, None, 0.0)
-        force, both = self._copied(command.force), self._copied(total) if width else None
+        force, both = self._kept(command.force), self._kept(total) if width else None
         self._answer = Held((force, walls), held), Held((both, walls), pulsed) if both else None, width
         return command if command.walls is walls else replace(command, walls=walls)
 
-    def _copied(self, force: Six) -> list[Component]:
+    def _kept(self, force: Six) -> list[Component]:
         """Return a copy of a wrench: the caller may reuse its list or arrays."""
         return [np.array(part) for part in force] if self.batch else list(force)
 

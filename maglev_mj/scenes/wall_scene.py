@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Self
 
@@ -142,28 +143,18 @@ class WallScene(Scene):
             raise ParameterError(f"device_damping must be None for a wall on the device (got {self.device_damping:g})")
         self.timing()
 
-    @property
-    def unpulsed_label(self) -> str:
-        """Label of a drop without a pulse."""
-        return "no pulse" if self.wall_on == "host" else "wall on the device"
-
-    @property
-    def braking(self) -> float:
-        """Damping of the braking pulse [N s/m]; a wall on the device has none."""
-        return self.pulse if self.wall_on == "host" else 0.0
-
     def timing(self, phase: Component = 0.0) -> Timing:
         """See `Scene`."""
-        timing: Any = {"period": self.period, "delay": self.delay, "phase": phase}
-        own = {name: getattr(self, name) for name in ("device_period", "device_delay")}
-        return Timing(**timing, **{name: value for name, value in own.items() if value is not None})
+        own: Any = {"device_period": self.device_period, "device_delay": self.device_delay}
+        stated = {name: value for name, value in own.items() if value is not None}
+        return replace(super().timing(phase), **stated)
 
     def damper(self) -> list[Law]:
         """Return the damper on the device, if any."""
         if not self.device_damping:
             return []
-        damper: Any = {"damping": self.device_damping, "on": "device", "cutoff": self.device_cutoff}
-        return [Wall(axes="z", lower=0.0, stiffness=0.0, **damper)]
+        own: Any = {"damping": self.device_damping, "on": "device", "cutoff": self.device_cutoff}
+        return [Wall(axes="z", lower=0.0, stiffness=0.0, **own)]
 
     def wall(self, *, gate: float = 0.0, force_limit: float = math.inf) -> Wall:
         """Return the PD wall with its braking pulse, eq. (3) of Salcudean & Vlaar 1997.
@@ -177,7 +168,7 @@ class WallScene(Scene):
             lower=0.0,
             stiffness=self.stiffness,
             damping=self.damping,
-            pulse=self.braking,
+            pulse=self.pulse if self.wall_on == "host" else 0.0,
             pulse_width=self.pulse_width,
             pulse_gate=gate,
             force_limit=force_limit,
@@ -188,7 +179,9 @@ class WallScene(Scene):
     def variants(self) -> Mapping[str, Self]:
         """See `Scene`."""
         if (without := self.unpulsed()) is None:
-            return super().variants() if self.braking else {self.unpulsed_label: self}
+            if self.wall_on == "device":
+                return {"wall on the device": self}
+            return super().variants() if self.pulse else {"no pulse": self}
         return {"with pulse": self, "without pulse": without}
 
     def unpulsed(self) -> Self | None:

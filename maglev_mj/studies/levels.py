@@ -11,7 +11,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache, partial
 from timeit import timeit
 from types import MappingProxyType
@@ -198,7 +198,7 @@ def timing_of(level: Level, timing: Timing, seed: int) -> Timing:
     delay = timing.delay + level.more_delay
     rest = Timing(period=timing.period, delay=delay).rest
     jitter = min(level.jitter, rest, timing.period - rest)
-    return Timing(period=timing.period, delay=delay, phase=timing.phase, jitter=jitter, seed=seed)
+    return replace(timing, delay=delay, jitter=jitter, seed=seed)
 
 
 def level_parts(
