@@ -35,6 +35,7 @@ class Controller:
     Attributes:
         laws: The laws, in order.
         velocity: The velocity estimator.
+        on_device: True if a law is rendered on the device, which a plant must be able to do.
 
     Raises:
         ParameterError: If the period is not above 0, `laws` is not a list of laws, or their pulse widths differ.
@@ -67,7 +68,8 @@ class Controller:
         self._estimate = self.velocity.__call__
         self._calls: _Calls = tuple(enumerate(law.__call__ for law in self.laws))
         self._first_calls: _Calls = tuple(enumerate(partial(answer, law) for law in self.laws))
-        self._walled = tuple((index, law.device_walls) for index, law in enumerate(self.laws) if law.on == "device")
+        self._walled = [(index, law.device_walls) for index, law in enumerate(self.laws) if law.on == "device"]
+        self.on_device = bool(self._walled)
         self.reset()
 
     def reset(self) -> None:
@@ -91,11 +93,6 @@ class Controller:
     def faces(self) -> tuple[Face, ...]:
         """Wall planes of all laws: index into AXES, normal, edge."""
         return tuple(face for law in self.laws for face in law.faces())
-
-    @property
-    def on_device(self) -> bool:
-        """True if a law is rendered on the device, which a plant must be able to do."""
-        return bool(self._walled)
 
     @property
     def device_walls(self) -> Sequence[DeviceWall]:

@@ -23,6 +23,8 @@ _ROUNDING = 1e-9
 
 _BLOCK = 256
 
+_DEVICE = DEVICE_PERIOD, DEVICE_DELAY, 0.0
+
 
 @lru_cache(maxsize=64)
 def _draws(seed: int, block: int) -> tuple[float, ...]:
@@ -113,9 +115,10 @@ class Timing:
         largest = float(np.minimum(rest, period - rest).min())
         if jitter > largest:
             raise ParameterError(f"jitter must be at most {largest:g} s at this delay and period (got {jitter:g} s)")
-        number("device_period", self.device_period, **SAMPLE_PERIOD)
-        transport_delay(number("device_delay", self.device_delay), self.device_period, "device_delay")
-        number("device_phase", self.device_phase, at_least=0.0, below=1.0)
+        if (self.device_period, self.device_delay, self.device_phase) != _DEVICE:
+            number("device_period", self.device_period, **SAMPLE_PERIOD)
+            transport_delay(number("device_delay", self.device_delay), self.device_period, "device_delay")
+            number("device_phase", self.device_phase, at_least=0.0, below=1.0)
         parts = {"delay": delay, "phase": phase, "rest": rest}
         store(self, **{name: part if part.ndim else float(part) for name, part in parts.items()})
         store(self, period=period, jitter=jitter, seed=whole("seed", self.seed))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Self
 
@@ -141,13 +140,14 @@ class WallScene(Scene):
             raise ParameterError("pulse_width must be above 0 for a pulse (got 0.0)")
         if self.device_damping and self.wall_on == "device":
             raise ParameterError(f"device_damping must be None for a wall on the device (got {self.device_damping:g})")
-        self.timing()
+        if self.device_period is not None or self.device_delay is not None:
+            self.timing()
 
     def timing(self, phase: Component = 0.0) -> Timing:
         """See `Scene`."""
-        own: Any = {"device_period": self.device_period, "device_delay": self.device_delay}
-        stated = {name: value for name, value in own.items() if value is not None}
-        return replace(super().timing(phase), **stated)
+        period = DEVICE_PERIOD if self.device_period is None else self.device_period
+        delay = DEVICE_DELAY if self.device_delay is None else self.device_delay
+        return Timing(period=self.period, delay=self.delay, phase=phase, device_period=period, device_delay=delay)
 
     def damper(self) -> list[Law]:
         """Return the damper on the device, if any."""

@@ -211,8 +211,9 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
         raise ParameterError(f"scene must be a Scene, such as find_scene('drop')() (got {scene!r})")
     body, delay = scene.body.bounded, scene.delay if delay is None else delay
     inertia = body.inertia if inertia is None else inertia
-    pose, device = scene.start().pose, scene.timing().device
-    return judge(scene.controller(), delay=delay, pose=pose, inertia=inertia, reach=body.range, device=device)
+    controller, pose = scene.controller(), scene.start().pose
+    device = scene.timing().device if controller.on_device else (DEVICE_PERIOD, DEVICE_DELAY)
+    return judge(controller, delay=delay, pose=pose, inertia=inertia, reach=body.range, device=device)
 
 
 def judge(
@@ -222,7 +223,7 @@ def judge(
     pose: ArrayLike = ZERO,
     inertia: ArrayLike = INERTIA,
     reach: ArrayLike = RANGE,
-    device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
+    device: ArrayLike = (DEVICE_PERIOD, DEVICE_DELAY),
 ) -> Verdict:
     """Return the stability verdict on the closed loop of a free flotor.
 
@@ -236,7 +237,7 @@ def judge(
         pose: Start of the flotor [m, rad], (6,).
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         reach: Range of motion [m, rad], (6,).
-        device: Sample period and delay of walls on the device [s].
+        device: Sample period and delay of walls on the device [s], (2,).
 
     Raises:
         ParameterError: If `controller` is no Controller, or a value is outside its bounds.
@@ -250,12 +251,13 @@ def judge(
     """
     start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
     transport_delay(number("delay", delay), controller.period)
+    own, late = numbers("device", device, shape="(2,)").tolist()
     gains = stated_gains(controller)
     if gains is None and controller.on_device:
         raise ParameterError("stability of a law with walls on the device needs declared gains: define gains()")
     if gains is None:
         return _numerically(controller, delay, start, body, numbers("reach", reach, shape="(6,)", above=0.0))
-    return _by_gains(gains, controller, delay, start, body, laws_on_device(controller, device))
+    return _by_gains(gains, controller, delay, start, body, laws_on_device(controller, (own, late)))
 
 
 _Gains: TypeAlias = dict[tuple[str, ...], tuple[Array, Array]]

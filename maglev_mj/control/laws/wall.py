@@ -96,8 +96,9 @@ class Wall(AxisLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_one_of("wall on", ("host", "device"), self.on)
-        if self.on == "device" and np.any(self.pulse):
+        if self.on != "host":
+            check_one_of("wall on", ("host", "device"), self.on)
+        if self.on != "host" and np.any(self.pulse):
             raise ParameterError(f"wall pulse must be 0 on the device (got {self.pulse!r})")
         if self.cutoff is not None:
             number("wall cutoff", self.cutoff, above=0.0)
@@ -111,11 +112,10 @@ class Wall(AxisLaw):
         faces = tuple(face for face in (*lower, *upper) if face is not None)
         if not faces:
             raise ParameterError("wall needs a finite lower or upper, not -inf and inf")
-        walls = [
-            DeviceWall(axis, edge, int(normal), spring, damper, self.cutoff)
-            for axis, normal, edge, spring, damper, _ in faces
-        ]
-        store(self, pulse_width=width, _faces=faces, _on_device=tuple(walls) if self.on == "device" else ())
+        store(self, pulse_width=width, _faces=faces, _on_device=self._walls(faces) if self.on == "device" else ())
+
+    def _walls(self, faces: Iterable[_Face]) -> tuple[DeviceWall, ...]:
+        return tuple(DeviceWall(axis, x, int(side), k, b, self.cutoff) for axis, side, x, k, b, _ in faces)
 
     def faces(self) -> tuple[Face, ...]:
         """Return the wall planes; see `Face`."""
