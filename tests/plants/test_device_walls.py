@@ -16,8 +16,9 @@ from maglev_mj.frames import Array, Command, DeviceWall
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant, Sensor, Timing
 from maglev_mj.plants.device_walls import DeviceWalls
 from maglev_mj.recording.verify import verify
+from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.run import run_phases
+from maglev_mj.scenes.run import figures_of, run_phases
 from maglev_mj.scenes.stability_check import unstable, wall_margin
 from maglev_mj.session.replay import rebuild, record_run
 from maglev_mj.theory import judge, stability
@@ -167,15 +168,18 @@ def test_two_rate_limit(seed: int) -> None:
             assert growth == pytest.approx(exact, abs=2e-3)
 
 
-@pytest.mark.study
-@pytest.mark.parametrize(
-    ("share", "values"),
-    [(0.8, BESIDE | {"stiffness": 61385.85, "damping": 20.0}), (0.95, STIFF | {"stiffness": 211773.8})],
-)
-def test_switching_at_the_edge(share: float, values: Any) -> None:
-    scene = Drop(**values | {"stiffness": share * values["stiffness"]}, duration=1.0)
-    settled = run_phases(scene, (np.arange(20) + 0.5) / 20, plant="exact").figures
-    assert np.isfinite(settled["settling_time"]).all()
+@pytest.mark.parametrize("values", [BESIDE | {"stiffness": 61385.85, "damping": 20.0}, STIFF | {"stiffness": 211773.8}])
+def test_switching_at_the_edge(values: Any) -> None:
+    scene = Drop(**values | {"stiffness": 0.8 * values["stiffness"]}, duration=0.6)
+    settled = run_phases(scene, (np.arange(20) + 0.5) / 20, plant="exact").figures["settling_time"]
+    assert settled.max() < 0.4
+
+
+def test_sweep_equals_single_runs() -> None:
+    scenes = [Drop(**DEVICE, stiffness=6e3 + n, device_delay=1e-4 * (1 + n % 2), duration=0.05) for n in range(16)]
+    together = figures_together(scenes, "exact", [0.0] * 16)
+    for scene, row in zip(scenes, together, strict=True):
+        assert row is not None and row["penetration"] == figures_of(scene, "exact")["penetration"]
 
 
 def test_verdict_of_a_scene() -> None:
@@ -187,8 +191,6 @@ def test_verdict_of_a_scene() -> None:
     assert unstable(scenes) == [False, False, True, True] == [not stability(scene).stable for scene in scenes]
     margin = wall_margin(alone)
     assert margin is not None and margin.margin == pytest.approx(211773.8 / 6e4, rel=1e-3)
-    with pytest.raises(ParameterError, match="needs declared gains"):
-        judge(Controller([Moving()], period=0.005), delay=0.0015)
 
 
 def test_recording_and_rewind() -> None:
@@ -217,22 +219,24 @@ def test_plants_without_the_ability() -> None:
     plant.close()
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Timing(device_delay=0.02), "device_delay must be at most 0.01"),
-        (lambda: Timing(device_period=0.0), "device_period must be"),
-        (lambda: Timing(device_phase=1.0), "device_phase must be"),
-        (lambda: Wall(axes="z", lower=0.0, stiffness=1.0, damping=1.0, on="board"), "wall on must be"),
-        (lambda: Wall(lower=0.0, stiffness=1.0, damping=1.0, pulse=1.0, pulse_width=1e-3, on="device"), "pulse must"),
-        (lambda: Wall(lower=0.0, stiffness=1.0, damping=1.0, on="device", cutoff=0.0), "cutoff must be above 0"),
-        (lambda: Drop(wall_on="device", device_damping=1.0), "device_damping must be None"),
-        (lambda: written(DeviceWall(6)), "axis from 0 to 5"),
-        (lambda: written(DeviceWall(2, stiffness=-1.0)), "stiffness must be at least 0"),
-        (lambda: written(DeviceWall(2, edge=np.zeros(3))), r"edge must have shape \(\)"),
-        (lambda: written(DeviceWall(2), Timing(delay=np.array([1e-3, 2e-3]))), "delay must be a number"),
-    ],
-)
+WALL: Any = {"axes": "z", "lower": 0.0, "stiffness": 1.0, "damping": 1.0}
+REFUSED: list[tuple[Callable[[], object], str]] = [
+    (lambda: Timing(device_delay=0.02), "device_delay must be at most 0.01"),
+    (lambda: Timing(device_period=0.0), "device_period must be"),
+    (lambda: Timing(device_phase=1.0), "device_phase must be"),
+    (lambda: Wall(**WALL, on="board"), "wall on must be"),
+    (lambda: Wall(**WALL, pulse=1.0, pulse_width=1e-3, on="device"), "pulse must be 0"),
+    (lambda: Wall(**WALL, on="device", cutoff=0.0), "cutoff must be above 0"),
+    (lambda: Drop(wall_on="device", device_damping=1.0), "device_damping must be None"),
+    (lambda: judge(Controller([Moving()], period=0.005), delay=0.0015), "needs declared gains"),
+    (lambda: written(DeviceWall(6)), "axis from 0 to 5"),
+    (lambda: written(DeviceWall(2, stiffness=-1.0)), "stiffness must be at least 0"),
+    (lambda: written(DeviceWall(2, edge=np.zeros(3))), r"edge must have shape \(\)"),
+    (lambda: written(DeviceWall(2), Timing(delay=np.array([1e-3, 2e-3]))), "delay must be a number"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), REFUSED)
 def test_refused(make: Callable[[], object], message: str) -> None:
     with pytest.raises(MaglevError, match=message):
         make()
