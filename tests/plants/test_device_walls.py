@@ -179,7 +179,8 @@ def test_sweep_equals_single_runs() -> None:
     scenes = [Drop(**DEVICE, stiffness=6e3 + n, device_delay=1e-4 * (1 + n % 2), duration=0.05) for n in range(16)]
     together = figures_together(scenes, "exact", [0.0] * 16)
     for scene, row in zip(scenes, together, strict=True):
-        assert row is not None and row["penetration"] == figures_of(scene, "exact")["penetration"]
+        # a batch skips samples of its devices together: equal but for rounding
+        assert row and row["penetration"] == pytest.approx(figures_of(scene, "exact")["penetration"], rel=1e-12)
 
 
 def test_verdict_of_a_scene() -> None:
