@@ -156,10 +156,9 @@ class Controller:
             states[index], extra = law(position, velocity, states[index], wrench)
             if extra is not None:
                 pulse = extra if pulse is None else [first + second for first, second in zip(pulse, extra)]
-        command = Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
         if self._walled:
-            command.walls = self.device_walls
-        return command
+            return Command(wrench, pulse, self._pulse_width if pulse else 0.0, self.device_walls)
+        return Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
 
     def _skip(self, position: Six, velocity: Six, periods: int) -> None:
         """Advance the states over lost samples, at constant velocity; over at most 100, to bound the time of a tick."""

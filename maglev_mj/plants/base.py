@@ -66,7 +66,18 @@ class SampledPlant(ABC):
     """
 
     # rarely used attributes, in slots: lookup is slower in an object with more than 30 attributes
-    __slots__ = ("__dict__", "__weakref__", "_longest_step", "batch", "before", "given", "inertia", "load", "start")
+    __slots__ = (
+        "__dict__",
+        "__weakref__",
+        "_longest_step",
+        "_walls",
+        "batch",
+        "before",
+        "given",
+        "inertia",
+        "load",
+        "start",
+    )
 
     renders_walls: ClassVar[bool] = True
     """True: the plant renders the walls of a command on the device."""

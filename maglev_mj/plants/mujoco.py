@@ -276,12 +276,12 @@ class MuJoCoPlant(SampledPlant):
         mujoco.mj_getState(self._model, self._data, state, kind)
         parts = (self, self._timeline, self._steps, self._steps.stops, self._coil_drive, self._walls)
         states = states_of(*(part for part in parts if part is not None))
-        measures = self._sensor, None if self._walls is None else self._walls.measure
-        return states, state, self._angle, *map(_copy_of, measures)
+        own = None if self._walls is None else _copy_of(self._walls.measure)
+        return states, state, self._angle, _copy_of(self._sensor), self._walls, own
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Restore a state of `saved`, from which the motion repeats exactly."""
-        states, state, self._angle, sensor, own = saved
+        states, state, self._angle, sensor, self._walls, own = saved
         restore(states)
         if self._walls is not None:
             self._walls.measure = _copy_of(own)
