@@ -56,7 +56,7 @@ def test_pulse_with_the_stopping_gain_stops_the_flotor(axis: str, side: int, pla
     # Eq. (8): without gravity and with no PD wall behind it, exactly m v goes in one pulse.
     index, width = AXES.index(axis), 0.003
     inertia = INERTIA[index]
-    edge = {"lower": 0.0} if side > 0 else {"upper": 0.0}
+    edge: Any = {"lower": 0.0} if side > 0 else {"upper": 0.0}
     gain = inertia / width
     damping = 0.3 * gain  # the pulse takes damping + pulse; the PD damping after it sees the old speed: none here
     pose, twist = np.zeros(6), np.zeros(6)

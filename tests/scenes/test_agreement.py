@@ -21,8 +21,8 @@ def cross(plant: SampledPlant, axis: str, side: int, size: float, mass: float = 
     body = np.array([mass] * 3 + [*INERTIA[3:]])
     share = body[AXES.index(axis)] / INERTIA[0]
     # the same dimensionless wall for every inertia
-    gains = {"stiffness": 6000.0 * share, "damping": 80.0 * share, "pulse": 220.0 * share}
-    edge = {"lower": 0.0} if side > 0 else {"upper": 0.0}
+    gains: Any = {"stiffness": 6000.0 * share, "damping": 80.0 * share, "pulse": 220.0 * share}
+    edge: Any = {"lower": 0.0} if side > 0 else {"upper": 0.0}
     wall = Wall(axes=axis, pulse_width=0.003, **gains, **edge)
     others = [name for name in AXES if name != axis]
     inertia = np.delete(body, AXES.index(axis))
