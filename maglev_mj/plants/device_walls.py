@@ -30,12 +30,7 @@ Motion: TypeAlias = Callable[[], tuple[Six, Six]]
 
 
 class Held(NamedTuple):
-    """Drive of a timeline with walls.
-
-    Attributes:
-        key: Wrench of the host [N, N m] and walls; equal for equal drives.
-        drive: Drive of the wrench alone.
-    """
+    """Drive of a timeline with walls: wrench of the host [N, N m] and walls as its key, and drive of the wrench alone."""
 
     key: tuple[Six, Sequence[DeviceWall]]
     drive: Any
