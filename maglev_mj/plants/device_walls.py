@@ -30,7 +30,7 @@ Motion: TypeAlias = Callable[[], tuple[Six, Six]]
 
 
 class Held(NamedTuple):
-    """Drive of a timeline with walls: wrench of the host [N, N m] and walls as its key, and drive of the wrench alone."""
+    """Drive of a timeline with walls: the host's wrench [N, N m] and walls as its key, and drive of that wrench."""
 
     key: tuple[Six, Sequence[DeviceWall]]
     drive: Any

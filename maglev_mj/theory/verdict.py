@@ -560,9 +560,9 @@ def axis_loop(
         stiffness, damping = (float(both[axis]) for both in list(gains.values())[-1])
         around: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
         law = laws_on_device(controller, device).get(axis)
-        loop = SampledLoop(mass=inertia[axis], hand=held, device=law, **around)
+        both = SampledLoop(mass=inertia[axis], hand=held, device=law, **around)
         total = stiffness + (law.stiffness if law is not None else 0.0)
-        return total, float(loop.spectral_radius(stiffness, damping))
+        return total, float(both.spectral_radius(stiffness, damping))
     loop = _axis(controller, axis, pose, inertia)
     if loop is None:
         return math.nan, math.nan

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from maglev_mj import AXES, Controller, Wall
+from maglev_mj import AXES, Controller, Timing, Wall
 from maglev_mj.control import (
     AdaptiveWindow,
     AxisLaw,
@@ -376,6 +376,7 @@ def test_a_scene_of_any_kind_is_judged() -> None:
         delay=DELAY,
         controller=lambda: controller,
         start=lambda: SimpleNamespace(pose=[0.0] * 6),
+        timing=lambda: Timing(period=T, delay=DELAY),
         body=body_of({}),
     )
     assert stability(scene).stable is False
