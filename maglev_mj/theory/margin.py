@@ -65,7 +65,7 @@ class Margin(NamedTuple):
         limit = f"; stable up to {self.critical_stiffness:.4g} {stiff} at this damping" * (
             self.critical_stiffness > 0.0
         )
-        share = str(self).removeprefix("unstable: ").removeprefix("stable: ")
+        share = str(self) if self.ratio == 0.0 else str(self).removeprefix("un").removeprefix("stable").lstrip(":, ")
         return (
             f"{self.acting} on {self.axis}: {share} (must be below 1) with a total of {self.stiffness:.4g} {stiff} and "
             f"{self.damping:.4g} {damp}, at {1.0 / self.period:.4g} Hz, delay {self.delay * 1e3:.3g} ms{limit}"

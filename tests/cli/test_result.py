@@ -47,7 +47,7 @@ def results() -> dict[str, Result]:
     recording = record_run(Drop(), plant="exact", phase=0.0)
     wall = design_wall(WallRequirements(mass=(0.6, 0.8)))
     phases = {"pd": run_phases(Drop(), 8, plant="exact")}
-    rest = dict.fromkeys(("stiffness", "noise", "spectral_radius", "critical_stiffness", "margin"), 0.5)
+    rest = dict.fromkeys(("stiffness", "noise", "limit_cycle", "spectral_radius", "critical_stiffness", "margin"), 0.5)
     names = [name for kind in _NAMES.values() for name in kind]
     cycles = dict.fromkeys([*names, "time", "width", "delay", "latency"], np.arange(3.0))
     cycles |= dict.fromkeys(["sample", "state", "faults", *_NAMES["temperatures"]], np.arange(3))

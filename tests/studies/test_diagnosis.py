@@ -271,6 +271,9 @@ def test_every_margin_is_that_of_both_rates() -> None:
     for periods, stable in ((slowest, True), (slowest + 1, False)):
         loop = around | {"period": 1e-3 * periods}
         assert bool(spectral_radius(2e4, 20.0, device=device, **loop) < 1.0) is stable
+
+
+def test_a_diagnosis_of_a_wall_on_the_device_alone() -> None:
     whole = diagnose(**HOST | {"stiffness": 0.0, "damping": 0.0}, device_stiffness=6e4, device_damping=200.0)
     assert whole.spectral_radius ** (1.0 / 5.0) == pytest.approx(0.857502, abs=6e-7)
     assert whole.critical_stiffness == pytest.approx(211773.8, rel=1e-6) and whole.frequency == pytest.approx(
