@@ -24,7 +24,7 @@ from maglev_mj.scenes.results import Figure, Variants
 from maglev_mj.session.replay import record_run
 from maglev_mj.studies import levels
 from maglev_mj.studies.card import device_card
-from maglev_mj.studies.compare import Comparison
+from maglev_mj.studies.compare import Comparison, sweep_laws
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.diagnosis import diagnose
 from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
@@ -130,7 +130,8 @@ def test_every_kind_of_result_has_a_headline() -> None:
         "late": 0,
     }
     link = LinkReport(device_delay=1e-4, clock=1.0, lockstep=False, **numbers)
-    found = {type(one): one for one in [*results().values(), link, device_report()]}
+    laws = sweep_laws(Drop(duration=0.05), ["pd"], "stiffness", [2000.0, 4000.0], phases=2)
+    found = {type(one): one for one in [*results().values(), link, device_report(), laws]}
     kinds = [Result]
     for kind in kinds:
         kinds += kind.__subclasses__()
