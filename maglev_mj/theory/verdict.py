@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import compress, pairwise, product
+from itertools import compress, product
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -20,7 +19,7 @@ from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, TooManyCallsError
-from maglev_mj.frames import AXES, ZERO, Array, Sample, unit_of
+from maglev_mj.frames import AXES, ZERO, Array, unit_of
 from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import Body
@@ -28,27 +27,15 @@ from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_DELAY_PERIODS, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
+from maglev_mj.theory.poses import POINTS, edges_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device, rates_of
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
 """Tolerances of a spectral radius, of gains relative to their responses, and of the mean of a double root at 1."""
 _SHORT = 16
 """Longest response that is realised sample by sample [samples]."""
-_POINTS, _STRIDE = 23, 0.9871
-"""Number of poses along each axis, and range covered.
-
-The range is a fraction of the range of motion, chosen so that few poses fall on an edge.
-"""
 _LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 12
 """Longest delay and finest step of a margin [s], delays per period, and bisections."""
-_OFF, _DEPTHS = 1e-5, (1e-6, 1e-5, 1e-4)
-"""Distances from an edge [m]; ten times as many [rad].
-
-The first moves a start off an edge, the others are depths of poses inside a face or another edge.
-"""
-_PROBE, _EDGE, _LOCATED = 1e-7, 1e-4, 10
-"""Displacement that probes for an edge [m, 0.1 rad], relative change that marks one, and bisections of its interval."""
-_SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
 class LoopState(NamedTuple):
@@ -438,8 +425,8 @@ def _linearised(controller: Controller, pose: Array, body: Array, reach: ArrayLi
     away: list[_Loop] = []
     previous: list[_Loop] = []
     jumps, unknown, judged = [], [], set()
-    grid = linearise(controller, _poses(controller, pose, reach))
-    edges = [*_edges(controller, grid[2 : 2 + len(AXES) * _POINTS])]
+    grid = linearise(controller, poses_of(controller, pose, reach))
+    edges = [*edges_of(controller, grid[2 : 2 + len(AXES) * POINTS])]
     for near in [*grid, *(linearise(controller, edges) if edges else ())]:
         scaled = near.scaled(body)
         for axes in _coupled(scaled):
@@ -676,59 +663,6 @@ def _coupled(scaled: Array) -> list[tuple[int, ...]]:
     linked = (size > _ROUNDING * size.max(initial=0.0)) | np.eye(len(AXES), dtype=bool)
     linked = np.linalg.matrix_power(linked.astype(float), len(AXES)) > 0.0
     return list(dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in linked))
-
-
-def _poses(controller: Controller, start: Array, reach: ArrayLike) -> Array:
-    """Return start, centre, poses along each axis, and poses inside each face."""
-    (near,) = linearise(controller, start[None])
-    start = start + _OFF * _SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
-    rows = [start, np.zeros(6)]
-    for axis, far in enumerate(np.asarray(reach)):
-        rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, _POINTS) * far * _STRIDE]
-    for axis, normal, edge in controller.faces:
-        rows += [_with(start, axis, float(edge) - normal * depth * _SCALE[axis]) for depth in _DEPTHS]
-    return np.array(rows)
-
-
-def _edges(controller: Controller, grid: Sequence[Linearised]) -> Iterator[Array]:
-    """Yield poses just inside the edges of regions of constant gains, such as free motion, along each axis."""
-    for axis in range(len(AXES)):
-        line = grid[axis * _POINTS : (axis + 1) * _POINTS]
-        same = [_same(*(near.response for near in pair)) for pair in pairwise(line)]
-        for index in (index for index, equal in enumerate(same) if not equal):
-            ends = line[index].pose, line[index + 1].pose
-            for (outside, inside), constant in ((ends, same[:index][-1:]), (ends[::-1], same[index + 1 :][:1])):
-                if constant != [True]:
-                    continue
-                slope = _slope(controller, outside, axis)
-                for _ in range(_LOCATED):
-                    middle = 0.5 * (outside + inside)
-                    unchanged = _same(_slope(controller, middle, axis), slope)
-                    outside, inside = (middle, inside) if unchanged else (outside, middle)
-                sign = np.sign(inside[axis] - outside[axis]) * _SCALE[axis]
-                yield from (_with(inside, axis, inside[axis] + sign * depth) for depth in _DEPTHS)
-
-
-def _slope(controller: Controller, pose: Array, axis: int) -> Array:
-    """Return the change of the wrench by a small displacement along one axis, (1, 6)."""
-    forces = []
-    for step in (0.0, _PROBE * _SCALE[axis]):
-        probe = copy(controller)
-        probe.reset()
-        for tick, shift in enumerate((0.0, 0.0, step)):
-            command = probe.step(Sample(tick, 0.0, _with(pose, axis, pose[axis] + shift).tolist()))
-        forces.append(command.force)
-    return np.diff(forces, axis=0)
-
-
-def _same(first: Array, second: Array) -> bool:
-    return bool(np.abs(first - second).max() <= _EDGE * max(np.abs(first).max(), np.abs(second).max()))
-
-
-def _with(pose: Array, axis: int, value: float) -> Array:
-    changed = pose.copy()
-    changed[axis] = value
-    return changed
 
 
 def _distinct(poses: Sequence[Array]) -> Array:

@@ -255,8 +255,13 @@ def test_missing_values_are_named(values: dict[str, float], words: str) -> None:
 HOST: dict[str, Any] = {"stiffness": 2e4, "damping": 20.0, "period": 5e-3, "delay": 1.5e-3, "mass": 0.7}
 
 
-def test_every_margin_is_that_of_both_rates() -> None:
-    found = diagnose(**HOST, device_damping=100.0, device_rate=1000.0)
+@pytest.fixture(scope="module")
+def beside() -> Diagnosis:
+    return diagnose(**HOST, device_damping=100.0, device_rate=1000.0)
+
+
+def test_every_margin_is_that_of_both_rates(beside: Diagnosis) -> None:
+    found = beside
     device, around = DeviceLaw(0.0, 100.0), {name: HOST[name] for name in ("period", "delay", "mass")}
     assert found.spectral_radius == pytest.approx(0.881964, abs=6e-7)
     assert found.critical_stiffness == pytest.approx(29436.54, abs=0.06)

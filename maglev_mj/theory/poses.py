@@ -1,0 +1,81 @@
+"""Poses at which laws without declared gains are linearised: along each axis, inside faces, at edges of regions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.control.controller import Controller
+from maglev_mj.frames import AXES, Array, Sample
+from maglev_mj.theory.linearise import Linearised, linearise
+
+POINTS, _STRIDE = 23, 0.9871
+"""Number of poses along each axis, and range covered.
+
+The range is a fraction of the range of motion, chosen so that few poses fall on an edge.
+"""
+_OFF, _DEPTHS = 1e-5, (1e-6, 1e-5, 1e-4)
+"""Distances from an edge [m]; ten times as many [rad].
+
+The first moves a start off an edge, the others are depths of poses inside a face or another edge.
+"""
+_PROBE, _EDGE, _LOCATED = 1e-7, 1e-4, 10
+"""Displacement that probes for an edge [m, 0.1 rad], relative change that marks one, and bisections of its interval."""
+_SCALE = np.array([1.0] * 3 + [10.0] * 3)
+
+
+def poses_of(controller: Controller, start: Array, reach: ArrayLike) -> Array:
+    """Return start, centre, poses along each axis, and poses inside each face."""
+    (near,) = linearise(controller, start[None])
+    start = start + _OFF * _SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
+    rows = [start, np.zeros(6)]
+    for axis, far in enumerate(np.asarray(reach)):
+        rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, POINTS) * far * _STRIDE]
+    for axis, normal, edge in controller.faces:
+        rows += [_with(start, axis, float(edge) - normal * depth * _SCALE[axis]) for depth in _DEPTHS]
+    return np.array(rows)
+
+
+def edges_of(controller: Controller, grid: Sequence[Linearised]) -> Iterator[Array]:
+    """Yield poses just inside the edges of regions of constant gains, such as free motion, along each axis."""
+    for axis in range(len(AXES)):
+        line = grid[axis * POINTS : (axis + 1) * POINTS]
+        same = [_same(*(near.response for near in pair)) for pair in pairwise(line)]
+        for index in (index for index, equal in enumerate(same) if not equal):
+            ends = line[index].pose, line[index + 1].pose
+            for (outside, inside), constant in ((ends, same[:index][-1:]), (ends[::-1], same[index + 1 :][:1])):
+                if constant != [True]:
+                    continue
+                slope = _slope(controller, outside, axis)
+                for _ in range(_LOCATED):
+                    middle = 0.5 * (outside + inside)
+                    unchanged = _same(_slope(controller, middle, axis), slope)
+                    outside, inside = (middle, inside) if unchanged else (outside, middle)
+                sign = np.sign(inside[axis] - outside[axis]) * _SCALE[axis]
+                yield from (_with(inside, axis, inside[axis] + sign * depth) for depth in _DEPTHS)
+
+
+def _slope(controller: Controller, pose: Array, axis: int) -> Array:
+    """Return the change of the wrench by a small displacement along one axis, (1, 6)."""
+    forces = []
+    for step in (0.0, _PROBE * _SCALE[axis]):
+        probe = copy(controller)
+        probe.reset()
+        for tick, shift in enumerate((0.0, 0.0, step)):
+            command = probe.step(Sample(tick, 0.0, _with(pose, axis, pose[axis] + shift).tolist()))
+        forces.append(command.force)
+    return np.diff(forces, axis=0)
+
+
+def _same(first: Array, second: Array) -> bool:
+    return bool(np.abs(first - second).max() <= _EDGE * max(np.abs(first).max(), np.abs(second).max()))
+
+
+def _with(pose: Array, axis: int, value: float) -> Array:
+    changed = pose.copy()
+    changed[axis] = value
+    return changed
