@@ -599,7 +599,7 @@ def _firmware(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
 
 
 def _least(radius: Callable[[Array], Array], most: float, search: tuple[int, int, int] | None = None) -> float | None:
-    """Return the least value up to `most` at which a spectral radius is below 1; None if there is none.
+    """Return the least value up to `most` at which a spectral radius is below 1; None without one.
 
     Args:
         radius: Function of values, (N,).

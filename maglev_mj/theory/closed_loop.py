@@ -395,7 +395,7 @@ _SECTIONS, _HALVED = (12, 15), (45, 1)  # steps and points of a refinement to ro
 
 
 def bracket(grid: Array, true: Mask) -> tuple[Array, Array]:
-    """Return the grid points before and at the first true one, (...,) each; infinity if there is none."""
+    """Return the grid points before and at the first true one, (...,) each; infinity without one."""
     first = np.argmax(true, axis=-1)[..., None]
     ends = (np.take_along_axis(grid, np.maximum(index, 0), axis=-1)[..., 0] for index in (first - 1, first))
     low, high = (np.where(true.any(axis=-1), end, np.inf) for end in ends)

@@ -475,7 +475,7 @@ def _fading(t: Tester) -> str:
     return f"zero after {span / 1e6:.4g} ms"
 
 
-@check("ESTOP, DISARM and any other fault cut during a controlled stop; before the first command there is none")
+@check("ESTOP, DISARM and any other fault cut during a controlled stop; before the first command no stop begins")
 def _stop_cut(t: Tester) -> str:
     for end in (None, Operation.DISARM, Operation.TRIP):
         with case(end.name if end else "ESTOP"):
