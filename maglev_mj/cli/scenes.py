@@ -212,9 +212,6 @@ def render(
     size: Annotated[str, option("width and height [pixels]", "output", "WxH")] = "1200x750",
     fps: Annotated[int, option("frame rate [1/s]", "output", at_least=1, at_most=50)] = 20,
     plain: Annotated[bool, option("omit plots and text", "output")] = False,
-    magnify: Annotated[
-        int, option("magnification of the handle's motion: 1, 3 or 5", "output", at_least=1, at_most=5)
-    ] = 1,
 ) -> int:
     """Render an image or video of a scene off-screen."""
     # imported here: loads the rendering libraries
@@ -232,7 +229,6 @@ def render(
             height=height,
             rate=fps,
             plots=not plain,
-            magnify=magnify,
             progress=progress,
         )
     print(f"wrote {out}" + (f", {frames} frames" if frames > 1 else ""))

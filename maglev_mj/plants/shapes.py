@@ -66,7 +66,7 @@ class Shape(NamedTuple):
         turn: Orientation, as a unit quaternion (w, x, y, z).
         colour: Red, green, blue, opacity, each from 0 to 1.
         material: Name of the material; empty for none.
-        part: "handle" for the knob, "stem" for what carries it, "coil0" to "coil5" for a winding; otherwise empty.
+        coil: "coil0" to "coil5" for a winding; otherwise empty.
     """
 
     moves: bool
@@ -76,7 +76,7 @@ class Shape(NamedTuple):
     turn: Sequence[float]
     colour: Sequence[float]
     material: str = ""
-    part: str = ""
+    coil: str = ""
 
 
 def shapes(model: Model) -> list[Shape]:
@@ -89,7 +89,7 @@ def shapes(model: Model) -> list[Shape]:
     compiled, data = device.model, mujoco.MjData(device.model)
     mujoco.mj_kinematics(compiled, data)
     origin, turn, visible = data.xpos[device.flotor], np.zeros(4), []
-    moving, parts = {device.flotor}, geom_parts(compiled, data)
+    moving, coils = {device.flotor}, coil_geoms(compiled, data)
     for body in range(compiled.nbody):  # parents come first
         moving |= {body} if int(compiled.body_parentid[body]) in moving else set()
     for geom in range(compiled.ngeom):
@@ -101,7 +101,7 @@ def shapes(model: Model) -> list[Shape]:
         mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
         centre, (radius, half, third) = data.geom_xpos[geom] - origin, compiled.geom_size[geom]
         name = "" if material < 0 else compiled.material(material).name
-        about = turn.tolist(), colour.tolist(), name, parts.get(geom, "")
+        about = turn.tolist(), colour.tolist(), name, f"coil{coils[geom]}" if geom in coils else ""
         if kind in ("cylinder", "capsule"):
             visible.append(Shape(moves, "cylinder", np.array([radius, radius, half]), centre, *about))
             along = half * data.geom_xmat[geom][2::3]
@@ -112,22 +112,16 @@ def shapes(model: Model) -> list[Shape]:
     return visible
 
 
-def geom_parts(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, str]:
-    """Return the part of each geom that belongs to one, as in `Shape`.
+def coil_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, int]:
+    """Return the coil of each geom of copper, the nearest one.
 
     Args:
         model: Compiled model.
         data: Its state, with the flotor centred.
     """
-    handle, copper = model.body("handle").id, model.material("copper").id
-    coils, parts = data.site_xpos[model.actuator_trnid[: len(COILS), 0]], {}
-    for geom, place in enumerate(data.geom_xpos):
-        tip = place[2] + model.geom_size[geom, 1] * (model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER)
-        if model.geom_matid[geom] == copper:
-            parts[geom] = f"coil{np.linalg.norm(coils - place, axis=1).argmin()}"
-        elif model.geom_bodyid[geom] == handle and tip > KNOB_BOTTOM:  # an upright cylinder from below is the stem
-            parts[geom] = "handle" if place[2] > KNOB_BOTTOM else "stem"
-    return parts
+    places = data.site_xpos[model.actuator_trnid[: len(COILS), 0]]
+    windings = np.flatnonzero(model.geom_matid == model.material("copper").id).tolist()
+    return {geom: int(np.linalg.norm(places - data.geom_xpos[geom], axis=1).argmin()) for geom in windings}
 
 
 def coil_colour(copper: Sequence[float], current: float) -> tuple[float, float, float]:
@@ -143,21 +137,18 @@ def coil_colour(copper: Sequence[float], current: float) -> tuple[float, float, 
     return red, green, blue
 
 
-def wall_box(
-    faces: Iterable[Face], margin: float = 0.0
-) -> tuple[dict[Face, tuple[Array, Array]], list[tuple[Array, list[Face]]]]:
+def wall_box(faces: Iterable[Face]) -> tuple[dict[Face, tuple[Array, Array]], list[tuple[Array, list[Face]]]]:
     """Return the plates that the knob touches at walls, and their edges: together one box; rotations have none.
 
     Args:
         faces: Walls: index into AXES, normal (1 or -1), edge [m, rad].
-        margin: Added to each open side of the box [m].
 
     Returns:
         Centre and half lengths [m], (3,) each, of each plate; the ends [m], (2, 3), of each edge with its walls.
     """
     radius, half_height = KNOB
     knob = np.array([[-radius, -radius, KNOB_BOTTOM - GRIP[2]], [radius, radius, half_height]])  # lower, upper sides
-    box = GRIP + np.array([[-1.0], [1.0]]) * ([_PLATE + margin, _PLATE + margin, half_height + 0.004 + margin])
+    box = GRIP + np.array([[-1.0], [1.0]]) * [_PLATE, _PLATE, half_height + 0.004]
     places = {face: GRIP[face[0]] + knob[int(face[1] < 0.0), face[0]] + face[2] for face in faces if face[0] < 3}
     for (axis, normal, _), place in places.items():
         box[int(normal < 0.0), axis] = place

@@ -4,166 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, GOOD, HAND, MEASURED, Colour
-from maglev_mj.errors import ParameterError
+from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, HAND, MEASURED, Colour
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.plants.shapes import MIN_ARROW_FORCE, Face
-from maglev_mj.process import SideAnswers
-from maglev_mj.scenes import Scene
-from maglev_mj.scenes.stability_check import UNKNOWN
 from maglev_mj.session import SHOWN, Snapshot, settable_parameters
-from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
-from maglev_mj.theory.margin import worst_axis
-
-_DAMPINGS = 32  # points of a stability boundary
-_EMPTY = np.zeros(0)
-
-
-class Margin(NamedTuple):
-    """Stability margin of a scene's gains.
-
-    Attributes:
-        words: Verdict, such as "stable: 59 % of critical stiffness".
-        stable: None if not computed.
-        axis: Axis with the smallest margin; empty if the laws do not state their gains.
-        stiffness: Total stiffness of the active laws on that axis [N/m, N m/rad].
-        damping: Total damping of the active laws on that axis [N s/m, N m s/rad].
-        dampings: Dampings of the stability boundary, increasing, (N,).
-        stiffnesses: Critical stiffness at each damping, (N,).
-    """
-
-    words: str
-    stable: bool | None = None
-    axis: str = ""
-    stiffness: float = 0.0
-    damping: float = 0.0
-    dampings: Array = _EMPTY
-    stiffnesses: Array = _EMPTY
-
-    @property
-    def colour(self) -> Colour | None:
-        """Colour of the verdict; None if not computed."""
-        return None if self.stable is None else GOOD if self.stable else BAD
-
-
-def margin(
-    scene: Scene, delay: float | None = None, inertia: Sequence[float] | None = None, *, linearised: bool = True
-) -> Margin:
-    """Return the smallest stability margin of a scene, over all axes and combinations of laws, without a hand.
-
-    Args:
-        scene: The scene.
-        delay: See `stability`.
-        inertia: See `stability`.
-        linearised: False to skip laws that do not declare their gains.
-    """
-    body, lag = scene.body.inertia if inertia is None else np.array(inertia), scene.delay if delay is None else delay
-    try:
-        if (gains := stated_gains(scene.controller())) is None and not linearised:
-            return _COMPUTING
-        verdict = stability(scene, inertia=body, delay=lag)
-        if gains is None:
-            return Margin(str(verdict), verdict.stable)
-        return _smallest(scene, verdict, gains, body, lag)
-    except Exception as error:  # of a user's laws, too
-        return _not_computed(error)
-
-
-def _not_computed(error: Exception) -> Margin:
-    return Margin(f"{UNKNOWN}: {str(error).removeprefix(f'{UNKNOWN}: ')}")
-
-
-def _smallest(scene: Scene, verdict: Verdict, gains: Any, body: Array, delay: float) -> Margin:
-    around: Any = {"period": scene.period, "delay": delay, "inertia": body, "velocity": scene.controller().velocity}
-    state, index, ratio = worst_axis(gains, axis=scene.axis_index, **around)
-    pair = float(gains[state][0][index]), float(gains[state][1][index])
-    if not verdict.stable:
-        index = AXES.index(verdict.axes[0])
-        pair = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
-        words = f"unstable on {AXES[index]}"
-        if 1.0 <= ratio < np.inf:
-            words += f": {100.0 * ratio:.0f} % of critical stiffness"
-    elif pair[0]:
-        words = f"stable: {100.0 * ratio:.0f} % of critical stiffness"
-    else:
-        words = "stable: no stiffness"
-    return Margin(words, verdict.stable, AXES[index], *pair, *_boundary(scene.period, delay, float(body[index])))
-
-
-class StabilityMap:
-    """Stability margin of the newest scene.
-
-    It is computed at once from declared gains, in milliseconds. Linearisation can take seconds: it runs in a side
-    process without a deadline.
-    """
-
-    def __init__(self) -> None:
-        self._answers: Any = None
-        self._arguments: tuple[Any, ...] = (None,)
-        self._margin, self._waiting, self._reused = _COMPUTING, False, False
-
-    def of(self, snapshot: Snapshot, *, wait: bool = False) -> Margin:
-        """Return the margin of a snapshot's scene; that of the last delay while another one is computed.
-
-        Args:
-            snapshot: The snapshot.
-            wait: True to linearise in this process.
-        """
-        arguments = _arguments(snapshot)
-        if arguments != self._arguments or (wait and self._waiting):
-            computed = margin(*arguments, linearised=wait)
-            self._waiting = computed is _COMPUTING
-            if not self._waiting or arguments[0] != self._arguments[0]:
-                self._margin = computed
-            self._arguments = arguments
-            if self._waiting:
-                self._reused = self._answers is not None and not self._answers.ended
-                if not self._reused:
-                    self._answers = SideAnswers(margin, UNKNOWN)
-                self._answers.ask(*arguments)
-        if self._waiting:
-            try:
-                answer: Margin | None = self._answers.answer()
-            except Exception as error:  # the process has ended, or a scene that cannot be pickled
-                answer = _not_computed(error)
-                if self._answers.ended and self._reused:  # perhaps before the question: ask a new one
-                    answer, self._arguments = None, (None,)
-            if answer is not None:
-                self._margin, self._waiting = answer, False
-        return self._margin
-
-
-_COMPUTING = Margin("computing stability")
-STABILITY = StabilityMap()
-"""Shared by all viewers of this process."""
-
-
-def _arguments(snapshot: Snapshot) -> tuple[Scene, float | None, Sequence[float] | None]:
-    """Return the arguments of `margin`; a measured delay is rounded to 0.1 ms, because it fluctuates."""
-    is_measured = snapshot.state == "flying" and not math.isnan(snapshot.delay)
-    return snapshot.scene, round(snapshot.delay, 4) if is_measured else None, snapshot.inertia
-
-
-@lru_cache
-def _boundary(period: float, delay: float, mass: float) -> tuple[Array, Array]:
-    """Return dampings and the critical stiffness at each, for one mass or moment of inertia."""
-    # no damping above this is stable at any stiffness
-    largest = 0.5 * np.pi * mass / (0.5 * period + delay) * 1.1
-    dampings = np.linspace(0.0, largest, _DAMPINGS)
-    try:
-        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay, mass=mass)
-    except ParameterError:  # no boundary above ten periods of delay
-        stiffnesses = np.zeros_like(dampings)
-    end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2
-    return dampings[:end], stiffnesses[:end]
-
+from maglev_mj.session.margin import STABILITY, measured_delay
 
 _ROUNDING = 1e-6
 _LEAST_GAIN = 1e-3
@@ -440,8 +291,8 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
     total = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
     digits = 3 if snapshot.time_scale < 1.0 else 1
     position = 1e3 * snapshot.pose[:3].round(5) + 0.0
-    margin, (_, delay, _) = STABILITY.of(snapshot), _arguments(snapshot)
-    delay = scene.delay if delay is None else delay  # the one of the margin
+    margin, measured = STABILITY.of(snapshot), measured_delay(snapshot)
+    delay = scene.delay if measured is None else measured  # the one of the margin
     active = snapshot.taken < -_LEAST_ENERGY
     rows = [
         Reading("scene", f"{scene.name}: {scene.describe()}"),

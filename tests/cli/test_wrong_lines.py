@@ -66,7 +66,6 @@ drop --phases many                                  | argument --phases: must be
 drop --carry                                        | carry needs a force_limit
 press --hand none | hand must have a stiffness above 0, in order to press (got 'none')
 press --hand fist | hand must be one of none, arm, stylus, fingertip, or mass,damping,stiffness
-render drop --out a.png --magnify 2                 | magnify must be one of 1, 3, 5 (got '2')
 press --press 60 --force-limit 60                   | press must be below the force_limit of 60 N
 press --duration 1 | duration must be above 1.905 and at most 100000 (got 1.0)
 stick-slip --law glue                               | law must be one of stick-slip, spring-reset, dahl,

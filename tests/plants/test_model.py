@@ -49,7 +49,7 @@ def coil_map(device: Device) -> CoilMap:
 def test_walls_are_one_box_of_plates_that_the_knob_touches(count: int) -> None:
     six = [(axis, normal, -2e-3 * normal) for axis in range(3) for normal in (1.0, -1.0)]
     for faces in itertools.combinations(six, count):
-        plates, edges = wall_box([*faces, (3, 1.0, -0.05)], 1e-3)  # the wall of a rotation has none
+        plates, edges = wall_box([*faces, (3, 1.0, -0.05)])  # the wall of a rotation has none
         assert tuple(plates) == faces
         for (axis, normal, edge), (centre, half) in plates.items():
             height = KNOB[0] if axis < 2 else KNOB[1] if normal < 0.0 else GRIP[2] - KNOB_BOTTOM

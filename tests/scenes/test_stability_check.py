@@ -21,9 +21,9 @@ from maglev_mj.scenes.interactive import INERTIA, MASS, Box, Corner, Interactive
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.stability_check import stability_warning, started, unstable, wall_margin
 from maglev_mj.session import STEP_FORCE, check_step, unstable_loop
+from maglev_mj.session.margin import margin
 from maglev_mj.spec import RANGE
 from maglev_mj.theory import largest_stable_stiffness, stability
-from maglev_mj.views.readings import margin
 from tests.bridge.test_preflight import GOOD
 from tests.sweeps import sweep
 from tests.theory.test_linearise import WEIGHTS, Detent, Echo

@@ -20,10 +20,11 @@ from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.session import Snapshot
+from maglev_mj.session import margin as session_margin
+from maglev_mj.session.margin import StabilityMap, margin
 from maglev_mj.theory import stability
-from maglev_mj.views import readings as views
 from maglev_mj.views.page import panel
-from maglev_mj.views.readings import Charts, StabilityMap, margin, readings
+from maglev_mj.views.readings import Charts, readings
 from maglev_mj.views.window.screen import status_rows
 from tests.all_of import SCENES
 from tests.bridge.test_flight_changes import Here
@@ -121,9 +122,9 @@ class Quick(NamedTuple):
 @pytest.fixture
 def own(monkeypatch: pytest.MonkeyPatch) -> StabilityMap:
     """Give viewers a stability map of their own, with answers of this process instead of another."""
-    monkeypatch.setattr("maglev_mj.views.readings.SideAnswers", Here)
-    monkeypatch.setattr("maglev_mj.views.readings.STABILITY", StabilityMap())
-    return views.STABILITY
+    monkeypatch.setattr("maglev_mj.session.margin.SideAnswers", Here)
+    monkeypatch.setattr("maglev_mj.views.readings.STABILITY", own := StabilityMap())
+    return own
 
 
 def shown(scene: Scene, **more: Any) -> Snapshot:
@@ -159,7 +160,7 @@ def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(own: Stabili
 def test_without_declared_gains_the_last_verdict_is_of_the_same_scene(
     own: StabilityMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(views, "stability", lambda scene, *, inertia, delay: Quick(scene.stiffness, delay))
+    monkeypatch.setattr(session_margin, "stability", lambda scene, *, inertia, delay: Quick(scene.stiffness, delay))
     flying: dict[str, Any] = {"state": "flying"}
     scenes = Undeclared(), Undeclared(stiffness=15_000.0)
     asked = [shown(scenes[0], delay=0.0015, **flying), shown(scenes[0], delay=0.0031, **flying), shown(scenes[1])]
@@ -204,8 +205,8 @@ def test_each_question_of_a_viewer_is_answered_in_the_end(
                 raise fault
             return fault
 
-    monkeypatch.setattr("maglev_mj.views.readings.SideAnswers", Faulty)
-    monkeypatch.setattr(views, "stability", lambda scene, *, inertia, delay: Quick(scene.stiffness, delay))
+    monkeypatch.setattr("maglev_mj.session.margin.SideAnswers", Faulty)
+    monkeypatch.setattr(session_margin, "stability", lambda scene, *, inertia, delay: Quick(scene.stiffness, delay))
     texts = [own.of(shown(Undeclared())).words for _ in range(len(answers) + 1)]
     assert set(texts[:-1]) <= {"computing stability", words} and texts[-1] == words
 

@@ -16,10 +16,11 @@ from maglev_mj.scenes.pictures import series, spread, stick_slip
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Snapshot
+from maglev_mj.session.margin import STABILITY
 from maglev_mj.theory.verdict import stability
 from maglev_mj.views.page import panel as page_plots
 from maglev_mj.views.page.panel import control
-from maglev_mj.views.readings import STABILITY, Charts
+from maglev_mj.views.readings import Charts
 from maglev_mj.views.window import screen as window_plots
 from maglev_mj.views.window.screen import status_rows
 from tests.studies.test_charts import details
@@ -43,7 +44,7 @@ class Gui:
 
     def __getattr__(self, _: str) -> Any:
         def add(label: str, *_: Any, hint: str = "", **__: Any) -> Any:
-            self.texts += [label.replace("\N{NO-BREAK SPACE}", " ").replace("\N{WORD JOINER}", ""), hint]
+            self.texts += [label.replace("\N{NO-BREAK SPACE}", " "), hint]
             return SimpleNamespace(on_update=lambda function: None, value=0.0, min=0.0, max=1.0)
 
         return add

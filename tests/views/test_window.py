@@ -17,7 +17,6 @@ import pytest
 
 from maglev_mj import record_run
 from maglev_mj.colours import HAND, STOP
-from maglev_mj.frames import Array
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.plants.shapes import KNOB as KNOB_SIZE
@@ -25,10 +24,11 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import CENTRING, Joystick
 from maglev_mj.session import Pacer, Session, Snapshot, TourLine, device_actions
+from maglev_mj.session.margin import STABILITY, margin
 from maglev_mj.session.replay import Replay
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, stop_contacts
-from maglev_mj.views.window.keys import KEYS, MAGNIFY, help_rows
+from maglev_mj.views.readings import SteadyRange, banner, fitted_range, stop_contacts
+from maglev_mj.views.window.keys import KEYS, help_rows
 from maglev_mj.views.window.painter import Scenery, default_view, project, zoom
 from maglev_mj.views.window.screen import Area, Layout, Screen, letters, message_rows, status_rows
 from maglev_mj.views.window.window import _Window, fitted_size
@@ -265,37 +265,6 @@ def test_the_banner_names_the_state_and_the_key_to_continue(shot: Snapshot) -> N
     assert heading(replace(shot, overloaded=True)) == heading(shot) == late  # held for a while
 
 
-def test_a_key_magnifies_the_motion_of_handle_and_walls(shot: Snapshot) -> None:
-    screen, pose = Screen(), np.array([1e-3, -5e-4, 2e-3, 0.01, 0.0, 0.02])
-    shown, scenery, other = replace(shot, pose=pose), Scenery(Joystick), Scenery(Joystick)
-    scene = mujoco.MjvScene(scenery.model, 500)
-    stem, _, *knob = np.flatnonzero(scenery.model.geom_bodyid == scenery.model.body("handle").id)  # _: collar
-    scenery.set_pose(shown)
-    true = scenery.data.geom_xpos.copy()
-
-    def ends(of: Scenery) -> Array:
-        along = of.model.geom_size[stem, 1] * of.data.geom_xmat[stem, 2::3]
-        return np.array(of.data.geom_xpos[stem] + [-along, along])
-
-    foot = ends(scenery)[0]
-    for factor in (1, 3, 5):
-        assert screen.factor == factor
-        rows = screen.draw(shown, Area(0, 0, 1280, 800), 100).lower
-        assert any(f"motion x{factor}" in words for _, words in rows) is (factor > 1)
-        scenery.set_pose(shown, factor)
-        other.set_pose(replace(shown, pose=factor * pose))
-        assert set(np.flatnonzero((scenery.data.geom_xpos != true).any(axis=1))) <= {stem, *knob}
-        assert np.allclose(scenery.data.geom_xpos[knob], other.data.geom_xpos[knob], atol=1e-12)
-        assert np.allclose(scenery.data.geom_xmat[knob], other.data.geom_xmat[knob], atol=1e-12)
-        assert np.allclose(ends(scenery), [foot, ends(other)[1]], atol=1e-12)  # no gap at either end
-        scene.ngeom = 0
-        scenery.decorate(scene, shown, factor)
-        walls = [geom.pos for geom in scene.geoms[: scene.ngeom] if geom.type == int(mujoco.mjtGeom.mjGEOM_BOX)]
-        assert max(wall[0] for wall in walls) == pytest.approx(factor * 3.5e-3 + 0.0165, abs=3e-4)
-        screen.press(MAGNIFY, shot.scene)
-    assert screen.factor == 1
-
-
 @pytest.fixture
 def window(shot: Snapshot, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a window without OpenGL: a knob of 33 pixels in the middle of the screen, 1 mm per pixel."""
@@ -314,21 +283,20 @@ def window(shot: Snapshot, monkeypatch: pytest.MonkeyPatch) -> Any:
     return window
 
 
-@pytest.mark.parametrize("factor", [1, 3])
 @pytest.mark.parametrize("modifiers", [0, glfw.MOD_SHIFT, glfw.MOD_CONTROL])
-def test_a_drag_of_the_knob_moves_the_hand(window: Any, modifiers: int, factor: int) -> None:
-    window._screen.factor, hand = factor, window._source.hand
+def test_a_drag_of_the_knob_moves_the_hand(window: Any, modifiers: int) -> None:
+    hand = window._source.hand
     window._button(None, glfw.MOUSE_BUTTON_LEFT, glfw.PRESS, modifiers)
     start, window.pose = window.pose, 2.0 * window.pose  # it has moved by the time of the first motion
     window.pixel += (3.0, 6.0)
     window._move(None, 0.0, 0.0)
     moved = np.array(hand.target) - start
     if modifiers == 0:
-        assert moved == pytest.approx([3e-3 / factor, 0.0, 6e-3 / factor, 0.0, 0.0, 0.0])
+        assert moved == pytest.approx([3e-3, 0.0, 6e-3, 0.0, 0.0, 0.0])
     elif modifiers == glfw.MOD_SHIFT:
-        assert moved[4] == pytest.approx(3e-3 / factor / GRIP[2]) and not moved[:3].any() and not moved[5]
+        assert moved[4] == pytest.approx(3e-3 / GRIP[2]) and not moved[:3].any() and not moved[5]
     else:
-        assert moved == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 3e-3 / KNOB_SIZE[0] / factor])
+        assert moved == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 3e-3 / KNOB_SIZE[0]])
     window._button(None, glfw.MOUSE_BUTTON_LEFT, glfw.RELEASE, 0)
     assert hand.target is None and not window.moves
     window._move(None, 0.0, 0.0)

@@ -181,7 +181,7 @@ class Page:
         if self._grab is not None:
             gui.add_button_group("keys", ("",), visible=False).on_click(self._grab.push)
         self._stage.hint = "drag the knob" if drag else ""
-        self._panel = Panel(server, snapshot, self._inbox.put, partial(setattr, self._stage, "factor"), settings)
+        self._panel = Panel(server, snapshot, self._inbox.put, settings)
         panel = gui.add_panel()
         with panel.add_tab("plots"):
             self._plots = Plots(gui, snapshot.scene)
@@ -207,7 +207,7 @@ class Page:
     def _show(self) -> None:
         snapshot = self._source.snapshot()
         if self._grab is not None:
-            self._grab.pose, self._grab.factor = snapshot.pose, self._stage.factor
+            self._grab.pose = snapshot.pose
         if snapshot.target is not None:
             self._stage.hint = ""
         if not self._server.get_clients():  # a new client gets the full state

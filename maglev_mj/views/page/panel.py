@@ -21,7 +21,6 @@ from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, MAX_REWIND, REWIND_ACTIONS, SCENE_PREFIX, Snapshot
 from maglev_mj.session.snapshot import TourLine
-from maglev_mj.views.handle import MAGNIFICATIONS
 from maglev_mj.views.page.stage import VIEWS, look, rgb, update
 from maglev_mj.views.readings import (
     GROUPS,
@@ -176,7 +175,7 @@ def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None
         add = partial(gui.add_dropdown, keys.word or label, hint=hint)
         return Choice(item.name, add, value, values, ask, text)
     scale, unit = (1e3, "ms") if item.unit == "s" else (1.0, unit)
-    whole = unit.replace(" ", "\N{NO-BREAK SPACE}").replace("/", "/\N{WORD JOINER}")  # no line break inside
+    whole = unit.replace(" ", "\N{NO-BREAK SPACE}")  # no line break inside
     add = partial(gui.add_slider, f"{label} [{whole}]" if unit else label, hint=hint)
     usual = abs(item.default) if isinstance(item.default, float | int) else 0.0
     lower = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf), keys.least)
@@ -196,7 +195,6 @@ _MAX_STIFFNESS = 5000.0  # of the hand [N/m]
 _INPUTS = "gains", "active", "rate"
 _FULL = 10.0
 """Force of a full bar [N], above that of the mouse's hand."""
-_MOTIONS = {f"x{factor}": factor for factor in MAGNIFICATIONS}
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 
 
@@ -207,14 +205,11 @@ class Panel:
         server: viser's server.
         snapshot: Initial snapshot.
         ask: Called with the user's requests.
-        magnify: Called with the magnification of the handle's motion.
         settings: True to let the user change parameters.
     """
 
-    def __init__(
-        self, server: Any, snapshot: Snapshot, ask: Ask, magnify: Callable[[float], object], settings: bool
-    ) -> None:
-        self._ask, self._magnify, self._settings = ask, magnify, settings
+    def __init__(self, server: Any, snapshot: Snapshot, ask: Ask, settings: bool) -> None:
+        self._ask, self._settings = ask, settings
         gui = self._gui = server.gui
         self._scene: Any = None
         self._banner, self._gauge, self._verdict = (gui.add_html("", order=0.1 * index) for index in range(3))
@@ -269,9 +264,6 @@ class Panel:
     async def _act(self, name: Callable[[], str], _: Any) -> None:
         self._ask("act", name())
 
-    async def _set_motion(self, _: Any) -> None:
-        self._magnify(_MOTIONS.get(self._motion.value, 1))  # untrusted input
-
     def _make_controls(self, snapshot: Snapshot) -> None:
         """Add the controls of scene, live parameters, hand and display."""
         self._parameters.remove()
@@ -295,9 +287,6 @@ class Panel:
                     add, bounds = partial(gui.add_slider, "hand [N/m]", hint=hint), (0.0, _MAX_STIFFNESS)
                     spring = Slider("hand_stiffness", add, usual, bounds, self._ask, usual=usual)
                     self._controls.append((spring, attrgetter("hand_stiffness")))
-                hint = "magnification of the displayed motion"
-                self._motion = gui.add_button_group("motion", tuple(_MOTIONS), hint=hint)
-                self._motion.on_click(self._set_motion)
             with gui.add_folder("numbers", expand_by_default=False):
                 self._words = gui.add_html("")
 

@@ -20,7 +20,7 @@ from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import GRIP, KNOB, KNOB_BOTTOM, Shape, coil_colour, shapes, wall_box
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
-from maglev_mj.views.handle import FORCES, dragged_pose, force_arrows, magnified, motion_words, stretched, widening
+from maglev_mj.views.handle import FORCES, dragged_pose, force_arrows
 from maglev_mj.views.readings import banner
 from maglev_mj.views.viewer_process import SILENCE
 
@@ -89,7 +89,6 @@ class Grab:
 
     Attributes:
         pose: Pose of the flotor [m, rad], (6,).
-        factor: Magnification of the handle's motion.
     """
 
     def __init__(self, server: Any, knob: Any, aim: Aim) -> None:
@@ -97,7 +96,6 @@ class Grab:
         self._holder: int | None = None
         self._monitor: asyncio.Task[None] | None = None
         self._tilts = self._unresponsive = False
-        self.factor = 1.0
         self.pose = self._start_pose = np.zeros(6)
         self._start, self._target = np.zeros(3), [0.0] * 6
         for modifier in (None, "shift"):
@@ -115,14 +113,14 @@ class Grab:
             self._release()
         else:
             moved = np.array(event.end_position) - self._start
-            self._target = dragged_pose(self._start_pose, moved, self.factor, tilts=self._tilts).tolist()
+            self._target = dragged_pose(self._start_pose, moved, tilts=self._tilts).tolist()
             self._aim(self._target)
 
     async def push(self, event: Any) -> None:
         """Drag the knob by a browser's arrow keys: the value names signed axes, such as "+x-z"."""
         signs = [(f"+{axis}" in event.target.value) - (f"-{axis}" in event.target.value) for axis in "xyz"]
         phase = "end" if not any(signs) else "update" if self._holder == event.client_id else "start"
-        end = self._start + _PUSH * self.factor * np.array(signs)
+        end = self._start + _PUSH * np.array(signs)
         at = {"modifier": None, "start_position": self._start, "end_position": end}
         await self._dragged(SimpleNamespace(phase=phase, client_id=event.client_id, **at))
 
@@ -221,7 +219,6 @@ class Stage:
 
     Attributes:
         knob: Scene node to drag.
-        factor: Magnification of the motion of handle and walls.
         hint: Text above the knob; empty for none.
     """
 
@@ -246,14 +243,14 @@ class Stage:
             fade_strength=1.5,
             position=(0.0, 0.0, _FLOOR),
         )
-        self._flotor, self._handle = (scene.add_frame(name, show_axes=False) for name in ("/flotor", "/handle"))
+        self._flotor = scene.add_frame("/flotor", show_axes=False)
         # as glTF: viser's own transparent sphere would occlude the walls behind it
         ball = Shape(True, "ellipsoid", np.full(3, _REACH), GRIP, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
-        self.knob = scene.add_glb("/handle/knob", glb([ball]), **_PLAIN)
+        self.knob = scene.add_glb("/flotor/knob", glb([ball]), **_PLAIN)
         size = _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[1]
         self._ghost = scene.add_icosphere("/stuck", 1.0, rgb(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN)
         radius, half = _RIM
-        self._rim = scene.add_cylinder("/handle/rim", radius, 2.0 * half, rgb(TOUCHED), visible=False, **_PLAIN)
+        self._rim = scene.add_cylinder("/flotor/rim", radius, 2.0 * half, rgb(TOUCHED), visible=False, **_PLAIN)
         self._rim.position = 0.0, 0.0, KNOB_BOTTOM + half
         points = np.array([[GRIP, 1.001 * GRIP]], dtype=np.float32)  # inside the knob
         self._forces: dict[str, tuple[Any, Any]] = {}
@@ -267,8 +264,7 @@ class Stage:
         self._label = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
         self._model: Any = None
         self._coils: dict[int, Any] = {}
-        self._stems: list[tuple[Any, Array]] = []
-        self.factor, self.hint = 1.0, ""
+        self.hint = ""
         self.show(snapshot)
 
     def show(self, snapshot: Snapshot) -> None:
@@ -278,12 +274,6 @@ class Stage:
         for coil, winding in self._coils.items():
             update(winding, color=rgb(coil_colour(self._copper, snapshot.currents[coil])))
         self._set_pose(self._flotor, snapshot.pose)
-        for stem, ends in self._stems:
-            foot, turn, length = stretched(ends, snapshot.pose, self.factor)
-            scale = 1.0, 1.0, round(length / (ends[1, 2] - ends[0, 2]), 4)
-            update(stem, position=np.round(foot, 6), wxyz=np.round(turn, 6), scale=scale)
-        snapshot = magnified(snapshot, self.factor)
-        self._set_pose(self._handle, snapshot.pose)
         arrows = force_arrows(snapshot)
         for name, (shaft, number) in self._forces.items():
             if (arrow := arrows.get(name)) is not None:
@@ -300,7 +290,6 @@ class Stage:
         update(self._ghost, visible=ghost is not None)
         content = banner(snapshot)
         text = self.hint if content is None else content.text.split(":")[0]
-        text = ", ".join(filter(None, (text, motion_words(self.factor))))
         update(self._label, visible=bool(text), text=text or self._label.text)  # viser draws an empty one as a bar
 
     def _set_pose(self, node: Any, pose: Array) -> None:
@@ -311,27 +300,22 @@ class Stage:
         self._model, scene = snapshot.scene.model, self._server.scene
         nodes: dict[str, list[Shape]] = {}
         for shape in shapes(self._model):
-            nodes.setdefault(shape.part or ("rest" if shape.moves else "device"), []).append(shape)
-        for node in (*self._coils.values(), *(stem for stem, _ in self._stems)):
+            rest = "flotor/rest" if shape.moves else "device"
+            nodes.setdefault(shape.coil or rest, []).append(shape)
+        for node in self._coils.values():
             node.remove()
-        self._coils, self._stems = {}, []
-        for index, shape in enumerate(nodes.pop("stem", [])):
-            along = shape.half * (0.0, 0.0, 1.0)
-            foot_at_node = glb([shape._replace(position=along)])
-            stem = scene.add_glb(f"/stem{index}", foot_at_node, **_PLAIN)
-            self._stems.append((stem, shape.position + np.array([-along, along])))
+        self._coils = {}
         for name, parts in nodes.items():
             if name.startswith("coil"):
                 mesh, coil = _joined([solid(shape) for shape in parts]), int(name[4:])
                 self._coils[coil] = scene.add_mesh_simple(f"/flotor/{name}", mesh.vertices, mesh.faces, **_PLAIN)
                 self._copper = parts[0].colour
             else:
-                node = {"rest": "/flotor/rest", "handle": "/handle/body"}.get(name, "/device")
-                scene.add_glb(node, glb(parts), **_PLAIN)
+                scene.add_glb(f"/{name}", glb(parts), **_PLAIN)
 
     def _show_walls(self, snapshot: Snapshot) -> None:
-        """Show the walls as one box, wider if the motion is magnified; those in contact are lit."""
-        plates, edges = wall_box(snapshot.faces, widening(self.factor))
+        """Show the walls as one box; those in contact are lit."""
+        plates, edges = wall_box(snapshot.faces)
         lit = {face for face in snapshot.faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
         update(self._rim, visible=any(axis > 2 for axis, _, _ in lit))
         while len(self._walls) < len(plates):

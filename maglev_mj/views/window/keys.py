@@ -9,7 +9,7 @@ import glfw
 
 from maglev_mj.session import EMERGENCY_STOP, REWIND_ACTIONS, SCENE_PREFIX
 
-_ALWAYS = SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY = "screenshot", "plot axis", "camera", "keys", "magnify motion"
+_ALWAYS = SCREENSHOT, AXIS, CAMERA, KEYS = "screenshot", "plot axis", "camera", "keys"
 """Actions available in every window."""
 
 
@@ -54,7 +54,6 @@ _KEYS = (
     Key(glfw.KEY_F12, "F12", SCREENSHOT, "files"),
     Key(glfw.KEY_GRAVE_ACCENT, "Backquote `", AXIS, "view"),
     Key(glfw.KEY_PAGE_DOWN, "Page Down", CAMERA, "camera", "reset camera"),
-    Key(glfw.KEY_INSERT, "Insert", MAGNIFY, "magnify", "magnify motion x1, x3, x5"),
     Key(glfw.KEY_ESCAPE, "Esc", EMERGENCY_STOP, "stop"),
 )
 """Keys of actions with fixed names.

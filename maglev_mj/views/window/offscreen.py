@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import ParameterError, check_one_of, require
+from maglev_mj.errors import ParameterError, require
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
 from maglev_mj.parameters import flag
@@ -25,9 +25,8 @@ from maglev_mj.process import interrupts_held
 from maglev_mj.recording.export import write_sound
 from maglev_mj.scenes import Scene
 from maglev_mj.session import TIME_SCALES, Pacer, Session, Snapshot
+from maglev_mj.session.margin import STABILITY
 from maglev_mj.terminal import say
-from maglev_mj.views.handle import MAGNIFICATIONS
-from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.backend import NEEDS, DisplayError, drawing_library
 from maglev_mj.views.window.painter import Painter
 from maglev_mj.views.window.screen import Area, Screen
@@ -104,7 +103,7 @@ _LARGE = 1500
 
 
 @contextmanager
-def _drawing(scene: Scene, width: int, height: int, *, plots: bool, factor: int) -> Iterator[Draw]:
+def _drawing(scene: Scene, width: int, height: int, *, plots: bool) -> Iterator[Draw]:
     """Yield a function that returns the picture of a snapshot, (height, width, 3).
 
     Args:
@@ -112,7 +111,6 @@ def _drawing(scene: Scene, width: int, height: int, *, plots: bool, factor: int)
         width: Width of the pictures [pixels].
         height: Height of the pictures [pixels].
         plots: True to include plots and text.
-        factor: Magnification of the handle's motion, one of MAGNIFICATIONS.
 
     Raises:
         DisplayError: If there is no OpenGL library.
@@ -128,7 +126,7 @@ def _drawing(scene: Scene, width: int, height: int, *, plots: bool, factor: int)
     context.make_current()
     # without plots, only the numbers of the forces: larger
     scale = (150 if height >= _LARGE else 100) if plots else min(max(50 * round(height / 250), 150), 300)
-    screen = Screen(keys=False, factor=factor, plots=plots)
+    screen = Screen(keys=False, plots=plots)
 
     def picture(snapshot: Snapshot) -> Pixels:
         STABILITY.of(snapshot, wait=True)
@@ -164,7 +162,6 @@ def render(
     height: int = 750,
     rate: int = 20,
     plots: bool = True,
-    magnify: int = 1,
     progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> int:
     """Run a scene with its scripted hand and write a picture or clip.
@@ -180,7 +177,6 @@ def render(
         height: Height [pixels].
         rate: Frames per second of a clip.
         plots: True to include plots and text.
-        magnify: Magnification of the handle's motion, one of MAGNIFICATIONS.
         progress: Function called with the number of pictures drawn and the total.
 
     Returns:
@@ -191,7 +187,6 @@ def render(
         MissingPackageError: If the package that writes clips is not installed.
     """
     flag("plots", plots)
-    check_one_of("magnify", tuple(map(str, MAGNIFICATIONS)), str(magnify))
     moving = path.suffix in CLIPS
     end = seconds if seconds is not None else scene.end if moving else 0.5 * scene.end
     unlimited = Pacer(budget=_UNLIMITED, patience=_UNLIMITED)  # no deadline
@@ -200,7 +195,7 @@ def render(
         time_scale = slow_motion(end) if moving else 1.0
     session.change({"time_scale": time_scale})
     drawn, forces = max(round(end * rate / time_scale), 1) if moving else 1, list[Array]()
-    with engine_warnings_silenced(), _drawing(scene, width, height, plots=plots, factor=magnify) as picture:
+    with engine_warnings_silenced(), _drawing(scene, width, height, plots=plots) as picture:
 
         def pictures() -> Iterator[Pixels]:
             for index in range(drawn):

@@ -13,10 +13,10 @@ from maglev_mj.colours import FIRST, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
 from maglev_mj.lazy import mujoco
 from maglev_mj.plants.model import load_model
-from maglev_mj.plants.shapes import GRIP, KNOB_BOTTOM, Face, coil_colour, geom_parts, wall_box
+from maglev_mj.plants.shapes import GRIP, KNOB_BOTTOM, Face, coil_colour, coil_geoms, wall_box
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
-from maglev_mj.views.handle import FORCES, force_arrows, magnified, stretched, widening
+from maglev_mj.views.handle import FORCES, force_arrows
 from maglev_mj.views.readings import stop_contacts
 from maglev_mj.views.window.screen import Area, Layout, Screen
 
@@ -58,50 +58,42 @@ class Scenery:
         self.path, self.model, self.data = scene.model, device.model, mujoco.MjData(device.model)
         self._address = device.position_address
         mujoco.mj_forward(self.model, self.data)
-        parts = geom_parts(self.model, self.data)
-        self._knob, self._stem = ([geom for geom in parts if parts[geom] == name] for name in ("handle", "stem"))
-        self._coils = {geom: int(name[4:]) for geom, name in parts.items() if name.startswith("coil")}
+        self._coils = coil_geoms(self.model, self.data)
+        above = self.data.geom_xpos[:, 2] > KNOB_BOTTOM
+        self._knob = np.flatnonzero(above & (self.model.geom_bodyid == self.model.body("handle").id)).tolist()
         if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_MESH, "ring") >= 0:
             self.model.geom_rgba[self.model.geom_group == _SIMPLE] = 0.0
-        along = self.model.geom_size[self._stem, 1:2] * (0.0, 0.0, 1.0)
-        self._ends = self.data.geom_xpos[self._stem] - self.data.xpos[device.flotor] + np.array([-along, along])
         self._copper = self.model.material("copper").rgba[:3].tolist()
 
-    def set_pose(self, snapshot: Snapshot, factor: float = 1.0) -> None:
-        """Set currents and pose of the flotor, and the knob's magnified pose on a stretched stem; see `magnified`."""
+    def set_pose(self, snapshot: Snapshot) -> None:
+        """Set currents and pose of the flotor."""
         model, data, first = self.model, self.data, self._address
         for geom, coil in self._coils.items():
             model.geom_rgba[geom] = *coil_colour(self._copper, snapshot.currents[coil]), 1.0
         data.qpos[first : first + 7] = *snapshot.pose[:3], *quaternion(snapshot.pose[3:])
         for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
             update(model, data)
-        for index, stem in enumerate(self._stem):
-            foot, turn, length = stretched(self._ends[:, index], snapshot.pose, factor)
-            mujoco.mju_quat2Mat(data.geom_xmat[stem], turn)
-            data.geom_xpos[stem] = foot + 0.5 * length * data.geom_xmat[stem, 2::3]
-            model.geom_size[stem, 1] = 0.5 * length
-        for shape, position, rotation in self._moved(self._knob, snapshot.pose, factor * snapshot.pose):
-            data.geom_xpos[shape], data.geom_xmat[shape] = position, rotation.ravel()
 
-    def decorate(self, scene: Any, snapshot: Snapshot, factor: float = 1.0, half_text: Array | float = 0.0) -> None:
+    def decorate(self, scene: Any, snapshot: Snapshot, half_text: Array | float = 0.0) -> None:
         """Add walls, stops, forces, and the stick position or the first attempt, to an MjvScene.
 
         Args:
             scene: The MjvScene.
-            snapshot: The true snapshot.
-            factor: Magnification of the handle's motion.
+            snapshot: The snapshot.
             half_text: Half the width of a number [m], (3,): MuJoCo writes to the right of a point.
         """
-        snapshot, wider = magnified(snapshot, factor), widening(factor)
         touched = {face for face in snapshot.faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
-        self._draw_walls(scene, snapshot.pose, snapshot.faces, touched, _TOUCHED, wider)
+        self._draw_walls(scene, snapshot.pose, snapshot.faces, touched, _TOUCHED)
         stops, _ = stop_contacts(snapshot)
-        self._draw_walls(scene, snapshot.pose, stops, {*stops}, _STOP, wider)
+        self._draw_walls(scene, snapshot.pose, stops, {*stops}, _STOP)
         if (ghost := snapshot.ghost) is not None:
             colour = FIRST if len(snapshot.first) else STUCK
-            for shape, position, rotation in self._moved(self._knob, snapshot.pose, ghost):
+            turn, data = rotation_matrix(ghost[3:]) @ rotation_matrix(snapshot.pose[3:]).T, self.data
+            for shape in self._knob:
                 size, kind = self.model.geom_size[shape] * _GHOST_SIZE, int(self.model.geom_type[shape])
-                _add(scene, kind, size, position, rotation.ravel(), (*colour, _GHOST))
+                place = ghost[:3] + turn @ (data.geom_xpos[shape] - snapshot.pose[:3])
+                matrix = turn @ data.geom_xmat[shape].reshape(3, 3)
+                _add(scene, kind, size, place, matrix.ravel(), (*colour, _GHOST))
         for name, arrow in force_arrows(snapshot).items():
             # mjGEOM_ARROW is drawn at half the distance between its points
             _connect(scene, arrow.start, 2.0 * arrow.end - arrow.start, arrow.size * _ARROW_WIDTH, FORCES[name])
@@ -113,11 +105,9 @@ class Scenery:
             _connect(scene, _ORIGIN, _ORIGIN + 2.0 * _AXIS * direction, 0.05 * _AXIS, STOP)
             _write(scene, name, _ORIGIN + 1.25 * _AXIS * direction)  # past the tip
 
-    def _draw_walls(
-        self, scene: Any, pose: Array, faces: Iterable[Face], lit: set[Face], colour: _Shade, wider: float
-    ) -> None:
+    def _draw_walls(self, scene: Any, pose: Array, faces: Iterable[Face], lit: set[Face], colour: _Shade) -> None:
         """Draw walls with their edges, some of them lit in a colour; the rim of the knob for one of a rotation."""
-        plates, edges = wall_box(faces, wider)
+        plates, edges = wall_box(faces)
         for face, (centre, size) in plates.items():
             _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour if face in lit else _WALL)
         for ends, walls in edges:
@@ -127,12 +117,6 @@ class Scenery:
             rotation = rotation_matrix(pose[3:])
             centre = pose[:3] + rotation @ [0.0, 0.0, KNOB_BOTTOM + 0.0012]
             _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
-
-    def _moved(self, shapes: Sequence[int], start: Array, end: Array) -> list[tuple[int, Array, Array]]:
-        """Return geoms with position and rotation, moved from one pose to another."""
-        turn, data = rotation_matrix(end[3:]) @ rotation_matrix(start[3:]).T, self.data
-        positions = end[:3] + (data.geom_xpos[shapes] - start[:3]) @ turn.T
-        return list(zip(shapes, positions, turn @ data.geom_xmat[shapes].reshape(-1, 3, 3)))
 
 
 def _connect(
@@ -223,12 +207,11 @@ class Painter:
         scenery, scene, area = self.scenery, self._scene, self.device_area(view)
         last, self._zoom = self._zoom, zoom(area)
         self.camera.distance *= self._zoom / last  # the user's own zoom is kept
-        factor = self._screen.factor
-        scenery.set_pose(snapshot, factor)
+        scenery.set_pose(snapshot)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self.camera, everything, scene)
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self._shadows
-        scenery.decorate(scene, snapshot, factor, _HALF_TEXT * self._scale * self.knob(snapshot, view)[1])
+        scenery.decorate(scene, snapshot, _HALF_TEXT * self._scale * self.knob(snapshot, view)[1])
         if self._screen.plots:
             scenery.draw_axes(scene)
         mujoco.mjr_render(mujoco.MjrRect(*area), scene, self._context)
@@ -254,8 +237,7 @@ class Painter:
 
     def knob(self, snapshot: Snapshot, view: Area) -> tuple[Array, Array, Array]:
         """Return the knob's pixel, (2,), and the displacement of one pixel right and up there [m], (3,) each."""
-        pose = magnified(snapshot, self._screen.factor).pose
-        point = pose[:3] + rotation_matrix(pose[3:]) @ GRIP
+        point = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ GRIP
         return project(self.scenery.model, self.camera, self.device_area(view), point)
 
     def close(self) -> None:

@@ -20,9 +20,8 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
-from maglev_mj.views.handle import MAGNIFICATIONS, motion_words
 from maglev_mj.views.readings import GROUPS, RESUME, Charts, Line, Range, banner, readings
-from maglev_mj.views.window.keys import AXIS, HAND, KEYS, MAGNIFY, help_rows, key_of
+from maglev_mj.views.window.keys import AXIS, HAND, KEYS, help_rows, key_of
 
 Row: TypeAlias = tuple[str, str]
 """Name and value, or key and action."""
@@ -241,26 +240,22 @@ class Screen:
 
     Args:
         keys: True to show hints on keys.
-        factor: Initial magnification of the handle's motion, one of MAGNIFICATIONS.
         plots: False to draw the device alone.
 
     Attributes:
-        factor: Current magnification.
         plots: See the argument.
     """
 
-    def __init__(self, *, keys: bool = True, factor: int = MAGNIFICATIONS[0], plots: bool = True) -> None:
+    def __init__(self, *, keys: bool = True, plots: bool = True) -> None:
         self._plots, self._has_keys, self._late = Plots(), keys, Note()
         self._axis: int | None = None
         self._keys = False
-        self.factor, self.plots = factor, plots
+        self.plots = plots
 
     def press(self, action: str, scene: Scene) -> None:
         """Perform a key's action on the display."""
         if action == AXIS:
             self._axis = ((scene.axis_index if self._axis is None else self._axis) + 1) % len(AXES)
-        elif action == MAGNIFY:
-            self.factor = MAGNIFICATIONS[(MAGNIFICATIONS.index(self.factor) + 1) % len(MAGNIFICATIONS)]
         elif action == KEYS:
             self._keys = not self._keys
 
@@ -287,11 +282,7 @@ class Screen:
 
     def _messages(self, snapshot: Snapshot, notes: Sequence[str]) -> list[Row]:
         """Return the rows at the lower left; those that stay are last."""
-        magnified = motion_words(self.factor)
-        if self._keys:
-            return _HINTS[1:]
-        rows = [("display", f"{magnified} (handle, walls)")] if magnified else []
-        return [*rows, *message_rows(snapshot, notes), *(_HINTS if self._has_keys else [])]
+        return _HINTS[1:] if self._keys else [*message_rows(snapshot, notes), *(_HINTS if self._has_keys else [])]
 
     def _bar(self, snapshot: Snapshot, area: Area) -> list[Box]:
         """Return the time bar of a recording with event marks; empty for none."""

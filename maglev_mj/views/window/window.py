@@ -20,7 +20,7 @@ from maglev_mj.plants.shapes import KNOB
 from maglev_mj.session import FrameClock, Note, SnapshotSource, real_time
 from maglev_mj.views.handle import dragged_pose
 from maglev_mj.views.window.backend import DisplayError
-from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT, keys_of
+from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, SCREENSHOT, keys_of
 from maglev_mj.views.window.offscreen import write_picture
 from maglev_mj.views.window.painter import Painter
 from maglev_mj.views.window.screen import Area, Screen, moved_by_mouse
@@ -141,7 +141,7 @@ class _Window:
             self._picture = True
         elif name == CAMERA:
             self._painter.reset()
-        elif name in (AXIS, KEYS, MAGNIFY):
+        elif name in (AXIS, KEYS):
             self._screen.press(name, snapshot.scene)
         elif name is not None:
             self._source.act(name)
@@ -164,9 +164,9 @@ class _Window:
         right, up = moved = self._pixel() - self._start
         if self._held is not None:
             pose, across, above = self._held
-            target = dragged_pose(pose, right * across + up * above, self._screen.factor, tilts=self._drag == "tilt")
+            target = dragged_pose(pose, right * across + up * above, tilts=self._drag == "tilt")
             if self._drag == "twist":  # as if the mouse rolled the knob
-                target = pose + np.eye(6)[5] * right * np.linalg.norm(across) / (KNOB[0] * self._screen.factor)
+                target = pose + np.eye(6)[5] * right * np.linalg.norm(across) / KNOB[0]
             self._source.hand.target = [float(part) for part in target]
         elif self._drag:
             view = self._view()

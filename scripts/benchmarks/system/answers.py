@@ -15,10 +15,10 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes import BUILT_IN, find_scene
 from maglev_mj.session import settable_parameters, unstable_loop
+from maglev_mj.session.margin import margin
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import WallRequirements, design_wall, largest_stable_stiffness
 from maglev_mj.theory.closed_loop import LoopKeywords
-from maglev_mj.views.readings import margin
 from system import Table
 from timing import Run, answered, columns
 
