@@ -281,12 +281,12 @@ class Panel:
                     for item in items:
                         if (added := control(gui, item, scene, self._ask)) is not None:
                             self._controls.append((added, attrgetter(f"scene.{item.name}")))
-            with gui.add_folder("more", expand_by_default=False):
-                if self._settings:
-                    hint, usual = "stiffness of the spring between pointer and knob", Snapshot.hand_stiffness
+            if self._settings:
+                hint, usual = "stiffness of the spring between pointer and knob", Snapshot.hand_stiffness
+                with gui.add_folder("hand", expand_by_default=False):
                     add, bounds = partial(gui.add_slider, "hand [N/m]", hint=hint), (0.0, _MAX_STIFFNESS)
                     spring = Slider("hand_stiffness", add, usual, bounds, self._ask, usual=usual)
-                    self._controls.append((spring, attrgetter("hand_stiffness")))
+                self._controls.append((spring, attrgetter("hand_stiffness")))
             with gui.add_folder("numbers", expand_by_default=False):
                 self._words = gui.add_html("")
 
