@@ -30,7 +30,7 @@ def dragged_pose(start: Array, moved: Array, *, tilts: bool) -> Array:
 FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
 """Forces with an arrow, and their colours."""
 
-_MAX_LENGTH, _FULL_SIZE, _MIN_SIZE = 0.12, 0.014, 0.3
+_MAX_LENGTH, _FULL_SIZE, _MIN_SIZE = 0.06, 0.014, 0.3
 _MIN_NUMBER, _GAP = 0.2, 0.009
 """Smallest force with a number [N]; distance from a tip to its number [m]."""
 

@@ -25,7 +25,7 @@ def test_a_force_arrow_is_to_scale_and_has_the_number_of_the_panel(name: str) ->
         assert (arrow is None) is (not size >= 0.1)
         if arrow is not None:
             length = np.linalg.norm(arrow.end - arrow.start)
-            assert length == pytest.approx(min(ARROW * size, 0.12))
+            assert length == pytest.approx(min(ARROW * size, 0.06))
             assert np.linalg.norm(arrow.place - GRIP) > 0.02 + length  # clear of tip and knob
             drawn.append(arrow)
             assert name == "stops" or arrow.text in _gauge(shown)
