@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from maglev_mj.colours import BAD, GOOD, Colour
+from maglev_mj.control import VelocityEstimator
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.process import SideAnswers
@@ -78,8 +78,8 @@ def _not_computed(error: Exception) -> Margin:
 
 
 def _smallest(scene: Scene, verdict: Verdict, gains: Any, body: Array, delay: float) -> Margin:
-    around: Any = {"period": scene.period, "delay": delay, "inertia": body, "velocity": scene.controller().velocity}
-    state, index, ratio = worst_axis(gains, axis=scene.axis_index, **around)
+    around: Any = {"period": scene.period, "delay": delay, "velocity": scene.controller().velocity}
+    state, index, ratio = worst_axis(gains, axis=scene.axis_index, inertia=body, **around)
     pair = float(gains[state][0][index]), float(gains[state][1][index])
     if not verdict.stable:
         index = AXES.index(verdict.axes[0])
@@ -91,7 +91,7 @@ def _smallest(scene: Scene, verdict: Verdict, gains: Any, body: Array, delay: fl
         words = f"stable: {100.0 * ratio:.0f} % of critical stiffness"
     else:
         words = "stable: no stiffness"
-    return Margin(words, verdict.stable, AXES[index], *pair, *_boundary(scene.period, delay, float(body[index])))
+    return Margin(words, verdict.stable, AXES[index], *pair, *_boundary(mass=float(body[index]), **around))
 
 
 class StabilityMap:
@@ -148,14 +148,13 @@ def measured_delay(snapshot: Snapshot) -> float | None:
     return round(snapshot.delay, 4) if is_measured else None
 
 
-@lru_cache
-def _boundary(period: float, delay: float, mass: float) -> tuple[Array, Array]:
+def _boundary(period: float, delay: float, mass: float, velocity: VelocityEstimator) -> tuple[Array, Array]:
     """Return dampings and the critical stiffness at each, for one mass or moment of inertia."""
     # no damping above this is stable at any stiffness
     largest = 0.5 * np.pi * mass / (0.5 * period + delay) * 1.1
     dampings = np.linspace(0.0, largest, _DAMPINGS)
     try:
-        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay, mass=mass)
+        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay, mass=mass, velocity=velocity)
     except ParameterError:  # no boundary above ten periods of delay
         stiffnesses = np.zeros_like(dampings)
     end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2

@@ -12,7 +12,7 @@ from maglev_mj.pictures import TITLE, name_curves, new_figure
 from maglev_mj.studies.diagnosis import Diagnosis, short
 from maglev_mj.theory.boundary import boundary_of
 
-_POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS, _WIDE_BAR = 160, 8.0, 600, 30.0, 6, 20.0
+_POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS, _WIDE_BAR = 160, 8.0, 600, 30.0, 8, 20.0
 
 
 def diagnosis(result: Diagnosis) -> Any:

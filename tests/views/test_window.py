@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -15,7 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import record_run
+from maglev_mj import Controller, LowPass, record_run
 from maglev_mj.colours import HAND, STOP
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP
@@ -224,6 +225,22 @@ def test_ranges_fit_the_data_and_do_not_jitter() -> None:
     ranges = {steady(np.array([0.0, 3.0 + 0.05 * np.sin(turn)])) for turn in np.linspace(0.1, 6.0, 50)}
     assert ranges == {(0.0, 4.0)}
     assert steady([0.0, 2.6]) == (0.0, 4.0) and steady([0.0, 1.5]) == (0.0, 2.0) and steady([-9.0]) == (-10.0, -8.0)
+
+
+class Filtered(Drop):
+    """Drop with a low-pass filter of the velocity, which moves the boundary."""
+
+    def controller(self) -> Controller:
+        """See `Scene`."""
+        return Controller(super().controller().laws, period=self.period, velocity=LowPass(cutoff=20.0))
+
+
+@pytest.mark.parametrize("scene", [Joystick(), Drop(), Filtered(stiffness=2000.0)])
+def test_the_drawn_boundary_is_where_the_verdict_has_its_limit(scene: Scene) -> None:
+    found = margin(scene)
+    limit = np.interp(found.damping, found.dampings, found.stiffnesses)
+    percent = int(re.findall(r"stable: (\d+) %", found.words)[0])
+    assert 100.0 * found.stiffness / limit == pytest.approx(percent, rel=0.02)
 
 
 def test_the_margin_is_that_of_the_total_gains() -> None:
