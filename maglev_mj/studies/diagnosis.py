@@ -46,7 +46,7 @@ _DEVICE_PERIOD, _DEVICE_DELAY = 1e-3, 2e-4
 _DIGITS = 3
 _HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
 _MODEST = 0.05
-"""Relative gain in critical stiffness below which a change counts as without effect."""
+"""Relative gain in critical stiffness below which a change of a stable loop counts as without effect."""
 
 _LEAST, _SAMPLES = 1e-9, 4096
 _MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
@@ -528,7 +528,8 @@ def _remedies(
         *_mechanics(loop, damper),
     ]
     present = critical / k
-    better = [one for one in tried if one.ratio > max(present * (1.0 + _MODEST), 0.0 if stable else 1.0)]
+    enough = present * (1.0 + _MODEST) if stable else 1.0
+    better = [one for one in tried if one.ratio > enough]
     if most and not any(one.ratio >= loop.target for one in better):
         softer, at = _rounded(most / loop.target), _rounded(at or _LEAST)
         change = {loop.name("stiffness"): softer, loop.name("damping"): at}
@@ -537,7 +538,7 @@ def _remedies(
     better.sort(key=lambda one: (one.ratio < reached, COSTS.index(one.cost) * (one.ratio >= reached), -one.ratio))
     useless = [f"{one.words}, ratio {short(one.ratio)}" for one in tried if one not in better]
     half = b + 0.5 * k * loop.value("period")
-    if (ratio := loop.replace(**{loop.name("damping"): half}).critical() / k) < max(present * (1.0 + _MODEST), 1.0):
+    if (ratio := loop.replace(**{loop.name("damping"): half}).critical() / k) < enough:
         useless.append(f"half-sample prediction, as {half - b:.3g} {damper} more: ratio {ratio:.2g}")
     return tuple(better), tuple(useless)
 

@@ -176,6 +176,14 @@ def test_recordings_of_unknown_loops_name_the_cause(tmp_path: Path) -> None:
     assert worst <= 0.02 and named >= 27
 
 
+def test_a_change_that_just_ends_the_shaking_is_not_said_to_have_no_effect() -> None:
+    found = diagnose(mass=0.0611, stiffness=1220.86, damping=1.8027, period=1.7771e-3, delay=5.331e-4)
+    assert not found.stable
+    heavier = found.loop.replace(mass=1.5 * found.loop.body)
+    assert 1.0 < heavier.critical() / found.loop.stiffness < 1.01
+    assert "mass x 1.5" in [one.words for one in found.remedies]
+
+
 def test_margins_are_on_the_boundary() -> None:
     values, *_ = CASES["paper"]
     loop: dict[str, Any] = {name: values[name] for name in ("period", "delay", "mass")}
