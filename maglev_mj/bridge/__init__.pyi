@@ -1,6 +1,10 @@
 from maglev_mj.bridge.commissioning.calibration import Calibration as Calibration
 from maglev_mj.bridge.fault import DeviceFault as DeviceFault
 from maglev_mj.bridge.fault import HandshakeError as HandshakeError
+from maglev_mj.bridge.haply.arm import Arm as Arm
+from maglev_mj.bridge.haply.plant import HaplyPlant as HaplyPlant
+from maglev_mj.bridge.haply.twin import HaplyServer as HaplyServer
+from maglev_mj.bridge.haply.twin import HaplyTwin as HaplyTwin
 from maglev_mj.bridge.links import open_link as open_link
 from maglev_mj.bridge.remote import RemotePlant as RemotePlant
 from maglev_mj.bridge.safety import HostLimits as HostLimits

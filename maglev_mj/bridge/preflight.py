@@ -436,12 +436,10 @@ def _reduced(scene: Scene, required_delay: float, inertia: Array) -> Scene | Non
     return best if best is not None and _critical_delay(best, inertia) >= required_delay else None
 
 
-def stiffest_walls(report: LinkReport, plant: RemotePlant) -> dict[str, tuple[float, float]]:
+def stiffest_walls(report: LinkReport, period: float, mass: float) -> dict[str, tuple[float, float]]:
     """Return the stiffest wall that is stable at the required delay, by hand: stiffness and damping [N/m, N s/m]."""
     walls = {}
     for hand in HANDS:
-        wall = largest_stable_stiffness(
-            period=plant.period, delay=report.required_delay, mass=plant.calibration.mass, hand=hand
-        )
+        wall = largest_stable_stiffness(period=period, delay=report.required_delay, mass=mass, hand=hand)
         walls[hand] = float(wall.stiffness), float(wall.damping)
     return walls

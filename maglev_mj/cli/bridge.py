@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, TypeAlias
@@ -19,6 +21,9 @@ from maglev_mj.bridge.commissioning.identification import collect, excitation
 from maglev_mj.bridge.commissioning.identification import identify as identify_device
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
 from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.haply.arm import Arm
+from maglev_mj.bridge.haply.flight import fly_arm, preflight_arm
+from maglev_mj.bridge.haply.plant import HaplyPlant
 from maglev_mj.bridge.landing import LANDING_TIME, StopSwitch
 from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.preflight import MARGIN, Preflight, judge_change, measure_link, preflight, stiffest_walls
@@ -139,7 +144,16 @@ def bridge(
     mass: Annotated[float | None, option("moving mass [kg]", _IDENTIFICATION, above=0.0)] = None,
     reconnect: _Reconnect,
 ) -> int:
-    """Fly a scene on a device, or on its twin, over UDP or a serial link."""
+    """Fly a scene on a device, or on its twin, over UDP or a serial link; or on an arm at haply://HOST:PORT."""
+    if address.startswith("haply:"):
+        refused = {"reset": reset, "identify": identify, "mass": mass, "anyway": anyway, "view": view, "web": page.web}
+        _check_arm(refused | {"calibration": any("--calibration" in text for text in reconnect)}, limits)
+        with _opened_arm(address, key, limits, realtime) as arm:
+            result = preflight_arm(arm, scene, as_written=as_written)
+            if check:
+                return _print_check(result, arm.period, arm.arm.mass)
+            _require(require_stiffness, result)
+            return _fly_arm(arm, scene, _Flown(result, False, seconds, record, realtime))
     flying = {"record": record is not None, "view": view, "web": page.web, "seconds": seconds is not None}
     modes = {"reset": reset, "check": check, "identify": identify is not None}
     _check(modes, mass is not None, [name for name, chosen in flying.items() if chosen])
@@ -158,7 +172,10 @@ def bridge(
         if identify is not None:
             return _identify(plant, identify, mass, realtime)
         if check:
-            return _checked_line(plant, scene, realtime)
+            print(f"  measuring link latency for {_MEASURED:g} s, currents off", flush=True)
+            with _punctual(realtime):
+                report = measure_link(plant, _MEASURED)
+            return _print_check(preflight(plant, scene, report=report), plant.period, plant.calibration.mass)
         print("  measuring link latency and checking the scene's stability", flush=True)
         with scheduled(realtime):  # as in flight, which reports refused settings
             report = measure_link(plant)
@@ -181,23 +198,19 @@ def _check(modes: Mapping[str, bool], mass: bool, flying: Sequence[str]) -> None
         raise ParameterError(f"--{active[0]} and --{active[1]} cannot be combined; run them one after the other")
 
 
-def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "ignore"]) -> int:
+def _print_check(result: Preflight, period: float, mass: float) -> int:
     """Print link latency and stability of the scene; return the exit status."""
-    print(f"  measuring link latency for {_MEASURED:g} s, currents off", flush=True)
-    with _punctual(policy):
-        report = measure_link(plant, _MEASURED)
-    result = preflight(plant, scene, report=report)
     print(result.report.table())
     walls = (
         f"{hand} {stiffness:.0f} N/m with {damping:.0f} N s/m"
-        for hand, (stiffness, damping) in stiffest_walls(result.report, plant).items()
+        for hand, (stiffness, damping) in stiffest_walls(result.report, period, mass).items()
     )
     head = f"critical stiffness at {result.report.required_delay * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
     print("\n".join(wrapped(f"{head}: {', '.join(walls)}")))
     verdict = (
         result.problem
         or result.reduction
-        or f"{scene.name} is stable up to {result.critical_delay * 1e3:.2f} ms: ready"
+        or f"{result.scene.name} is stable up to {result.critical_delay * 1e3:.2f} ms: ready"
     )
     print("\n".join(wrapped(verdict)))
     return 1 if result.problem else 0
@@ -290,6 +303,47 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
                 raise
             print(report, flight.timing.table(), sep="\n", flush=True)
     return 1 if report.landing.reason else 0
+
+
+def _check_arm(refused: Mapping[str, object], limits: HostLimits) -> None:
+    """Raise ParameterError for an option that an arm does not take."""
+    others = [name for name, value in refused.items() if value]
+    unlimited = limits.replace(force_limit=None, speed_limit=HostLimits().speed_limit)
+    others += ["current limit, torque limit and profile"] * (unlimited != HostLimits())
+    if others:
+        raise ParameterError(f"{others[0]} does not apply to haply://HOST:PORT")
+
+
+@contextmanager
+def _opened_arm(
+    address: str, key: bytes | None, limits: HostLimits, policy: Literal["enforce", "ignore"]
+) -> Iterator[HaplyPlant]:
+    """Open an arm with the smaller of its limits and the host's, and run in real time."""
+    arm, force = Arm(), limits.force_limit or math.inf
+    most = [min(force, part) for part in arm.force_limit]
+    arm = replace(arm, force_limit=most, speed_limit=min(limits.speed_limit, arm.speed_limit))
+    with _punctual(policy), HaplyPlant(address, arm=arm, key=key) as plant:  # its thread receives in real time too
+        print("  measuring round trips and checking the scene's stability; force off", flush=True)
+        yield plant
+
+
+def _fly_arm(plant: HaplyPlant, scene: Scene, flown: _Flown) -> int:
+    """Fly a scene on an arm; return the exit status."""
+    result, switch = flown.result, StopSwitch()
+    if result.problem:
+        raise PlantError(f"no flight: {result.problem}")
+    if result.reduction:
+        print("\n".join(wrapped(result.reduction)), flush=True)
+    flown_as = ", ".join(filter(None, (f"{scene.name} at {1.0 / plant.period:g} Hz", result.rendered)))
+    print(f"  {flown_as}; forces only, without torques and pulses", flush=True)
+    with ExitStack() as last:
+        last.enter_context(switch.signals())
+        file = None if flown.record is None else open_recording(flown.record)
+        if file is not None:
+            last.push(partial(_keep, file))
+        report = fly_arm(plant, scene, result, duration=flown.seconds, switch=switch, file=file)
+        print("\n".join(wrapped(str(report))))
+    return 1 if report.reason else 0
 
 
 def _latched(plant: RemotePlant) -> str:

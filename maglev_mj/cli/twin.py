@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -34,12 +34,33 @@ _FAULTS = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAU
 def twin(
     *,
     listen: Annotated[str, option("udp://HOST:PORT or pty (serial)", _DEVICE, "ADDRESS")] = "udp://127.0.0.1:5678",
+    haply: Annotated[
+        str | None,
+        option(
+            "three-axis arm behind the JSON of Haply's Inverse service instead, at [HOST:]PORT (default port 10001)",
+            _DEVICE,
+            "PORT",
+            const="10001",
+        ),
+    ] = None,
     rate: Annotated[
-        float, option("sample rate [Hz]", _DEVICE, inverse="period", at_least=10.0, at_most=20_000.0)
-    ] = Spec.control_rate.value,
+        float | None,
+        option(
+            f"sample rate [Hz] (default {Spec.control_rate.value:g}; with --haply that of the arm, 1000)",
+            _DEVICE,
+            inverse="period",
+            at_least=10.0,
+            at_most=20_000.0,
+        ),
+    ] = None,
     delay: Annotated[
-        float, option("delay from a command's arrival to its effect [s]", _DEVICE)
-    ] = Spec.transport_delay.value,
+        float | None,
+        option(
+            "delay from a command's arrival to its effect [s] "
+            f"(default {Spec.transport_delay.value:g}; with --haply that of the arm, 0.001)",
+            _DEVICE,
+        ),
+    ] = None,
     watchdog: Annotated[float, option("watchdog timeout [s]", _DEVICE)] = 0.05,
     noise: Annotated[float, option("standard deviation of the spot noise [m]", _DEVICE)] = 4e-7,
     seed: Annotated[int, option("seed of the noise", _DEVICE)] = 0,
@@ -80,10 +101,23 @@ def twin(
     from maglev_mj.scenes import find_scene
     from maglev_mj.views.viewer_process import RemoteViewer
 
+    if haply is not None:
+        refused = {
+            "fault": fault,
+            "block": block,
+            "truth": truth,
+            "view": view,
+            "web": page.web,
+            "plant": plant != "mujoco",
+        }
+        if extra := [name for name, value in refused.items() if value]:
+            raise ParameterError(f"--{extra[0]} does not apply to --haply")
+        numbers = {name: value for name, value in (("rate", rate), ("delay", delay)) if value is not None}
+        return _serve_arm(haply, numbers, lockstep, _hand(push, None), key, page.allow_origin, seconds)
     look = find_scene(scene or "joystick")
     parameters = TwinParameters(
-        period=1.0 / rate,
-        delay=delay,
+        period=1.0 / (Spec.control_rate.value if rate is None else rate),
+        delay=Spec.transport_delay.value if delay is None else delay,
         lockstep=lockstep,
         calibration=calibration,
         truth=None if truth is None else Calibration.load(truth),
@@ -111,6 +145,36 @@ def twin(
         with stopping(server.stop):
             served = server.run(seconds, shown)
     print(served)
+    return 0
+
+
+def _serve_arm(
+    place: str,
+    numbers: Mapping[str, Any],
+    lockstep: bool,
+    hand: HandForce | None,
+    key: bytes | None,
+    origins: Sequence[str],
+    seconds: float | None,
+) -> int:
+    """Serve the twin of an arm at [HOST:]PORT; return the exit status."""
+    from maglev_mj.bridge.haply.arm import Arm
+    from maglev_mj.bridge.haply.twin import HaplyServer, HaplyTwin
+    from maglev_mj.bridge.realtime import stopping
+
+    if not (match := re.fullmatch(r"(?:([\w.-]+):)?(\d{1,5})", place, re.ASCII)):
+        raise ParameterError(f"haply must be PORT or HOST:PORT (got {place!r})")
+    twin = HaplyTwin(Arm(**numbers), lockstep=lockstep, hand_force=hand)
+    server = HaplyServer(twin, int(match[2]), match[1] or "127.0.0.1", key=key, origins=origins)
+    host, port = server.address
+    pace = "in lockstep" if lockstep else "in real time"
+    print(
+        f"  arm listening at ws://{host}:{port}{server.query}, {twin.arm.rate:g} Hz, {pace}; Ctrl-C ends it", flush=True
+    )
+    with stopping(server.stop):
+        server.run(seconds)
+    server.close()
+    print(f"  {twin.clipped} forces above the limit, {twin.invalid} invalid messages")
     return 0
 
 

@@ -126,3 +126,16 @@ class Access:
         pattern = "|".join((f"https?://{re.escape(hosts[0])}", *map(re.escape, self.allowed)))
         wrong = [origin for origin in origins if not re.fullmatch(pattern, origin, re.IGNORECASE)]
         return f"Origin must be {', '.join(('the page itself', *self.allowed))} (got {wrong[0]!r})" if wrong else ""
+
+
+def local_access(host: str, origins: Sequence[str] = ()) -> Access:
+    """Return the access check of a server, for its host, and for the loopback names if it is a loopback address.
+
+    Args:
+        host: Address or name that the server listens on.
+        origins: Permitted Origins besides that of the page itself.
+    """
+    # listening on all addresses: accept any IP address but no name, which an attacker could own (DNS rebinding)
+    pattern = r"(?:\d{1,3}\.){3}\d{1,3}" if host == "0.0.0.0" else re.escape(host)
+    hosts = rf"{pattern}(?::\d{{1,5}})?" + (f"|{LOOPBACK}" if is_loopback(host) else "")
+    return Access(hosts, host, allowed=origins)

@@ -27,7 +27,7 @@ from maglev_mj.colours import BAD, PULL, hex_of, linear, on_white
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
 from maglev_mj.session import FrameClock, SnapshotSource, real_time
-from maglev_mj.session.access import LOOPBACK, Access, is_loopback
+from maglev_mj.session.access import Access, local_access
 from maglev_mj.views.page.panel import Panel, Plots
 from maglev_mj.views.page.stage import VIEWS, Grab, Stage, look
 from maglev_mj.views.viewer_process import Inbox, ViewerFunction
@@ -109,11 +109,7 @@ class Endpoint:
 
     @cached_property
     def _access(self) -> Access:
-        """Access check for the host, and for the loopback names if it is a loopback address."""
-        # listening on all addresses: accept any IP address but no name, which an attacker could own (DNS rebinding)
-        pattern = r"(?:\d{1,3}\.){3}\d{1,3}" if self.host == "0.0.0.0" else re.escape(self.host)
-        hosts = rf"{pattern}(?::\d{{1,5}})?" + (f"|{LOOPBACK}" if is_loopback(self.host) else "")
-        return Access(hosts, self.host, allowed=self.origins)
+        return local_access(self.host, self.origins)
 
 
 _FRAME, _PLOT, _BEAT = 1.0 / 30.0, 1.0 / 8.0, 0.5
