@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -147,13 +147,16 @@ def bridge(
     """Fly a scene on a device, or on its twin, over UDP or a serial link; or on an arm at haply://HOST:PORT."""
     if address.startswith("haply:"):
         refused = {"reset": reset, "identify": identify, "mass": mass, "anyway": anyway, "view": view, "web": page.web}
-        _check_arm(refused | {"calibration": any("--calibration" in text for text in reconnect)}, limits)
+        if others := [name for name, value in refused.items() if value]:
+            raise ParameterError(f"--{others[0]} does not apply to haply://")
         with _opened_arm(address, key, limits, realtime) as arm:
             result = preflight_arm(arm, scene, as_written=as_written)
             if check:
                 return _print_check(result, arm.period, arm.arm.mass)
             _require(require_stiffness, result)
-            return _fly_arm(arm, scene, _Flown(result, False, seconds, record, realtime))
+            if result.problem:
+                raise PlantError(f"no flight: {result.problem}")
+            return _fly_arm(arm, scene, result, seconds, record)
     flying = {"record": record is not None, "view": view, "web": page.web, "seconds": seconds is not None}
     modes = {"reset": reset, "check": check, "identify": identify is not None}
     _check(modes, mass is not None, [name for name, chosen in flying.items() if chosen])
@@ -305,45 +308,34 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
     return 1 if report.landing.reason else 0
 
 
-def _check_arm(refused: Mapping[str, object], limits: HostLimits) -> None:
-    """Raise ParameterError for an option that an arm does not take."""
-    others = [name for name, value in refused.items() if value]
-    unlimited = limits.replace(force_limit=None, speed_limit=HostLimits().speed_limit)
-    others += ["current limit, torque limit and profile"] * (unlimited != HostLimits())
-    if others:
-        raise ParameterError(f"{others[0]} does not apply to haply://HOST:PORT")
-
-
 @contextmanager
 def _opened_arm(
     address: str, key: bytes | None, limits: HostLimits, policy: Literal["enforce", "ignore"]
 ) -> Iterator[HaplyPlant]:
-    """Open an arm with the smaller of its limits and the host's, and run in real time."""
+    """Open an arm in real time, with the smaller of its limits and the host's on force and speed."""
+    if limits.replace(force_limit=None, speed_limit=HostLimits().speed_limit) != HostLimits():
+        raise ParameterError("limits of the host for haply:// are --force-limit and --speed-limit")
     arm, force = Arm(), limits.force_limit or math.inf
-    most = [min(force, part) for part in arm.force_limit]
-    arm = replace(arm, force_limit=most, speed_limit=min(limits.speed_limit, arm.speed_limit))
+    most: Any = {"force_limit": [min(force, part) for part in arm.force_limit]}
+    arm = replace(arm, speed_limit=min(limits.speed_limit, arm.speed_limit), **most)
     with _punctual(policy), HaplyPlant(address, arm=arm, key=key) as plant:  # its thread receives in real time too
         print("  measuring round trips and checking the scene's stability; force off", flush=True)
         yield plant
 
 
-def _fly_arm(plant: HaplyPlant, scene: Scene, flown: _Flown) -> int:
+def _fly_arm(plant: HaplyPlant, scene: Scene, result: Preflight, seconds: float | None, record: Path | None) -> int:
     """Fly a scene on an arm; return the exit status."""
-    result, switch = flown.result, StopSwitch()
-    if result.problem:
-        raise PlantError(f"no flight: {result.problem}")
-    if result.reduction:
-        print("\n".join(wrapped(result.reduction)), flush=True)
-    flown_as = ", ".join(filter(None, (f"{scene.name} at {1.0 / plant.period:g} Hz", result.rendered)))
-    print(f"  {flown_as}; forces only, without torques and pulses", flush=True)
     with ExitStack() as last:
-        last.enter_context(switch.signals())
-        file = None if flown.record is None else open_recording(flown.record)
+        last.enter_context((switch := StopSwitch()).signals())
+        file = None if record is None else open_recording(record)
         if file is not None:
             last.push(partial(_keep, file))
-        report = fly_arm(plant, scene, result, duration=flown.seconds, switch=switch, file=file)
-        print("\n".join(wrapped(str(report))))
-    return 1 if report.reason else 0
+        start = f"{scene.name}, forces only, without torques and pulses; {result.reduction or result.rendered}"
+        print("\n".join(wrapped(start)), flush=True)
+        count, reason = fly_arm(plant, scene, result, duration=seconds, switch=switch, file=file)
+        ended = f"; ended early: {reason}" if reason else ""
+        print("\n".join(wrapped(f"{count * plant.period:.1f} s, {count} samples; the force has faded to zero{ended}")))
+    return 1 if reason else 0
 
 
 def _latched(plant: RemotePlant) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -37,29 +37,16 @@ def twin(
     haply: Annotated[
         str | None,
         option(
-            "three-axis arm behind the JSON of Haply's Inverse service instead, at [HOST:]PORT (default port 10001)",
-            _DEVICE,
-            "PORT",
-            const="10001",
+            "arm behind the JSON of Haply's Inverse service, instead of a device", _DEVICE, "[HOST:]PORT", const="10001"
         ),
     ] = None,
     rate: Annotated[
         float | None,
-        option(
-            f"sample rate [Hz] (default {Spec.control_rate.value:g}; with --haply that of the arm, 1000)",
-            _DEVICE,
-            inverse="period",
-            at_least=10.0,
-            at_most=20_000.0,
-        ),
+        option("sample rate [Hz] (default 200; arm 1000)", _DEVICE, inverse="period", at_least=10.0, at_most=20_000.0),
     ] = None,
     delay: Annotated[
         float | None,
-        option(
-            "delay from a command's arrival to its effect [s] "
-            f"(default {Spec.transport_delay.value:g}; with --haply that of the arm, 0.001)",
-            _DEVICE,
-        ),
+        option("delay from a command's arrival to its effect [s] (default 0.0015; arm 0.001)", _DEVICE, at_least=0.0),
     ] = None,
     watchdog: Annotated[float, option("watchdog timeout [s]", _DEVICE)] = 0.05,
     noise: Annotated[float, option("standard deviation of the spot noise [m]", _DEVICE)] = 4e-7,
@@ -113,7 +100,8 @@ def twin(
         if extra := [name for name, value in refused.items() if value]:
             raise ParameterError(f"--{extra[0]} does not apply to --haply")
         numbers = {name: value for name, value in (("rate", rate), ("delay", delay)) if value is not None}
-        return _serve_arm(haply, numbers, lockstep, _hand(push, None), key, page.allow_origin, seconds)
+        arm = {"numbers": numbers, "lockstep": lockstep, "hand_force": _hand(push, None)}
+        return _serve_arm(haply, seconds, arm, {"key": key, "origins": page.allow_origin})
     look = find_scene(scene or "joystick")
     parameters = TwinParameters(
         period=1.0 / (Spec.control_rate.value if rate is None else rate),
@@ -148,15 +136,7 @@ def twin(
     return 0
 
 
-def _serve_arm(
-    place: str,
-    numbers: Mapping[str, Any],
-    lockstep: bool,
-    hand: HandForce | None,
-    key: bytes | None,
-    origins: Sequence[str],
-    seconds: float | None,
-) -> int:
+def _serve_arm(place: str, seconds: float | None, arm: dict[str, Any], server_options: dict[str, Any]) -> int:
     """Serve the twin of an arm at [HOST:]PORT; return the exit status."""
     from maglev_mj.bridge.haply.arm import Arm
     from maglev_mj.bridge.haply.twin import HaplyServer, HaplyTwin
@@ -164,17 +144,15 @@ def _serve_arm(
 
     if not (match := re.fullmatch(r"(?:([\w.-]+):)?(\d{1,5})", place, re.ASCII)):
         raise ParameterError(f"haply must be PORT or HOST:PORT (got {place!r})")
-    twin = HaplyTwin(Arm(**numbers), lockstep=lockstep, hand_force=hand)
-    server = HaplyServer(twin, int(match[2]), match[1] or "127.0.0.1", key=key, origins=origins)
+    twin = HaplyTwin(Arm(**arm.pop("numbers")), **arm)
+    server = HaplyServer(twin, int(match[2]), match[1] or "127.0.0.1", **server_options)
     host, port = server.address
-    pace = "in lockstep" if lockstep else "in real time"
-    print(
-        f"  arm listening at ws://{host}:{port}{server.query}, {twin.arm.rate:g} Hz, {pace}; Ctrl-C ends it", flush=True
-    )
+    pace = "in lockstep" if twin.lockstep else "in real time"
+    print(f"  arm at ws://{host}:{port}/{server.query}, {twin.arm.rate:g} Hz, {pace}; Ctrl-C ends it", flush=True)
     with stopping(server.stop):
         server.run(seconds)
     server.close()
-    print(f"  {twin.clipped} forces above the limit, {twin.invalid} invalid messages")
+    print(f"  {twin.clipped} forces above the limit")
     return 0
 
 

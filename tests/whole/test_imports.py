@@ -45,7 +45,7 @@ ALLOWED = {
     "glfw": {"interop", "views"},
     "viser": {"views"},
     "trimesh": {"views"},
-    "websockets": {"views"},
+    "websockets": {"bridge", "views"},
     "matplotlib": {"pictures", "studies"},  # their pictures.py alone
     "imageio": {"views"},
     "distributed": {"studies"},

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from maglev_mj.bridge.preflight import LinkReport, Preflight, assess
 from maglev_mj.control import Law
 from maglev_mj.control.laws.base import Answer, Face, Gains, as_law
 from maglev_mj.control.loop import ControlLoop
-from maglev_mj.frames import ZERO, Command, Component, DeviceWall, Sample, Six
+from maglev_mj.frames import ZERO, Command, Component, Sample, Six
 from maglev_mj.plants.model import Body
 from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import Scene
@@ -33,11 +32,7 @@ class ForcesOnly(Law):
     """
 
     def __init__(self, law: Law) -> None:
-        self.law, self.on = law, law.on
-
-    def start(self) -> Any:
-        """See `Law`."""
-        return self.law.start()
+        self.law, self.on, self.start, self.signals = law, law.on, law.start, law.signals  # type: ignore[method-assign]
 
     def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """See `Law`."""
@@ -55,61 +50,24 @@ class ForcesOnly(Law):
         """See `Law`."""
         return [face for face in self.law.faces() if face[0] < 3]
 
-    def device_walls(self, state: Any) -> Sequence[DeviceWall]:
-        """See `Law`."""
-        return self.law.device_walls(state)
-
-    def stick_positions(self, state: Any) -> Mapping[int, float]:
-        """See `Law`."""
-        return {axis: place for axis, place in self.law.stick_positions(state).items() if axis < 3}
-
-    def signals(self, state: Any) -> Mapping[str, Sequence[Component]]:
-        """See `Law`."""
-        return self.law.signals(state)
-
 
 def on_arm(scene: Scene, plant: HaplyPlant) -> Scene:
-    """Return a scene for an arm: with its mass, timing and compensated gravity, and laws without torques and pulses."""
-    arm, cls = plant.arm, type(scene)
-    inertia = np.append([arm.mass] * 3, scene.body.inertia[3:])
+    """Return a scene with the mass and timing of an arm, and laws without weight, torques and pulses."""
+    cls, inertia = type(scene), np.append([plant.arm.mass] * 3, scene.body.inertia[3:])
 
     class OnArm(cls):  # type: ignore[misc, valid-type]
         name, title = scene.name, scene.title
-
-        @property
-        def body(self) -> Body:
-            limits = np.append(arm.range, [np.inf] * 3)
-            return Body(inertia, np.zeros(3), limits, arm.force_limit[2])
+        body = Body(inertia, np.zeros(3), np.append(plant.arm.range, [np.inf] * 3), plant.arm.force_limit[2])
 
         def laws(self) -> list[Law]:
-            return [ForcesOnly(as_law(law)) for law in super().laws()]
+            return [ForcesOnly(law) for law in map(as_law, super().laws()) if not law.carried().any()]
 
     values = {item.name: getattr(scene, item.name) for item in scene.parameters()}
     return OnArm(**values | {"period": plant.period, "delay": plant.delay})
 
 
-def measure_arm(plant: HaplyPlant) -> LinkReport:
-    """Measure the latency of 200 exchanges without force."""
-    trips = []
-    for _ in range(_EXCHANGES):
-        plant.read()
-        plant.write(Command(ZERO))
-        trips.append(plant.round_trip)
-    return LinkReport(
-        device_delay=plant.delay,
-        delay=plant.arm.delay + np.maximum(trips, plant.period),
-        answer=np.zeros(0),
-        samples=_EXCHANGES,
-        lost=0,
-        skipped=0,
-        late=sum(trip > plant.period for trip in trips),
-        clock=1.0,
-        lockstep=False,
-    )
-
-
 def preflight_arm(plant: HaplyPlant, scene: Scene, *, as_written: bool = False) -> Preflight:
-    """Measure the round trips, and check that a scene is stable on the arm; see `preflight`.
+    """Measure 200 round trips without force, and check that a scene is stable on the arm; see `preflight`.
 
     Args:
         plant: The arm.
@@ -119,33 +77,19 @@ def preflight_arm(plant: HaplyPlant, scene: Scene, *, as_written: bool = False) 
     Raises:
         MaglevError: If the arm has a fault, or a law fails.
     """
-    report, own = measure_arm(plant), on_arm(scene, plant)
+    own, trips = on_arm(scene, plant), list[float]()
+    for _ in range(_EXCHANGES):
+        plant.read()
+        plant.write(Command(ZERO))
+        trips.append(plant.round_trip)
+    delay, late = plant.arm.delay + np.maximum(trips, plant.period), int(np.sum(np.array(trips) > plant.period))
+    counts: Any = {"samples": _EXCHANGES, "lost": 0, "skipped": 0, "late": late, "clock": 1.0, "lockstep": False}
+    report = LinkReport(device_delay=plant.delay, delay=delay, answer=np.zeros(0), **counts)
     result = assess(own, own.body.inertia, report, as_written)
-    slowest = float(np.percentile(report.delay, 99.0)) - plant.arm.delay
-    if slowest > plant.period and not result.problem:
+    if (slowest := float(np.percentile(trips, 99.0))) > plant.period:
         times = f"the slowest 1 % of the round trips take {slowest * 1e3:.2f} ms, above the period"
         result = result._replace(problem=f"{times} of {plant.period * 1e3:g} ms: keep a processor free or lower ?rate=")
     return result
-
-
-class ArmReport(NamedTuple):
-    """Outcome of a flight on an arm.
-
-    Attributes:
-        ticks: Number of rendered samples.
-        skipped: Periods without a sample.
-        wall_time: Duration in real time [s].
-        reason: Reason of a guard to end it; "" without.
-    """
-
-    ticks: int
-    skipped: int
-    wall_time: float
-    reason: str = ""
-
-    def __str__(self) -> str:
-        ended = f"; ended early: {self.reason}" if self.reason else ""
-        return f"{self.wall_time:.1f} s, {self.ticks} samples, {self.skipped} skipped; force faded to zero{ended}"
 
 
 def fly_arm(
@@ -156,7 +100,7 @@ def fly_arm(
     duration: float | None = None,
     switch: StopSwitch | None = None,
     file: RecordingFile | None = None,
-) -> ArmReport:
+) -> tuple[int, str]:
     """Render a scene on an arm, then fade the force to zero and close the plant.
 
     Args:
@@ -167,21 +111,21 @@ def fly_arm(
         switch: Switch that ends the flight.
         file: Recording of every sample; not closed.
 
+    Returns:
+        Number of samples, and the reason of a guard to end the flight, or "".
+
     Raises:
         PlantError: If the arm or the link has a fault; the force is off.
     """
-    switch, began, record = switch or StopSwitch(), time.monotonic(), None
-    controller = device_controller(checked.scene, np.zeros(6))
-    inertia = checked.scene.body.inertia.tolist()
+    controller, inertia = device_controller(checked.scene, np.zeros(6)), checked.scene.body.inertia.tolist()
+    record, switch, reason, count = None, switch or StopSwitch(), "", 0
     if file is not None:
-        values = {"inertia": inertia, "load": ZERO, "before": ZERO, "hand_recorded": False}
+        values: Any = {"inertia": inertia, "load": ZERO, "before": ZERO, "hand_recorded": False}
         record = begin_scene(file, scene, plant, controller, kind="device", name=f"{scene.name} on an arm", **values)
     delays, power = DelayGuard(delay_limit(checked.critical_delay, plant.period)), PowerGuard(plant.period, inertia)
-    reason, first, last, count = "", None, 0, 0
 
     def observe(sample: Sample, applied: Command) -> None:
-        nonlocal reason, first, last
-        first, last = sample.tick if first is None else first, sample.tick
+        nonlocal reason
         reason = delays.check(plant.age + plant.arm.delay) or power.check(sample.position, applied.force)
 
     loop = ControlLoop(plant, controller, observe=observe, record=record)
@@ -189,4 +133,4 @@ def fly_arm(
         loop.cycle()
         count += 1
     plant.land()
-    return ArmReport(count, last - (first or 0) + 1 - count, time.monotonic() - began, reason)
+    return count, reason

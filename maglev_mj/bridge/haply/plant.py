@@ -6,14 +6,14 @@ import math
 import re
 import socket
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any, NoReturn, Protocol, Self
 
-from maglev_mj.bridge.haply.arm import XYZ, Arm, entries, finite, force_message, numbers_at, parsed, token_of
+from maglev_mj.bridge.haply.arm import Arm, devices, force_message, numbers_at, token_of
 from maglev_mj.bridge.links import LinkError
 from maglev_mj.errors import ParameterError, PlantError, require
-from maglev_mj.frames import ZERO, Command, Sample, rotation_vector
+from maglev_mj.frames import Command, Sample, rotation_vector
 from maglev_mj.parameters import SAMPLE_PERIOD, number
 from maglev_mj.session.access import resolve
 
@@ -29,12 +29,12 @@ _LATE, _MOST_LATE = 1.5, 3
 _FARTHEST = 1.0
 """Largest coordinate of a position in metres [m]; an Inverse3 reaches 0.3 m."""
 
-_PATIENCE = 1.0
+_PATIENCE, _NO_FORCE = 1.0, (0.0, 0.0, 0.0)
 _URL = re.compile(r"haply://([\w.-]+):(\d{1,5})(?:\?rate=(\d{1,5}(?:\.\d+)?))?", re.ASCII)
 
 
 class JsonLink(Protocol):
-    """Interface of a link to a service; `receive` and `send` raise LinkError once it is closed."""
+    """Interface of a link to a service; a closed one raises LinkError."""
 
     def send(self, text: str) -> None:
         """Send one message."""
@@ -50,50 +50,46 @@ class JsonLink(Protocol):
 
 
 class WebSocketLink:
-    """Link to a service over a WebSocket.
+    """Link to a service at haply://HOST:PORT, optionally with ?rate=HZ.
 
     Args:
-        host: Name or IPv4 address of the service.
-        port: Its port.
+        address: The address.
         key: Key of a twin; None for a service, which has none.
 
+    Attributes:
+        rate: Rate in the address [Hz], or None.
+
     Raises:
-        ParameterError: If the host has no IPv4 address.
+        ParameterError: If the address is invalid.
         LinkError: If no service answers.
         MissingPackageError: If websockets is not installed.
     """
 
-    def __init__(self, host: str, port: int, key: bytes | None = None) -> None:
+    def __init__(self, address: str, key: bytes | None = None) -> None:
+        if not (url := _URL.fullmatch(address)) or not 0 < int(url[2]) <= 65535 or not float(url[3] or 1.0):
+            raise ParameterError(f"address must be haply://HOST:PORT or haply://HOST:PORT?rate=HZ (got {address!r})")
         require(("websockets",), "haply", "haply:// requires websockets")
         from websockets.exceptions import WebSocketException
         from websockets.sync.client import connect
 
-        self._failures = (WebSocketException, OSError)
-        path = f"?token={token}" if (token := token_of(key)) else ""
-        try:
+        self.rate, self._failures = url[3] and float(url[3]), (WebSocketException, OSError)
+        with self._reported(f"cannot reach an Inverse service at {url[1]}:{url[2]}"):
             # opened here: websockets may connect through a proxy
-            opened = socket.create_connection((resolve(host), port), _PATIENCE)
+            opened = socket.create_connection((resolve(url[1]), int(url[2])), _PATIENCE)
             opened.settimeout(None)
-            options: Any = {"compression": None, "open_timeout": _PATIENCE, "close_timeout": _FADE}
-            self._socket = connect(f"ws://{host}:{port}/{path}", sock=opened, **options)
-        except self._failures as error:
-            raise LinkError(f"cannot reach an Inverse service at {host}:{port}: {error}") from None
+            times: Any = {"open_timeout": _PATIENCE, "close_timeout": _FADE}
+            self._socket = connect(f"ws://{url[1]}:{url[2]}/{token_of(key)}", sock=opened, compression=None, **times)
 
     def send(self, text: str) -> None:
         """See `JsonLink`."""
-        try:
+        with self._reported("the service closed the connection"):
             self._socket.send(text)
-        except self._failures as error:
-            raise LinkError(f"the service closed the connection ({error})") from None
 
     def receive(self, timeout: float) -> str | bytes | None:
         """See `JsonLink`."""
-        try:
+        with suppress(TimeoutError), self._reported("the service closed the connection"):
             return self._socket.recv(timeout)
-        except TimeoutError:
-            return None
-        except self._failures as error:
-            raise LinkError(f"the service closed the connection ({error})") from None
+        return None
 
     now = staticmethod(time.monotonic_ns)
 
@@ -101,13 +97,14 @@ class WebSocketLink:
         """See `JsonLink`."""
         self._socket.close()
 
-
-def _opened(address: str, key: bytes | None) -> tuple[JsonLink, float | None]:
-    """Return the link to an address, and the rate in it [Hz]."""
-    if not (url := _URL.fullmatch(address)) or not 0 < int(url[2]) <= 65535:
-        raise ParameterError(f"address must be haply://HOST:PORT or haply://HOST:PORT?rate=HZ (got {address!r})")
-    rate = None if url[3] is None else 1.0 / number("period", 1.0 / (float(url[3]) or math.inf), **SAMPLE_PERIOD)
-    return WebSocketLink(url[1], int(url[2]), key), rate
+    @contextmanager
+    def _reported(self, failure: str) -> Iterator[None]:
+        try:
+            yield
+        except TimeoutError:
+            raise
+        except self._failures as error:
+            raise LinkError(f"{failure} ({error})") from None
 
 
 class HaplyPlant:
@@ -117,7 +114,7 @@ class HaplyPlant:
     is one period old. Every fault fades the force to zero within 20 ms and raises; afterwards only `close` works. A
     fault is: a force for a sample older than 20 ms (or two periods), or for the third sample in a row older than 1.5
     periods; a closed connection; a reply without a finite position of the device; a command that is not finite; a tip
-    above the speed limit.
+    above the speed limit while a force acts.
 
     Args:
         link: Address haply://HOST:PORT or haply://HOST:PORT?rate=HZ, or an open link; closed with the plant.
@@ -139,17 +136,6 @@ class HaplyPlant:
         ParameterError: If an argument is outside its bounds.
         LinkError: If no service answers.
         PlantError: If no such arm is connected, or its position is invalid.
-
-    Example:
-        >>> from maglev_mj import Controller, Hold, drive
-        >>> from maglev_mj.bridge import Arm, HaplyPlant, HaplyTwin
-        >>> arm = Arm(rate=200.0)
-        >>> spring = Controller([Hold(axes=("x", "y", "z"), stiffness=300.0, damping=8.0)], period=0.005)
-        >>> twin = HaplyTwin(arm, lockstep=True, twist=(0.01, 0.0, 0.0))
-        >>> with HaplyPlant(twin.link(), arm=arm) as plant:
-        ...     last = drive(plant, spring, 400)
-        >>> max(abs(part) for part in last.position) < 1e-6
-        True
     """
 
     hand_wrench = (math.nan,) * 6
@@ -164,19 +150,17 @@ class HaplyPlant:
         key: bytes | None = None,
     ) -> None:
         self.arm = arm or Arm()
-        self._link, rate = _opened(link, key) if isinstance(link, str) else (link, None)
-        self.period = 1.0 / (rate or self.arm.rate) if period is None else number("period", period, **SAMPLE_PERIOD)
+        self._link: JsonLink = WebSocketLink(link, key) if isinstance(link, str) else link
+        own = 1.0 / (getattr(self._link, "rate", None) or self.arm.rate)
+        self.period = number("period", own if period is None else period, **SAMPLE_PERIOD)
         self.delay, self._stale = self.period + self.arm.delay, max(STALE, 2.0 * self.period)
         self.age = self.round_trip = 0.0
         self._tick, self._late, self._fault, self._closed = -1, 0, "", False
-        self._force: Sequence[float] = ZERO[:3]
+        self._force: Sequence[float] = _NO_FORCE
         try:
-            message = parsed(self._link.receive(_PATIENCE) or "")
-            names = [str(entry.get("device_id")) for entry in entries(message, "inverse3")]
-            if not names or device not in (None, *names):
-                raise PlantError(f"the service reports no Inverse3 {device or ''}(connected: {names or 'none'})")
-            self.device = device or names[0]
-            self.centre = self._position = self._position_in(message)
+            inventory = self._link.receive(_PATIENCE) or ""
+            self.device = device or next(iter(devices(inventory)), "arm")
+            self.centre = self._position = self._position_in(inventory)
             if max(map(abs, self.centre)) > _FARTHEST:
                 place = ", ".join(f"{part:g}" for part in self.centre)
                 raise PlantError(f"cursor_position must be within {_FARTHEST:g} m (got {place}): is it in millimetres?")
@@ -193,17 +177,17 @@ class HaplyPlant:
         """
         self._require()
         try:
-            message = self._exchange()
-            position = self._position_in(message)
+            reply = self._exchange()
+            position = self._position_in(reply)
         except (LinkError, PlantError) as error:
             self._trip(str(error))
-        speed = math.dist(position, self._position) / max(self.age, self.period) if self._tick >= 0 else 0.0
-        if speed > self.arm.speed_limit:
+        speed = math.dist(position, self._position) / max(self.age, self.period)
+        if any(self._force) and speed > self.arm.speed_limit:  # a hand may move a free arm faster
             self._trip(f"the tip moves at {speed:.3g} m/s, above the limit of {self.arm.speed_limit:g} m/s")
         self._position = position
         self._tick = max(self._tick + 1, round((self._sent - self._start) * 1e-9 / self.period))
-        grip = next(iter(entries(message, "wireless_verse_grip")), {})
-        turn = numbers_at(grip, "state", "orientation", names=("w", *XYZ)) or (1.0, 0.0, 0.0, 0.0)
+        grip = next(iter(devices(reply, "wireless_verse_grip").values()), None)
+        turn = numbers_at(grip, "state", "orientation", names="wxyz") or (1.0, 0.0, 0.0, 0.0)
         place = [part - centre for part, centre in zip(position, self.centre)]
         return Sample(self._tick, self._tick * self.period, [*place, *rotation_vector(*turn)])
 
@@ -218,7 +202,7 @@ class HaplyPlant:
         force = [float(part) for part in command.force[:3]]
         if any(command.force[3:]) or any(command.extra or ()) or command.walls:
             raise PlantError("the arm renders forces only: torques, pulses and device walls must be zero")
-        if not finite(force):
+        if not math.isfinite(sum(force)):
             self._trip(f"the command is not finite ({', '.join(f'{part:g}' for part in force)})")
         self._force = self.arm.limited(force)
         return Command([*self._force, 0.0, 0.0, 0.0])
@@ -234,7 +218,7 @@ class HaplyPlant:
         if not self._closed:
             self._closed = True
             with suppress(LinkError):
-                self._link.send(force_message(self.device, ZERO[:3]))
+                self._link.send(force_message(self.device, _NO_FORCE))
             self._link.close()
 
     def __enter__(self) -> Self:
@@ -247,12 +231,11 @@ class HaplyPlant:
         if self._closed or self._fault:
             raise PlantError(f"the force is off: {self._fault}" if self._fault else "the plant is closed")
 
-    def _exchange(self) -> dict[str, Any]:
+    def _exchange(self) -> str | bytes:
         """Send the force when it is due, and return the reply."""
         link, period = self._link, round(self.period * 1e9)
         self._due += period
-        while (remaining := self._due - link.now()) > 0:
-            link.receive(remaining * 1e-9)  # detects a closed connection; nothing else arrives between two samples
+        self._wait(self._due)
         now = link.now()
         if self._tick < 0:
             self._start, self._sent = now, now - period
@@ -261,30 +244,25 @@ class HaplyPlant:
         acting = any(self._force)
         self._late = self._late + 1 if acting and self.age > _LATE * self.period else 0
         if acting and self.age > self._stale:
-            self._force = ZERO[:3]  # the service has dropped the force: do not fade from it
+            self._force = _NO_FORCE  # the service has dropped the force: do not fade from it
             raise PlantError(f"the sample was {self.age * 1e3:.0f} ms old when its answer was sent")
         if self._late >= _MOST_LATE:
-            raise PlantError(
-                f"{self._late} samples in a row were late, the last {self.age * 1e3:.1f} ms old: lower ?rate="
-            )
+            age = f"{self.age * 1e3:.1f} ms old"
+            raise PlantError(f"{self._late} samples in a row were late, the last {age}: lower ?rate=")
         link.send(force_message(self.device, self._force))
         reply = link.receive(self._stale - self.period if acting else _PATIENCE)
         self.round_trip = (link.now() - now) * 1e-9
         if reply is None:
             raise PlantError(f"no reply of the service within {self.round_trip * 1e3:.0f} ms")
-        return parsed(reply)
+        return reply
 
-    def _position_in(self, message: dict[str, Any]) -> list[float]:
-        """Return the arm's position in a message [m].
-
-        Raises:
-            PlantError: If it is missing or not finite.
-        """
-        names = [entry.get("device_id") for entry in entries(message, "inverse3")]
-        if self.device not in names:
-            raise PlantError(f"device {self.device!r} is missing in the reply (connected: {names or 'none'})")
-        position = numbers_at(entries(message, "inverse3")[names.index(self.device)], "state", "cursor_position")
-        if position is None or not finite(position):
+    def _position_in(self, message: str | bytes) -> list[float]:
+        """Return the arm's position in a message [m]; raise PlantError if it is missing or not finite."""
+        if (entry := (connected := devices(message)).get(self.device)) is None:
+            names = ", ".join(map(repr, connected)) or "none"
+            raise PlantError(f"the service reports no device {self.device!r} (connected: {names})")
+        position = numbers_at(entry, "state", "cursor_position")
+        if position is None or not math.isfinite(sum(position)):
             raise PlantError(f"the service reports no finite cursor_position (got {position})")
         return position
 
@@ -301,6 +279,10 @@ class HaplyPlant:
         for step in range(1, steps + 1):
             due = self._link.now() + round(self.period * 1e9)
             self._link.send(force_message(self.device, [part * (1.0 - step / steps) for part in last]))
-            while (remaining := due - self._link.now()) > 0:
-                self._link.receive(remaining * 1e-9)
-        self._force = ZERO[:3]
+            self._wait(due)
+        self._force = _NO_FORCE
+
+    def _wait(self, due: int) -> None:
+        """Wait until a time [ns]; detects a closed connection and discards late replies."""
+        while (remaining := due - self._link.now()) > 0:
+            self._link.receive(remaining * 1e-9)

@@ -5,18 +5,16 @@ from __future__ import annotations
 import hmac
 import json
 import logging
+import math
 import threading
 import time
-from collections import deque
 from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
-from maglev_mj.bridge.haply.arm import Arm, entries, finite, numbers_at, parsed, token_of, vector
-from maglev_mj.bridge.links import LinkError
+from maglev_mj.bridge.haply.arm import Arm, devices, numbers_at, token_of, vector
 from maglev_mj.errors import require
 from maglev_mj.frames import ZERO, Command, Six, quaternion
 from maglev_mj.plants import ExactPlant, Timing
@@ -32,9 +30,8 @@ _LONGEST = 1_000_000_000
 _STOP = 400.0, 8.0
 """Stiffness [N/m] and damping [N s/m] of the ends of the range; stable at 200 Hz."""
 
-_STATUS = {"calibrated": True, "in_use": True, "power_supply": True, "ready": True, "started": True}
-_GRIP_STATUS = {"connected": True, "awake": True, "ready": True}
-_CONFIG = {"type": "inverse3", "port": "twin", "handedness": "right", "preset": "defaults"}
+_STATUS = dict.fromkeys(("calibrated", "in_use", "power_supply", "ready", "started", "connected", "awake"), True)
+_BUTTONS = "a", "b", "c", "button_0", "button_1", "button_2", "button_3"
 
 
 class HaplyTwin:
@@ -54,12 +51,11 @@ class HaplyTwin:
     Attributes:
         force: Acting force, limited [N], (3,).
         clipped: Number of forces that were above the limit.
-        invalid: Number of messages that were no JSON object.
 
     Example:
         >>> from maglev_mj.bridge import HaplyTwin
         >>> twin = HaplyTwin(start=(0.0, 0.0, 0.01))
-        >>> '"z": 0.01' in twin.receive('{"inverse3": []}', now=0)
+        >>> '"z": 0.01}' in twin.receive('{"inverse3": []}', now=0)
         True
     """
 
@@ -86,52 +82,39 @@ class HaplyTwin:
         )
         self._period = round(period * 1e9)
         self._time: int | None = None
-        self._taken, self.clipped, self.invalid = 0, 0, 0
-        self.force: Sequence[float] = ZERO[:3]
+        self._taken = self.clipped = 0
+        self.force = [0.0, 0.0, 0.0]
         self.plant.read()
 
     def receive(self, data: str | bytes, now: int) -> str:
         """Take one message at `now` [ns]; return the state update."""
         self._advance(now)
-        message = parsed(data)
-        self.invalid += not message
-        own = [entry for entry in entries(message, "inverse3") if entry.get("device_id", self.device) == self.device]
-        commands = [entry.get("commands") for entry in own]
-        forces = [numbers_at(command, "set_cursor_force", key) for command in commands for key in ("vector", "values")]
-        force = next((force for force in forces if force is not None), None)
-        asked = force if force is not None and finite(force) else ZERO[:3]
+        named = devices(data)
+        commands = named.get(self.device, named.get("", {})).get("commands")
+        forces = (numbers_at(commands, "set_cursor_force", key) for key in ("vector", "values"))
+        force = next(filter(None, forces), None)
+        asked = force if force and math.isfinite(sum(force)) else [0.0, 0.0, 0.0]
         self.force, self._taken = self.arm.limited(asked), now
-        self.clipped += list(asked) != self.force
-        if self.lockstep and force is not None:
+        self.clipped += asked != self.force
+        if self.lockstep and force:
             self._step()
-        return self.update(full="force_render_full_state" in str(message.get("session")))
+        return self.update(full="force_render_full_state" in str(data))
 
     def release(self) -> None:
         """Set the force to zero, as when a client disconnects."""
-        self.force = ZERO[:3]
+        self.force = [0.0, 0.0, 0.0]
 
     def update(self, *, full: bool = False) -> str:
         """Return a state update; with `full`, the inventory with configurations."""
         pose, twist = self.plant.state()
-        state = {
-            "cursor_position": vector(pose[:3]),
-            "cursor_velocity": vector(twist[:3]),
-            "current_cursor_force": vector(self.force),
-            "control_mode": "force",
-            "control_domain": "cartesian",
-        }
-        arm = {"device_id": self.device, "state": state, "status": _STATUS}
-        buttons = dict.fromkeys(("a", "b", "c", "button_0", "button_1", "button_2", "button_3"), False)
-        held = {"orientation": dict(zip("wxyz", quaternion(ZERO[:3]))), "buttons": buttons, "battery_level": 1.0}
-        grip = {"device_id": "GRIP", "state": held, "status": _GRIP_STATUS}
-        if full:
-            arm["config"] = {**_CONFIG, "basis": {"permutation": "XYZ"}}
-            grip["config"] = {"type": "wireless_verse_grip", "port": "twin"}
-        return json.dumps({"session_id": 1, "inverse3": [arm], "wireless_verse_grip": [grip]})
-
-    def link(self, latency: float = 0.0) -> VirtualLink:
-        """Return a link to this twin in simulated time, with a latency of each reply [s]."""
-        return VirtualLink(self, latency)
+        state = {"cursor_position": vector(pose), "cursor_velocity": vector(twist)}
+        state["current_cursor_force"] = vector(self.force)
+        held = {"orientation": vector(quaternion(ZERO[:3]), "wxyz"), "buttons": dict.fromkeys(_BUTTONS, False)}
+        message: dict[str, Any] = {"session_id": 1}
+        for kind, device, values in (("inverse3", self.device, state), ("wireless_verse_grip", "GRIP", held)):
+            config = {"config": {"type": kind, "port": "twin", "basis": {"permutation": "XYZ"}}} if full else {}
+            message[kind] = [{"device_id": device, "state": values, "status": _STATUS, **config}]
+        return json.dumps(message)
 
     def _advance(self, now: int) -> None:
         """Advance to `now` [ns], unless in lockstep."""
@@ -155,47 +138,6 @@ class HaplyTwin:
         return [*(push - stop for push, stop in zip(hand, stops.tolist())), 0.0, 0.0, 0.0]
 
 
-class VirtualLink:
-    """Link to a twin in the same process and in simulated time, which passes only while the host waits.
-
-    Attributes:
-        time: Simulated time [ns].
-        latency: Latency of each reply [ns].
-        open: False once the service is gone.
-    """
-
-    def __init__(self, twin: HaplyTwin, latency: float = 0.0) -> None:
-        self._twin, self.time, self.latency, self.open = twin, 0, round(latency * 1e9), True
-        self._replies = deque([(0, twin.update(full=True))])
-
-    def send(self, text: str) -> None:
-        """See `JsonLink`."""
-        if not self.open:
-            raise LinkError("the service closed the connection")
-        self._replies.append((self.time + self.latency, self._twin.receive(text, self.time)))
-
-    def receive(self, timeout: float) -> str | None:
-        """See `JsonLink`."""
-        end = self.time + round(timeout * 1e9)
-        if not self.open:
-            raise LinkError("the service closed the connection")
-        if not self._replies or self._replies[0][0] > end:
-            self.time = end
-            return None
-        due, reply = self._replies.popleft()
-        self.time = max(self.time, due)
-        return reply
-
-    def now(self) -> int:
-        """See `JsonLink`."""
-        return self.time
-
-    def close(self) -> None:
-        """See `JsonLink`."""
-        self.open = False
-        self._twin.release()
-
-
 class HaplyServer:
     """WebSocket server of a twin; a request needs a permitted Host and Origin, and a key's token if there is a key.
 
@@ -208,6 +150,7 @@ class HaplyServer:
 
     Attributes:
         address: Host and port.
+        query: Query of a client's URL with the access token; empty without a key.
 
     Raises:
         ParameterError: If the host is not permitted, or the port is invalid.
@@ -228,7 +171,7 @@ class HaplyServer:
         from websockets.sync.server import serve
 
         logging.getLogger("websockets").setLevel(logging.CRITICAL)  # no failed handshakes on the terminal
-        self.twin, self._lock, self._token = twin, threading.Lock(), token_of(key)
+        self.twin, self._lock, self.query = twin, threading.Lock(), token_of(key)
         self._access, self._stopped = local_access(host, origins), threading.Event()
         listener = listen(port, check_host(host, key))
         self.address: tuple[str, int] = host, listener.getsockname()[1]
@@ -251,17 +194,11 @@ class HaplyServer:
         self._server.shutdown()
         self._thread.join()
 
-    @property
-    def query(self) -> str:
-        """Query of a client's URL, with the access token; empty without a key."""
-        return f"/?token={self._token}" if self._token else ""
-
     def _checked(self, connection: Any, request: Any) -> Any:
         """Return the response that refuses a request; None to accept it."""
         reason = self._access.refusal(*(request.headers.get_all(name) for name in ("Host", "Origin")))
-        tokens = parse_qs(urlsplit(request.path).query).get("token", [""])
-        if not hmac.compare_digest(tokens[0].encode(), self._token.encode()) and self._token:
-            reason = reason or "access token missing or invalid: connect to the URL printed at startup (?token=...)"
+        if not reason and not hmac.compare_digest(request.path.encode(), f"/{self.query}".encode()) and self.query:
+            reason = "access token missing or invalid: connect to the URL printed at startup (?token=...)"
         return connection.respond(HTTPStatus.FORBIDDEN, f"{reason}\n") if reason else None
 
     def _client(self, socket: Any) -> None:
