@@ -19,11 +19,13 @@ from maglev_mj.bridge.haply.flight import ForcesOnly, fly_arm, on_arm, preflight
 from maglev_mj.bridge.haply.plant import JsonLink
 from maglev_mj.bridge.links import LinkError
 from maglev_mj.bridge.preflight import LinkReport, Preflight
+from maglev_mj.cli import main
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop, drive
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Command, Sample
+from maglev_mj.recording import Recording
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.theory import largest_stable_stiffness
@@ -336,14 +338,38 @@ def test_a_law_without_torques_exerts_its_forces(name: str) -> None:
 
 
 def test_the_preflight_check_reduces_a_wall_until_the_arm_is_stable(monkeypatch: pytest.MonkeyPatch) -> None:
-    delay = {True: 0.0062, False: 0.007}  # takes 0.4 s to compute
+    delay = {True: 0.005, False: 0.007}  # takes 0.4 s to compute
     monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda scene, _: delay[scene.stiffness == 1000.0])
     monkeypatch.setattr("maglev_mj.bridge.preflight._HALVINGS", 4)
-    result = preflight_arm(HaplyPlant(VirtualLink(HaplyTwin()), period=0.005), Drop(stiffness=1000.0))
-    assert not result.problem and not result.reduction
-    slow = HaplyPlant(VirtualLink(HaplyTwin(), 0.0055), period=0.005)
-    result = preflight_arm(slow, Drop(stiffness=1000.0))
-    assert "wall stiffness reduced from 1000 to" in result.reduction
-    own = float(largest_stable_stiffness(period=0.005, delay=slow.delay, mass=0.15).stiffness)
+    plant = HaplyPlant(VirtualLink(HaplyTwin()), period=0.005)
+    result = preflight_arm(plant, Drop(stiffness=1000.0))
+    own = float(largest_stable_stiffness(period=0.005, delay=plant.delay, mass=0.15).stiffness)
+    assert "wall stiffness reduced from 1000 to" in result.reduction and not result.problem
     assert 0.25 * own < result.scene.stiffness < own  # type: ignore[attr-defined]
-    assert "take 5.50 ms, above the period of 5 ms" in result.problem
+    with pytest.raises(PlantError, match=r"take 5.50 ms, above the period of 5 ms"):
+        preflight_arm(HaplyPlant(VirtualLink(HaplyTwin(), 0.0055), period=0.005), Drop())
+
+
+def test_the_command_flies_a_scene_records_it_and_lands(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    links: list[FaultyLink] = []
+
+    def opened(address: str, key: bytes | None) -> FaultyLink:
+        links.append(FaultyLink(HaplyTwin(hand_force=lambda *_: [0.0, 0.0, -0.3, 0.0, 0.0, 0.0])))
+        return links[-1]
+
+    monkeypatch.setattr("maglev_mj.bridge.haply.plant.WebSocketLink", opened)
+    monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.02)
+    line = "bridge haply://127.0.0.1:10001 --scene box --stiffness 100 --damping 2 --force-limit 0.2"
+    assert main([*line.split(), "--seconds", "0.2", "--record", "arm.maglev"]) == 0
+    said = capsys.readouterr().out
+    assert "wall stiffness 100 N/m" in said and "0.2 s, 200 samples; the force has faded to zero\n" in said
+    forces = [max(map(abs, force)) for _, force in links[0].sent if force]
+    assert 0.0 < max(forces) < 0.2 + 1e-12 and forces[-1] == 0.0 and not links[0].open
+    (segment,) = Recording.load("arm.maglev").segments
+    assert len(segment) == 200
+    assert main([*line.split(), "--check"]) == 0 and "box is stable up to 20.00 ms: ready" in capsys.readouterr().out
+    monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.001)
+    assert main([*line.split(), "--as-written"]) == 1
+    assert "no flight: box is stable up to a loop delay of 1.00 ms" in capsys.readouterr().err

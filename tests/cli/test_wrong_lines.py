@@ -176,6 +176,13 @@ twin --key nosuch.key                               | key must be a file of 32 t
 twin --scene nosuch                                 | nosuch
 bridge nosuch                                       | nosuch
 bridge udp://8.8.8.8:5678                           | loopback
+bridge haply://127.0.0.1                             | address must be haply://HOST:PORT
+bridge haply://127.0.0.1:9?rate=0                    | address must be haply://HOST:PORT
+bridge haply://127.0.0.1:9 --reset                   | --reset does not apply to haply://
+bridge haply://127.0.0.1:9 --max-current 5           | limits of the host for haply:// are --force-limit
+twin --haply nosuch                                  | haply must be PORT or HOST:PORT (got 'nosuch')
+twin --haply 8.8.8.8:10001                           | host must be a loopback address
+twin --haply --web                                   | --web does not apply to --haply
 bridge DEVICE --mass 1                              | --mass requires --identify
 bridge DEVICE --identify a.json --view              | view
 bridge DEVICE --profile nosuch.json                 | profile 'nosuch.json' cannot be read
