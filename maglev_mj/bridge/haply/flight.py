@@ -102,7 +102,7 @@ def fly_arm(
     switch: StopSwitch | None = None,
     file: RecordingFile | None = None,
 ) -> tuple[int, str]:
-    """Render a scene on an arm, then fade the force to zero and close the plant.
+    """Render a scene on an arm, from its start at the present position; then fade the force to zero and close.
 
     Args:
         plant: The arm.
@@ -129,6 +129,7 @@ def fly_arm(
         nonlocal reason
         reason = delays.check(plant.age + plant.arm.delay) or power.check(sample.position, applied.force)
 
+    plant.recentre(checked.scene.start().pose[:3])  # a hand may have moved the tip since the check
     loop = ControlLoop(plant, controller, observe=observe, record=record)
     while not (reason or switch.landing or (duration is not None and count * plant.period >= duration)):
         loop.cycle()

@@ -127,7 +127,7 @@ class HaplyPlant:
         period: Sample period [s].
         delay: Delay from a sample to its command's effect [s].
         device: Identifier of the arm.
-        centre: Position of the tip at the start, which counts as 0 [m], (3,).
+        centre: Position of the tip that counts as 0 [m], (3,); at first that at the start.
         age: Time from the last sample to its answer [s].
         round_trip: Duration of the last exchange [s].
         hand_wrench: NaN: not measured.
@@ -206,6 +206,11 @@ class HaplyPlant:
             self._trip(f"the command is not finite ({', '.join(f'{part:g}' for part in force)})")
         self._force = self.arm.limited(force)
         return Command([*self._force, 0.0, 0.0, 0.0])
+
+    def recentre(self, place: Sequence[float] = _NO_FORCE) -> None:
+        """Read a sample, and count its position as `place` from now on, (3,) [m]."""
+        self.read()
+        self.centre = [part - target for part, target in zip(self._position, place)]
 
     def land(self) -> None:
         """Fade the force to zero within 0.1 s, and close."""
