@@ -325,7 +325,7 @@ def test_every_scene_flies_on_an_arm_without_torques(name: str) -> None:
     report = LinkReport(device_delay=plant.delay, delay=np.zeros(0), answer=np.zeros(0), **COUNTS)
     for _ in range(20):  # the tip is moved before the flight
         plant.read()
-    assert fly_arm(plant, scene, Preflight(own, report, math.inf, "", ""), duration=0.1) == (50, "")
+    assert fly_arm(plant, scene, Preflight(own, report, math.inf, "", ""), duration=0.06) == (30, "")
     start = np.add(plant.centre, scene.start().pose[:3])
     assert not any(twin.force) and start[2] == pytest.approx(-0.5 * 0.3 / 0.15 * 0.034**2, rel=0.2)
 
