@@ -102,7 +102,9 @@ def fly_arm(
     switch: StopSwitch | None = None,
     file: RecordingFile | None = None,
 ) -> tuple[int, str]:
-    """Render a scene on an arm, from its start at the present position; then fade the force to zero and close.
+    """Render a scene on an arm, then fade the force to zero and close the plant.
+
+    The present position counts as the scene's start, or as the centre if the start is inside a wall.
 
     Args:
         plant: The arm.
@@ -129,7 +131,9 @@ def fly_arm(
         nonlocal reason
         reason = delays.check(plant.age + plant.arm.delay) or power.check(sample.position, applied.force)
 
-    plant.recentre(checked.scene.start().pose[:3])  # a hand may have moved the tip since the check
+    start = checked.scene.start().pose
+    inside = any(normal * (start[axis] - edge) < 0.0 for axis, normal, edge in controller.faces)
+    plant.recentre((0.0, 0.0, 0.0) if inside else start[:3])  # a hand may have moved the tip since the check
     loop = ControlLoop(plant, controller, observe=observe, record=record)
     while not (reason or switch.landing or (duration is not None and count * plant.period >= duration)):
         loop.cycle()
