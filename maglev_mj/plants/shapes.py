@@ -88,28 +88,43 @@ def shapes(model: Model) -> list[Shape]:
     device = load_model(model, lean=False)
     compiled, data = device.model, mujoco.MjData(device.model)
     mujoco.mj_kinematics(compiled, data)
-    origin, turn, visible = data.xpos[device.flotor], np.zeros(4), []
+    origin, visible = data.xpos[device.flotor], []
     moving, coils = {device.flotor}, coil_geoms(compiled, data)
     for body in range(compiled.nbody):  # parents come first
         moving |= {body} if int(compiled.body_parentid[body]) in moving else set()
     for geom in range(compiled.ngeom):
-        kind, material = _KINDS.get(int(compiled.geom_type[geom])), compiled.geom_matid[geom]
-        colour = compiled.geom_rgba[geom] if material < 0 else compiled.mat_rgba[material]
-        if kind is None or compiled.geom_group[geom] >= _HIDDEN or not colour[3]:
+        if (shape := shape_of(compiled, data, geom)) is None:
             continue
-        moves = int(compiled.geom_bodyid[geom]) in moving
-        mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
-        centre, (radius, half, third) = data.geom_xpos[geom] - origin, compiled.geom_size[geom]
-        name = "" if material < 0 else compiled.material(material).name
-        about = turn.tolist(), colour.tolist(), name, f"coil{coils[geom]}" if geom in coils else ""
-        if kind in ("cylinder", "capsule"):
-            visible.append(Shape(moves, "cylinder", np.array([radius, radius, half]), centre, *about))
-            along = half * data.geom_xmat[geom][2::3]
-            ends = (centre - along, centre + along) if kind == "capsule" else ()
-            visible += [Shape(moves, "ellipsoid", np.full(3, radius), end, *about) for end in ends]
-        else:
-            visible.append(Shape(moves, kind, np.array([radius, half or radius, third or radius]), centre, *about))
+        capsule = int(compiled.geom_type[geom]) == mujoco.mjtGeom.mjGEOM_CAPSULE
+        moves, centre = int(compiled.geom_bodyid[geom]) in moving, data.geom_xpos[geom] - origin
+        shape = shape._replace(moves=moves, position=centre, coil=f"coil{coils[geom]}" if geom in coils else "")
+        along = shape.half[2] * data.geom_xmat[geom][2::3]
+        ends = (centre - along, centre + along) if capsule else ()
+        ball = shape._replace(kind="ellipsoid", half=np.full(3, shape.half[0]))
+        visible += [shape, *(ball._replace(position=end) for end in ends)]
     return visible
+
+
+def shape_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int, *, meshes: bool = False) -> Shape | None:
+    """Return the shape of a geom at the origin, without the ends of a capsule; None for one that is not drawn.
+
+    Args:
+        model: Compiled model.
+        data: Its state, which sets the orientation.
+        geom: Index of the geom.
+        meshes: True to return a mesh as the ellipsoid of its size.
+    """
+    kinds = {**_KINDS, int(mujoco.mjtGeom.mjGEOM_MESH): "ellipsoid"} if meshes else _KINDS
+    kind, material = kinds.get(int(model.geom_type[geom])), model.geom_matid[geom]
+    colour = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
+    if kind is None or model.geom_group[geom] >= _HIDDEN or not colour[3]:
+        return None
+    turn, (radius, half, third) = np.zeros(4), model.geom_size[geom]
+    mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
+    round_ = kind in ("cylinder", "capsule")
+    size = np.array([radius, radius, half] if round_ else [radius, half or radius, third or radius])
+    name = "" if material < 0 else model.material(material).name
+    return Shape(False, "cylinder" if round_ else kind, size, np.zeros(3), turn.tolist(), colour.tolist(), name)
 
 
 def coil_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, int]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from maglev_mj.plants.model import Body, body_of
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.spec import ESCAPE, MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD, Spec
+
+if TYPE_CHECKING:  # which loads MuJoCo
+    from maglev_mj.plants.shapes import Shape
 
 RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
 """Key steps of the sample rate."""
@@ -194,6 +197,14 @@ class Scene(Parameters):
     def describe(self) -> str:
         """Return a one-line description."""
         return self.title or self.name
+
+    def beside(self) -> Sequence[Shape]:
+        """Return shapes that are drawn beside the device, such as those of a robot that follows."""
+        return ()
+
+    def beside_poses(self, states: Sequence[Any]) -> Array:
+        """Return centres [m] and unit quaternions of these shapes, (N, 7), by the states of the laws."""
+        return np.zeros((0, 7))
 
     @property
     def axis(self) -> str:

@@ -374,6 +374,7 @@ class Session:
             currents=segment.plant.currents,
             faces=segment.controller.faces,
             anchors=segment.controller.stick_positions,
+            beside=segment.scene.beside_poses(segment.controller.states),
             history=self._past.history.last(SHOWN),
             work=segment.energy.hand,
             taken=segment.energy.taken,

@@ -81,6 +81,7 @@ class Snapshot:
         currents: Currents in the coils [A], (6,).
         faces: Planes of all walls: index into AXES, normal, edge.
         anchors: Stick positions [m, rad], (6,), NaN on axes that do not stick; None without friction.
+        beside: Centres [m] and quaternions of the scene's shapes beside the device, (N, 7).
         history: Latest samples, (N, 25): time, then pose, twist, wrench of the device and of the hand, six each.
         work: Work of the hand [J]; NaN if unknown.
         taken: Energy absorbed by the control laws [J]; NaN if unknown.
@@ -117,6 +118,7 @@ class Snapshot:
     currents: Array = field(default_factory=_zeros)
     faces: Sequence[tuple[int, float, float]] = ()
     anchors: Array | None = None
+    beside: Array = field(default_factory=lambda: np.empty((0, 7)))
     history: Array = field(default_factory=lambda: np.empty((0, _COLUMNS)))
     work: float = 0.0
     taken: float = _NAN

@@ -263,14 +263,17 @@ class Stage:
         self._edges = scene.add_line_segments("/edges", np.zeros((1, 2, 3)), rgb(WALL), thickness=_EDGE)
         self._label = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
         self._model: Any = None
+        self._beside: list[Any] = []
         self._coils: dict[int, Any] = {}
         self.hint = ""
         self.show(snapshot)
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot."""
-        if snapshot.scene.model != self._model:
+        if (type(snapshot.scene), snapshot.scene.model) != self._model:
             self._load(snapshot)
+        for node, row in zip(self._beside, snapshot.beside):
+            update(node, position=np.round(row[:3], 5), wxyz=np.round(row[3:], 5), visible=True)
         for coil, winding in self._coils.items():
             update(winding, color=rgb(coil_colour(self._copper, snapshot.currents[coil])))
         self._set_pose(self._flotor, snapshot.pose)
@@ -297,9 +300,15 @@ class Stage:
 
     def _load(self, snapshot: Snapshot) -> None:
         """Load the device of a snapshot's scene."""
-        self._model, scene = snapshot.scene.model, self._server.scene
+        self._model, scene = (type(snapshot.scene), snapshot.scene.model), self._server.scene
+        for node in self._beside:
+            node.remove()
+        self._beside = [
+            scene.add_glb(f"/beside/{index}", glb([shape._replace(turn=_UPRIGHT)]), visible=False, **_PLAIN)
+            for index, shape in enumerate(snapshot.scene.beside())
+        ]
         nodes: dict[str, list[Shape]] = {}
-        for shape in shapes(self._model):
+        for shape in shapes(snapshot.scene.model):
             rest = "flotor/rest" if shape.moves else "device"
             nodes.setdefault(shape.coil or rest, []).append(shape)
         for node in self._coils.values():
@@ -333,6 +342,7 @@ class Stage:
         update(self._edges, points=points, colors=np.array(colours, np.uint8))
 
 
+_UPRIGHT = 1.0, 0.0, 0.0, 0.0
 _PLAIN = {"cast_shadow": False, "receive_shadow": False}
 
 

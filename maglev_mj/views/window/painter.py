@@ -32,7 +32,8 @@ _SIMPLE = 2
 """Group of simple geoms that the mesh of a scene's ring replaces."""
 
 _IDENTITY = np.eye(3).ravel()
-_SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
+_SPHERE, _BOX = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_BOX)
+_CYLINDER, _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_CYLINDER), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 
 _Shade: TypeAlias = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
@@ -94,6 +95,11 @@ class Scenery:
                 place = ghost[:3] + turn @ (data.geom_xpos[shape] - snapshot.pose[:3])
                 matrix = turn @ data.geom_xmat[shape].reshape(3, 3)
                 _add(scene, kind, size, place, matrix.ravel(), (*colour, _GHOST))
+        for solid, row in zip(snapshot.scene.beside(), snapshot.beside):
+            kind = {"box": _BOX, "cylinder": _CYLINDER}.get(solid.kind, _ELLIPSOID)
+            mujoco.mju_quat2Mat(matrix := np.zeros(9), row[3:])
+            red, green, blue, opacity = solid.colour
+            _add(scene, kind, solid.half, row[:3], matrix, (red, green, blue, opacity))
         for name, arrow in force_arrows(snapshot).items():
             # mjGEOM_ARROW is drawn at half the distance between its points
             _connect(scene, arrow.start, 2.0 * arrow.end - arrow.start, arrow.size * _ARROW_WIDTH, FORCES[name])
@@ -109,14 +115,14 @@ class Scenery:
         """Draw walls with their edges, some of them lit in a colour; the rim of the knob for one of a rotation."""
         plates, edges = wall_box(faces)
         for face, (centre, size) in plates.items():
-            _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour if face in lit else _WALL)
+            _add(scene, _BOX, size, centre, _IDENTITY, colour if face in lit else _WALL)
         for ends, walls in edges:
             red, green, blue = (_EDGE * part for part in (_WALL if lit.isdisjoint(walls) else colour)[:3])
             _connect(scene, ends[0], ends[1], _EDGE_WIDTH, (red, green, blue), mujoco.mjtGeom.mjGEOM_LINE)
         if any(axis > 2 for axis, _, _ in lit):
             rotation = rotation_matrix(pose[3:])
             centre = pose[:3] + rotation @ [0.0, 0.0, KNOB_BOTTOM + 0.0012]
-            _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
+            _add(scene, _CYLINDER, [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
 
 
 def _connect(
