@@ -20,8 +20,8 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.wall_scene import hold
 from maglev_mj.theory import largest_stable_stiffness
 
-_PLACE = GRIP + np.array([0.13, 0.0, 0.0])
-"""Where the robot's site is drawn at the start, beside the knob [m], (3,)."""
+_PLACE = GRIP + np.array([0.065, 0.0, 0.02])
+"""Where the robot's site is drawn at the start, beside the knob and in the default view [m], (3,)."""
 
 
 class Robot:
@@ -159,6 +159,7 @@ class Teleoperation(Scene):
         """See `Scene`."""
         if self.delay > self.period:
             raise ParameterError(f"delay must be at most the period, {self.period:g} s (got {self.delay:g})")
+        self.follower  # noqa: B018  # an invalid robot is reported here
 
     @property
     def follower(self) -> Robot:

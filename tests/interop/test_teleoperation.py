@@ -1,27 +1,46 @@
-"""The example of a follower: contact, repetition, and the coupling's limit."""
+"""Robots that follow: contact, repetition, the coupling's limit, and what the viewers draw."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
 
 import teleoperate
-from maglev_mj import Controller, ExactPlant, Timing, drive, judge, largest_stable_stiffness, run, stability
+from maglev_mj import Controller, ExactPlant, Session, Timing, drive, judge, run, stability
+from maglev_mj.errors import ModelError
 from maglev_mj.frames import Array
+from maglev_mj.interop.teleoperation import Coupling, Robot, Teleoperation
+from maglev_mj.session import Snapshot
 
-RATES = (200, pytest.param(1000, marks=pytest.mark.study))
+BALL = teleoperate.ROBOT.replace('timestep="1e-4"', 'timestep="5e-4"')
+FREE = """<mujoco><option gravity="0 0 0" integrator="RK4"/><worldbody><body><freejoint/><geom size=".01" mass="1"/>
+<site name="tool"/></body></worldbody></mujoco>"""
+ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint axis="0 1 0"/><geom type="capsule" size=".02" mass="2"
+fromto="0 0 0 .3 0 0"/><body pos=".3 0 0"><joint axis="0 1 0"/><joint axis="0 0 1"/><geom type="capsule" size=".02"
+fromto="0 0 0 0 0 .3" mass="1"/><site name="tool" pos="0 0 .3"/></body></body></worldbody>
+<keyframe><key qpos=".3 -.2 .1"/></keyframe></mujoco>"""
+ROBOTS = {"slides": BALL, "free": FREE, "arm": ARM}
 
 
-def growth(rate: int, share: float) -> tuple[float, float]:
+def follow(model: str, factor: float = 10.0) -> type[Teleoperation]:
+    class Follow(Teleoperation):
+        """Follow the joystick."""
+
+        robot, site, scale = model, "tool", factor
+
+    return Follow
+
+
+def growth(model: str, rate: int, share: float) -> tuple[float, float]:
     """Return measured and computed growth of the joystick's oscillation from sample to sample, both bodies free.
 
-    The coupling has a share of the largest stable stiffness. Fourth differences leave out that both drift.
+    Fourth differences leave out that both drift.
     """
     timing = Timing(period=1.0 / rate, delay=0.3 / rate)
-    most = largest_stable_stiffness(period=timing.period, delay=timing.delay, mass=teleoperate.REDUCED)
-    gains = {"stiffness": share * float(most.stiffness), "damping": float(most.damping)}
-    scene = teleoperate.Teleoperate(period=timing.period, delay=timing.delay, **gains)
-    controller, places = Controller([teleoperate.Coupling(scene)], period=timing.period), list[float]()
+    scene = follow(model.replace("5e-4", f"{0.1 / rate}"))(period=timing.period, delay=timing.delay, share=share)
+    controller, places = Controller([Coupling(scene)], period=timing.period), list[float]()
     plant = ExactPlant(timing, pose=[1e-4, 0.0, 0.0, 0.0, 0.0, 0.0], gravity=0.0)
     drive(plant, controller, 400, observe=lambda sample, _: places.append(float(sample.position[0])))
     bends: Array = np.diff(places, 4)[-200:]
@@ -29,30 +48,91 @@ def growth(rate: int, share: float) -> tuple[float, float]:
     return (last / first) ** (1.0 / 100), judge(controller, delay=timing.delay).spectral_radius
 
 
-@pytest.mark.parametrize("rate", RATES)
-def test_two_free_bodies_have_the_bound_of_a_wall_on_their_reduced_mass(
-    rate: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(teleoperate.ROBOT.opt, "timestep", 0.1 / rate)  # exact at any step where nothing is touched
-    for share in (0.97, 1.03):
-        measured, computed = growth(rate, share)
+@pytest.mark.parametrize("model", ["slides", "free"])
+@pytest.mark.parametrize("rate", (200, pytest.param(1000, marks=pytest.mark.study)))
+def test_two_free_bodies_have_the_bound_of_a_wall_on_their_reduced_mass(rate: int, model: str) -> None:
+    for share in (0.95, 1.05):
+        measured, computed = growth(ROBOTS[model], rate, share)
         assert (measured > 1.0) == (computed > 1.0) == (share > 1.0)
-        assert measured == pytest.approx(computed, abs=3e-4)
+        assert measured == pytest.approx(computed, abs=1e-3)
 
 
-def test_the_force_of_the_block_is_that_of_the_hand_and_a_run_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(teleoperate.ROBOT.opt, "timestep", 5e-4)
-    first, again = (run(teleoperate.Teleoperate()).trace.pose for _ in range(2))
-    assert np.array_equal(first, again)
-    assert teleoperate.DATA.qfrc_constraint[2] == pytest.approx(3.0 * teleoperate.SCALE, rel=1e-3)
-    stretch = first[-1, 2] - teleoperate.DATA.qpos[2] / teleoperate.SCALE
-    assert 1496.0 * stretch == pytest.approx(-3.0, rel=1e-3)  # the hand's, whose force the coupling carries on
+@pytest.mark.parametrize("model", ROBOTS)
+def test_every_robot_follows_and_a_run_repeats_bit_for_bit(model: str) -> None:
+    scene = follow(ROBOTS[model])(push=0.05)
+    first, again = (run(scene).trace.pose for _ in range(2))
+    assert np.array_equal(first, again) and np.abs(first).max() > 1e-4
+    assert stability(scene).stable
+    robot = scene.follower
+    moved = robot.data.site_xpos[robot.site] - robot.origin
+    assert moved[2] / scene.scale == pytest.approx(first[-1, 2], abs=5e-4)  # up to the extension of the spring
+
+
+def test_the_force_of_the_block_is_that_of_the_hand() -> None:
+    scene = follow(BALL)()
+    height = run(scene).trace.pose[-1, 2]
+    robot = scene.follower
+    assert robot.data.qfrc_constraint[2] == pytest.approx(3.0 * scene.scale, rel=1e-3)
+    extension = height - robot.data.site_xpos[robot.site][2] / scene.scale
+    assert scene.coupling[0] * extension == pytest.approx(-3.0, rel=1e-3)  # the hand's, which the coupling carries on
+
+
+def test_the_apparent_mass_is_that_of_the_weakest_direction() -> None:
+    assert Robot(FREE, "tool").mass == pytest.approx(1.0)
+    robot = Robot(ARM, "tool")
+    moved = []
+    for direction in np.random.default_rng(0).normal(size=(100, 3)):
+        direction /= np.linalg.norm(direction)
+        robot.place(robot.start)
+        robot.pull(direction, 1e-4)  # in one semi-implicit step
+        moved.append(float(robot.place(robot.state()) @ direction) / 1e-8)
+    assert 1.0 / max(moved) == pytest.approx(robot.mass, rel=0.05) and max(moved) < 1.001 / robot.mass
 
 
 def test_the_stability_check_does_not_run_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     def answered(*_: object) -> None:
         raise AssertionError("the law was asked")
 
-    monkeypatch.setattr(teleoperate.Coupling, "__call__", answered)
-    stable, limit = stability(teleoperate.Teleoperate()), stability(teleoperate.Teleoperate(stiffness=6100.0))
-    assert stable.stable and not limit.stable
+    monkeypatch.setattr(Coupling, "__call__", answered)
+    scene = teleoperate.Teleoperate()
+    assert stability(scene).stable and not stability(scene.replace(share=1.05)).stable
+
+
+@pytest.mark.parametrize("model", ROBOTS)
+def test_a_session_shows_the_robot_where_it_is(model: str) -> None:
+    session = Session(follow(ROBOTS[model])())
+    before = session.snapshot()
+    assert len(before.scene.beside()) == len(before.beside) > 0
+    session.hand.target = [0.0, 0.0, -2e-3, 0.0, 0.0, 0.0]
+    for _ in range(40):
+        session.tick(0.005)
+    after = session.snapshot()
+    session.close()
+    moved = np.abs(after.beside - before.beside)[:, :3].max()
+    assert moved == pytest.approx(-after.pose[2], rel=0.5)  # as far as the knob
+    assert np.allclose(np.linalg.norm(after.beside[:, 3:], axis=1), 1.0)
+
+
+@pytest.mark.parametrize(
+    "text, message", [("<mujoco/>", "robot is invalid: .*tool"), ("none.xml", "robot is invalid: ")]
+)
+def test_an_invalid_robot_is_one_line(text: str, message: str) -> None:
+    with pytest.raises(ModelError, match=message) as caught:
+        follow(text)()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.machine
+@pytest.mark.needs("drawing")
+def test_the_window_draws_the_robot() -> None:
+    from maglev_mj.views.window.offscreen import _drawing
+
+    session = Session(follow(BALL)())
+    shown: Snapshot = session.snapshot()
+    session.close()
+    with _drawing(shown.scene, 320, 240, plots=False, factor=1) as picture:
+        pictures: list[Any] = [picture(shown)]
+        bare = Snapshot(**{**vars(shown), "beside": np.empty((0, 7))})
+        pictures.append(picture(bare))
+    changed = (pictures[0] != pictures[1]).any(axis=2)
+    assert 20 < changed.sum() < 5000

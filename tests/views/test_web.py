@@ -46,6 +46,7 @@ from maglev_mj.views.page.panel import Choice, Control, Slider, control, drawn, 
 from maglev_mj.views.page.stage import Grab, solid
 from maglev_mj.views.readings import Chart, Line
 from maglev_mj.views.viewer_process import SILENCE, Glide, RemoteSession
+from tests.interop.test_teleoperation import BALL, follow
 from tests.processes import PATIENCE, started
 from tests.views.test_watching import ViewerHere
 
@@ -295,6 +296,19 @@ def shown(page: Page, source: Recorder, **parts: Any) -> Any:
     source.shown = replace(source.shown, **parts)
     page._stage.show(source.shown)
     return page._stage
+
+
+def test_the_page_draws_the_robot() -> None:
+    scene = follow(BALL)()
+    poses = scene.beside_poses([(scene.follower.start,)])
+    with page_of(beside=poses) as (page, source):
+        stage = page._stage
+        assert stage._beside == []  # of the joystick
+        stage.show(Snapshot(scene=scene, beside=poses))
+        assert [node.visible for node in stage._beside] == [True] * len(poses)
+        assert np.allclose([node.position for node in stage._beside], poses[:, :3], atol=1e-5)
+        stage.show(source.shown)
+        assert stage._beside == []
 
 
 def test_only_a_received_snapshot_is_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:

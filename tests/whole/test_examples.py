@@ -115,8 +115,8 @@ def test_phases_are_those_of_the_drop(run_example: RunExample) -> None:
 
 
 def test_a_robot_follows_and_its_block_carries_what_the_hand_pushes(run_example: RunExample) -> None:
-    limit, ends = run_example("teleoperate")
-    assert limit == [5984.0, 51.5] and ends[2] == 30.0
+    coupling, ends = run_example("teleoperate")
+    assert coupling == [1496.0, 25.8] and ends[2] == 30.0
 
 
 def test_control_export_agrees_with_verdict_and_simulation(run_example: RunExample) -> None:
