@@ -159,7 +159,6 @@ class Teleoperation(Scene):
         """See `Scene`."""
         if self.delay > self.period:
             raise ParameterError(f"delay must be at most the period, {self.period:g} s (got {self.delay:g})")
-        self.follower  # noqa: B018  # an invalid robot is reported here
 
     @property
     def follower(self) -> Robot:

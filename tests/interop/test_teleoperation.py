@@ -118,7 +118,7 @@ def test_a_session_shows_the_robot_where_it_is(model: str) -> None:
 )
 def test_an_invalid_robot_is_one_line(text: str, message: str) -> None:
     with pytest.raises(ModelError, match=message) as caught:
-        follow(text)()
+        follow(text)().controller()
     assert "\n" not in str(caught.value)
 
 
