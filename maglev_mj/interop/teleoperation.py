@@ -189,7 +189,7 @@ class Teleoperation(Scene):
         """See `Scene`."""
         return [shape._replace(half=shape.half / self.scale) for shape in self.follower.shapes.values()]
 
-    def beside_poses(self, states: Sequence[Any]) -> Array:
+    def beside_poses(self, states: Any) -> Array:
         """See `Scene`."""
         robot, quaternion = self.follower, np.zeros(4)
         robot.place(states[0][0])

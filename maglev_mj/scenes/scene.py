@@ -202,7 +202,7 @@ class Scene(Parameters):
         """Return shapes that are drawn beside the device, such as those of a robot that follows."""
         return ()
 
-    def beside_poses(self, states: Sequence[Any]) -> Array:
+    def beside_poses(self, states: Any) -> Array:
         """Return centres [m] and unit quaternions of these shapes, (N, 7), by the states of the laws."""
         return np.zeros((0, 7))
 

@@ -16,8 +16,7 @@ import pytest
 from maglev_mj.bridge import Arm, HaplyPlant, HaplyTwin
 from maglev_mj.bridge.haply.arm import force_message, numbers_at
 from maglev_mj.bridge.haply.flight import ForcesOnly, fly_arm, on_arm, preflight_arm
-from maglev_mj.bridge.haply.plant import JsonLink
-from maglev_mj.bridge.links import LinkError
+from maglev_mj.bridge.links import Link, LinkError
 from maglev_mj.bridge.preflight import LinkReport, Preflight
 from maglev_mj.cli import main
 from maglev_mj.control import Bias, Hold
@@ -49,7 +48,7 @@ class MockService:
         place = {"x": 0.1, "y": -0.2, "z": 0.1 + self.position}
         return json.dumps({"inverse3": [{"device_id": "04BA", "state": {"cursor_position": place}}]})
 
-    def send(self, text: str) -> None:
+    def send(self, text: bytes) -> None:
         (entry,) = json.loads(text)["inverse3"]
         force, period = entry["commands"]["set_cursor_force"]["vector"]["z"], 1.0 / self.arm.rate
         self.replies.append(self.state())  # before the force acts
@@ -59,10 +58,10 @@ class MockService:
             self.speed += duration * acceleration
         self.force = force
 
-    def receive(self, timeout: float) -> str | None:
+    def receive(self, timeout: float) -> bytes | None:
         if not self.replies:
             self.clock += round(timeout * 1e9)
-        return self.replies.popleft() if self.replies else None
+        return self.replies.popleft().encode() if self.replies else None
 
     def now(self) -> int:
         return self.clock
@@ -78,12 +77,12 @@ class VirtualLink:
         self.twin, self.time, self.latency, self.open = twin, 0, round(latency * 1e9), True
         self.replies = deque([(0, twin.update(full=True))])
 
-    def send(self, text: str) -> None:
+    def send(self, text: bytes) -> None:
         if not self.open:
             raise LinkError("the service closed the connection")
         self.replies.append((self.time + self.latency, self.twin.receive(text, self.time)))
 
-    def receive(self, timeout: float) -> str | None:
+    def receive(self, timeout: float) -> bytes | None:
         end = self.time + round(timeout * 1e9)
         if not self.open:
             raise LinkError("the service closed the connection")
@@ -92,7 +91,7 @@ class VirtualLink:
             return None
         due, reply = self.replies.popleft()
         self.time = max(self.time, due)
-        return reply
+        return reply.encode()
 
     def now(self) -> int:
         return self.time
@@ -102,14 +101,14 @@ class VirtualLink:
         self.twin.release()
 
 
-def twin_link(arm: Arm) -> JsonLink:
+def twin_link(arm: Arm) -> Link:
     return VirtualLink(HaplyTwin(arm, lockstep=True, start=(0.1, -0.2, 0.101)))
 
 
 @pytest.mark.parametrize("service", [twin_link, MockService])
 @pytest.mark.parametrize("rate, delay", SETTINGS)
 def test_a_loop_decays_below_the_predicted_stiffness_and_grows_above(
-    rate: float, delay: float, service: Callable[[Arm], JsonLink]
+    rate: float, delay: float, service: Callable[[Arm], Link]
 ) -> None:
     arm = Arm(rate=rate, delay=delay, **FREE)
     limit = largest_stable_stiffness(period=1.0 / rate, delay=1.0 / rate + delay, mass=arm.mass)
@@ -133,14 +132,14 @@ class FaultyLink(VirtualLink):
 
     fault, since = "", math.inf
 
-    def send(self, text: str) -> None:
+    def send(self, text: bytes) -> None:
         force = numbers_at(json.loads(text)["inverse3"][0], "commands", "set_cursor_force", "values")
         self.sent.append((self.time, force))
         super().send(text)
         if self.time >= self.since and self.fault == "silent":
             self.replies.pop()
 
-    def receive(self, timeout: float) -> str | None:
+    def receive(self, timeout: float) -> bytes | None:
         if self.time >= self.since:
             self.open &= self.fault != "gone"
             self.latency = 10_000_000 * (self.fault == "10 ms late")
@@ -156,7 +155,7 @@ class FaultyLink(VirtualLink):
             "no JSON": ('"session_id"', "session_id"),
             "millimetres": (f'"z": {place[2]}', f'"z": {1e3 * place[2]}'),
         }
-        return reply.replace(*changes.get(self.fault, ("", "")))
+        return reply.decode().replace(*changes.get(self.fault, ("", ""))).encode()
 
     def __init__(self, twin: HaplyTwin) -> None:
         super().__init__(twin)
@@ -219,7 +218,7 @@ def test_every_fault_ends_the_force_within_60_ms_with_one_sentence(fault: str, m
         plant.read()
 
 
-FORCE = force_message("TWIN", (0.0, 0.0, 3.0))
+FORCE = force_message("TWIN", (0.0, 0.0, 3.0)).decode()
 CLIENT_FAULTS: dict[str, str | None] = {
     "silent": None,
     "no command": '{"inverse3": [{"device_id": "TWIN"}]}',

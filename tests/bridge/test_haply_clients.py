@@ -69,7 +69,7 @@ def test_text_and_binary_frames_get_one_update_each_and_a_closed_socket_no_force
     with served(twin) as server:
         with connect(f"ws://127.0.0.1:{server.address[1]}") as line:
             assert "config" in devices(line.recv(PATIENCE))["TWIN"]
-            for frame in (force_message("TWIN", (0.0, 3.0, 0.0)), force_message("TWIN", (0.0, 2.0, 0.0)).encode()):
+            for frame in (force_message("TWIN", (0.0, 3.0, 0.0)), force_message("TWIN", (0.0, 2.0, 0.0)).decode()):
                 line.send(frame)
                 assert (
                     devices(line.recv(PATIENCE))["TWIN"]["state"]["current_cursor_force"]["y"] == twin.force[1] != 0.0

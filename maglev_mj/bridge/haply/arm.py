@@ -50,10 +50,10 @@ def vector(values: Iterable[float], names: str = "xyz") -> dict[str, float]:
     return dict(zip(names, map(float, values)))
 
 
-def force_message(device: str, force: Sequence[float]) -> str:
+def force_message(device: str, force: Sequence[float]) -> bytes:
     """Return the message that commands a force [N]: with both keys, since versions of the service differ."""
     commands = {"set_cursor_force": {"vector": vector(force), "values": vector(force)}}
-    return json.dumps({"inverse3": [{"device_id": device, "commands": commands}]})
+    return json.dumps({"inverse3": [{"device_id": device, "commands": commands}]}).encode()
 
 
 def devices(data: str | bytes, section: str = "inverse3") -> dict[str, Any]:

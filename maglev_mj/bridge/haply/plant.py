@@ -6,12 +6,12 @@ import math
 import re
 import socket
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from typing import Any, NoReturn, Protocol, Self
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, NoReturn, Self
 
 from maglev_mj.bridge.haply.arm import Arm, devices, force_message, numbers_at, token_of
-from maglev_mj.bridge.links import LinkError
+from maglev_mj.bridge.links import Link, LinkError
 from maglev_mj.errors import ParameterError, PlantError, require
 from maglev_mj.frames import Command, Sample, rotation_vector
 from maglev_mj.parameters import SAMPLE_PERIOD, number
@@ -31,22 +31,6 @@ _FARTHEST = 1.0
 
 _PATIENCE, _NO_FORCE = 1.0, (0.0, 0.0, 0.0)
 _URL = re.compile(r"haply://([\w.-]+):(\d{1,5})(?:\?rate=(\d{1,5}(?:\.\d+)?))?", re.ASCII)
-
-
-class JsonLink(Protocol):
-    """Interface of a link to a service; a closed one raises LinkError."""
-
-    def send(self, text: str) -> None:
-        """Send one message."""
-
-    def receive(self, timeout: float) -> str | bytes | None:
-        """Return the oldest received message, or None after `timeout` [s]."""
-
-    def now(self) -> int:
-        """Return the link's monotonic clock [ns]."""
-
-    def close(self) -> None:
-        """Close the link; idempotent."""
 
 
 class WebSocketLink:
@@ -73,38 +57,37 @@ class WebSocketLink:
         from websockets.sync.client import connect
 
         self.rate, self._failures = url[3] and float(url[3]), (WebSocketException, OSError)
-        with self._reported(f"cannot reach an Inverse service at {url[1]}:{url[2]}"):
+        try:
             # opened here: websockets may connect through a proxy
             opened = socket.create_connection((resolve(url[1]), int(url[2])), _PATIENCE)
             opened.settimeout(None)
             times: Any = {"open_timeout": _PATIENCE, "close_timeout": _FADE}
             self._socket = connect(f"ws://{url[1]}:{url[2]}/{token_of(key)}", sock=opened, compression=None, **times)
+        except self._failures as error:
+            raise LinkError(f"cannot reach an Inverse service at {url[1]}:{url[2]} ({error})") from None
 
-    def send(self, text: str) -> None:
-        """See `JsonLink`."""
-        with self._reported("the service closed the connection"):
-            self._socket.send(text)
+    def send(self, data: bytes) -> None:
+        """Send one message, as text."""
+        self._try(self._socket.send, data.decode())
 
-    def receive(self, timeout: float) -> str | bytes | None:
-        """See `JsonLink`."""
-        with suppress(TimeoutError), self._reported("the service closed the connection"):
-            return self._socket.recv(timeout)
-        return None
+    def receive(self, timeout: float) -> bytes | None:
+        """See `Link.receive`."""
+        message: str | bytes | None = self._try(self._socket.recv, timeout)
+        return message.encode() if isinstance(message, str) else message
 
     now = staticmethod(time.monotonic_ns)
 
     def close(self) -> None:
-        """See `JsonLink`."""
+        """Close the link; idempotent."""
         self._socket.close()
 
-    @contextmanager
-    def _reported(self, failure: str) -> Iterator[None]:
+    def _try(self, function: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            yield
+            return function(*arguments)
         except TimeoutError:
-            raise
+            return None
         except self._failures as error:
-            raise LinkError(f"{failure} ({error})") from None
+            raise LinkError(f"the service closed the connection ({error})") from None
 
 
 class HaplyPlant:
@@ -142,7 +125,7 @@ class HaplyPlant:
 
     def __init__(
         self,
-        link: str | JsonLink,
+        link: str | Link,
         *,
         arm: Arm | None = None,
         period: float | None = None,
@@ -150,7 +133,7 @@ class HaplyPlant:
         key: bytes | None = None,
     ) -> None:
         self.arm = arm or Arm()
-        self._link: JsonLink = WebSocketLink(link, key) if isinstance(link, str) else link
+        self._link: Link = WebSocketLink(link, key) if isinstance(link, str) else link
         own = 1.0 / (getattr(self._link, "rate", None) or self.arm.rate)
         self.period = number("period", own if period is None else period, **SAMPLE_PERIOD)
         self.delay, self._stale = self.period + self.arm.delay, max(STALE, 2.0 * self.period)
@@ -158,7 +141,7 @@ class HaplyPlant:
         self._tick, self._late, self._fault, self._closed = -1, 0, "", False
         self._force: Sequence[float] = _NO_FORCE
         try:
-            inventory = self._link.receive(_PATIENCE) or ""
+            inventory = self._link.receive(_PATIENCE) or b""
             self.device = device or next(iter(devices(inventory)), "arm")
             self.centre = self._position = self._position_in(inventory)
             if max(map(abs, self.centre)) > _FARTHEST:
@@ -236,7 +219,7 @@ class HaplyPlant:
         if self._closed or self._fault:
             raise PlantError(f"the force is off: {self._fault}" if self._fault else "the plant is closed")
 
-    def _exchange(self) -> str | bytes:
+    def _exchange(self) -> bytes:
         """Send the force when it is due, and return the reply."""
         link, period = self._link, round(self.period * 1e9)
         self._due += period
@@ -261,7 +244,7 @@ class HaplyPlant:
             raise PlantError(f"no reply of the service within {self.round_trip * 1e3:.0f} ms")
         return reply
 
-    def _position_in(self, message: str | bytes) -> list[float]:
+    def _position_in(self, message: bytes) -> list[float]:
         """Return the arm's position in a message [m]; raise PlantError if it is missing or not finite."""
         if (entry := (connected := devices(message)).get(self.device)) is None:
             names = ", ".join(map(repr, connected)) or "none"

@@ -30,6 +30,9 @@ _LONGEST = 1_000_000_000
 _STOP = 400.0, 8.0
 """Stiffness [N/m] and damping [N s/m] of the ends of the range; stable at 200 Hz."""
 
+_DEVICE = "TWIN"
+"""Identifier of the arm."""
+
 _STATUS = dict.fromkeys(("calibrated", "in_use", "power_supply", "ready", "started", "connected", "awake"), True)
 _BUTTONS = "a", "b", "c", "button_0", "button_1", "button_2", "button_3"
 
@@ -44,9 +47,7 @@ class HaplyTwin:
         arm: Numbers of the arm; its rate is that of the device, in lockstep that of the host.
         lockstep: True to wait for each force command.
         start: Position of the tip at the start [m], (3,).
-        twist: Its velocity [m/s], (3,).
         hand_force: Force of a hand; its torques have no effect.
-        device: Identifier of the arm.
 
     Attributes:
         force: Acting force, limited [N], (3,).
@@ -65,18 +66,15 @@ class HaplyTwin:
         *,
         lockstep: bool = False,
         start: Sequence[float] = (0.0, 0.0, 0.0),
-        twist: Sequence[float] = (0.0, 0.0, 0.0),
         hand_force: HandForce | None = None,
-        device: str = "TWIN",
     ) -> None:
-        self.arm, self.device, self.lockstep, self._hand = arm or Arm(), device, lockstep, hand_force
+        self.arm, self.lockstep, self._hand = arm or Arm(), lockstep, hand_force
         period = 1.0 / self.arm.rate
         self.plant = ExactPlant(
             Timing(period=period, delay=self.arm.delay + period * lockstep),
             mass=self.arm.mass,
             gravity=0.0,
             pose=(*start, 0.0, 0.0, 0.0),
-            twist=(*twist, 0.0, 0.0, 0.0),
             hand_force=self._pushed,
             escape=(10.0, 10.0),
         )
@@ -90,7 +88,7 @@ class HaplyTwin:
         """Take one message at `now` [ns]; return the state update."""
         self._advance(now)
         named = devices(data)
-        commands = named.get(self.device, named.get("", {})).get("commands")
+        commands = named.get(_DEVICE, named.get("", {})).get("commands")
         forces = (numbers_at(commands, "set_cursor_force", key) for key in ("vector", "values"))
         force = next(filter(None, forces), None)
         asked = force if force and math.isfinite(sum(force)) else [0.0, 0.0, 0.0]
@@ -111,7 +109,7 @@ class HaplyTwin:
         state["current_cursor_force"] = vector(self.force)
         held = {"orientation": vector(quaternion(ZERO[:3]), "wxyz"), "buttons": dict.fromkeys(_BUTTONS, False)}
         message: dict[str, Any] = {"session_id": 1}
-        for kind, device, values in (("inverse3", self.device, state), ("wireless_verse_grip", "GRIP", held)):
+        for kind, device, values in (("inverse3", _DEVICE, state), ("wireless_verse_grip", "GRIP", held)):
             config = {"config": {"type": kind, "port": "twin", "basis": {"permutation": "XYZ"}}} if full else {}
             message[kind] = [{"device_id": device, "state": values, "status": _STATUS, **config}]
         return json.dumps(message)
