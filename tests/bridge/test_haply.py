@@ -375,3 +375,18 @@ def test_the_command_flies_a_scene_records_it_and_lands(
     monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.001)
     assert main([*line.split(), "--as-written"]) == 1
     assert "no flight: box is stable up to a loop delay of 1.00 ms" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "critical, stiffness, reason", [(0.002, 50.0, "loop delay too long"), (1.0, 2000.0, "laws generate energy")]
+)
+def test_a_guard_ends_the_flight_with_a_landing(critical: float, stiffness: float, reason: str) -> None:
+    twin = HaplyTwin(hand_force=lambda tick, time, state: [0.0, 0.0, -2.0, 0.0, 0.0, 0.0])
+    link = FaultyLink(twin)
+    plant, scene = HaplyPlant(link, arm=Arm(speed_limit=10.0), period=0.005), Drop(stiffness=stiffness, damping=3.0)
+    report = LinkReport(device_delay=plant.delay, delay=np.zeros(0), answer=np.zeros(0), **COUNTS)
+    checked = Preflight(on_arm(scene, plant), report, critical, "", "")
+    count, ended = fly_arm(plant, scene, checked, duration=5.0)
+    assert count < 1000 and reason in ended
+    forces = [abs(force[2]) for _, force in link.sent[-5:] if force]
+    assert forces == sorted(forces, reverse=True) and forces[-1] == 0.0
