@@ -146,7 +146,9 @@ def bridge(
 ) -> int:
     """Fly a scene on a device, or on its twin, over UDP or a serial link; or on an arm at haply://HOST:PORT."""
     if address.startswith("haply:"):
-        refused = {"reset": reset, "identify": identify, "mass": mass, "anyway": anyway, "view": view, "web": page.web}
+        refused: dict[str, object] = {"reset": reset, "identify": identify, "mass": mass, "anyway": anyway}
+        refused |= {"view": view, "web": page.web}
+        refused["calibration"] = any(text.startswith("--calibration") for text in reconnect)
         if others := [name for name, value in refused.items() if value]:
             raise ParameterError(f"--{others[0]} does not apply to haply://")
         with _opened_arm(address, key, limits, realtime) as arm:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from maglev_mj.views.viewer_process import RemoteViewer
 
 _DEVICE, _HANDS = "device", "faults and hand"
+_ADDRESS = "udp://127.0.0.1:5678"
 
 
 _FAULTS = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
@@ -33,7 +34,7 @@ _FAULTS = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAU
 
 def twin(
     *,
-    listen: Annotated[str, option("udp://HOST:PORT or pty (serial)", _DEVICE, "ADDRESS")] = "udp://127.0.0.1:5678",
+    listen: Annotated[str, option("udp://HOST:PORT or pty (serial)", _DEVICE, "ADDRESS")] = _ADDRESS,
     haply: Annotated[
         str | None,
         option(

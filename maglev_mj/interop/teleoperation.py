@@ -114,9 +114,8 @@ class Coupling(Law):
 
     def gains(self) -> Iterable[Gains]:
         """Return the gains of the joystick's mass alone that have the poles of both free bodies."""
-        stiffness, damping = (
-            part / self.scene.reduced_mass * self.scene.body.inertia[0] for part in self.scene.coupling
-        )
+        share = float(self.scene.body.inertia[0]) / self.scene.reduced_mass
+        stiffness, damping = (share * gain for gain in self.scene.coupling)
         return Hold(axes=AXES[:3], stiffness=stiffness, damping=damping).gains()
 
 

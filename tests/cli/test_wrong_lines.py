@@ -182,6 +182,7 @@ bridge haply://127.0.0.1:9 --reset                   | --reset does not apply to
 bridge haply://127.0.0.1:9 --max-current 5           | limits of the host for haply:// are --force-limit
 twin --haply nosuch                                  | haply must be PORT or HOST:PORT (got 'nosuch')
 twin --haply 8.8.8.8:10001                           | host must be a loopback address
+twin --haply --listen pty                            | --listen does not apply to --haply
 twin --haply --web                                   | --web does not apply to --haply
 bridge DEVICE --mass 1                              | --mass requires --identify
 bridge DEVICE --identify a.json --view              | view
