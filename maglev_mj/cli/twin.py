@@ -91,6 +91,7 @@ def twin(
 
     if haply is not None:
         refused = {
+            "listen": listen != _ADDRESS,
             "fault": fault,
             "block": block,
             "truth": truth,
