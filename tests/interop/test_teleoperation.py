@@ -130,7 +130,7 @@ def test_the_window_draws_the_robot() -> None:
     session = Session(follow(BALL)())
     shown: Snapshot = session.snapshot()
     session.close()
-    with _drawing(shown.scene, 320, 240, plots=False, factor=1) as picture:
+    with _drawing(shown.scene, 320, 240, plots=False) as picture:
         pictures: list[Any] = [picture(shown)]
         bare = Snapshot(**{**vars(shown), "beside": np.empty((0, 7))})
         pictures.append(picture(bare))
