@@ -73,6 +73,7 @@ _MEANINGS = {
     Fault.HOST: "the host program failed, or received no samples from the device",
     Fault.SENSOR_STOPPED: "the sensor's conversion counter stopped",
     Fault.COIL_NOT_OFF: "a current still flows after the cut: cut the power",
+    Fault.WALL_ENERGY: "the walls on the device generated energy: reduce their stiffness",
 }
 
 _Answer: TypeAlias = tuple[Sequence[float], Sequence[float] | None, float]

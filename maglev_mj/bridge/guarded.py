@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn, Self, TypeAlias
 
 import numpy as np
 
@@ -18,10 +18,10 @@ from maglev_mj.bridge.flight_guards import DeviceSample, device_guards, larger_r
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
-from maglev_mj.bridge.wire import CUT, Fault, Flag, Frame, Operation, State, StateReport, fault_names
+from maglev_mj.bridge.wire import CUT, MOST_WALLS, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError
-from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.frames import AXES, ZERO, Command, DeviceWall, Sample, unit_of
 from maglev_mj.plants.sensor import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
@@ -29,6 +29,9 @@ _STOPPING = Flag.STOPPING.value
 _UNKNOWN = (math.nan,) * 6
 _PROOFS = 20
 """Samples in which the currents must be off after a cut or a controlled stop."""
+_WALLED = 3
+"""Samples after a command with walls in which their currents may flow."""
+_Walls: TypeAlias = tuple[Wall, ...]
 _LARGEST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
@@ -104,6 +107,7 @@ class GuardedPlant:
             )
             self._output = safety.OutputLimiter(calibration.coils, self.limits, host.wrench, self.period)
             self._hand = HandObserver(calibration, self.period)
+            self._maps = calibration.wall_maps
             self._stop = calibration.controlled_stop(self.period + self.delay, self.limits.continuous_current)
             self._prepare()
         except BaseException:
@@ -118,6 +122,53 @@ class GuardedPlant:
         self._frame: Frame | None = None  # the last sample
         self._located: Sequence[float] = _UNKNOWN  # its pose
         self.pose: Sequence[float] = ZERO
+        self._walls: _Walls = ()
+        self._walled_until = -1  # last tick at which currents of walls may flow
+
+    @property
+    def walls_clock(self) -> tuple[float, float] | None:
+        """Sample period and delay of walls on the device [s]; None for a device without walls."""
+        profile = self._connection.profile
+        return (profile.wall_period / 1e9, profile.wall_delay / 1e9) if profile.wall_period else None
+
+    @property
+    def renders_walls(self) -> bool:
+        """True if the device renders walls at its own rate."""
+        return self.walls_clock is not None
+
+    def check_walls(self, walls: Sequence[DeviceWall]) -> _Walls:
+        """Return walls as sent to the device.
+
+        Raises:
+            ParameterError: If the device cannot render one, with its limit.
+        """
+        if len(walls) > MOST_WALLS:
+            raise ParameterError(f"the device renders at most {MOST_WALLS} walls (got {len(walls)})")
+        sent = tuple([Wall(axis, side, edge, k, b, cutoff or 0.0) for axis, edge, side, k, b, cutoff in walls])
+        for wall in sent:
+            if problem := self._connection.profile.wall_problem(wall):
+                raise ParameterError(problem)
+        return sent
+
+    def _on_device(self, walls: Sequence[DeviceWall]) -> _Walls:
+        """Return walls as sent: edges in the device's linearised pose, exact at the last sample.
+
+        Raises:
+            ParameterError: As `check_walls`, or if an edge moves faster than the device allows.
+        """
+        frame: Any = self._frame
+        linear, sent = self._maps.pose(frame.body.spots), []
+        last, speed = self._walls, self._connection.profile.limits.edge_speed
+        elapsed = (self.samples.tick - self._walled_until + _WALLED) * self.period
+        for index, wall in enumerate(self.check_walls(walls)):
+            wall = wall._replace(edge=wall.edge + linear[wall.axis] - self.pose[wall.axis])
+            if index < len(last) and wall[:2] == last[index][:2]:
+                if (moved := abs(wall.edge - last[index].edge)) > speed / wall.lever * elapsed:
+                    limit = f"at most {speed / wall.lever:g} {unit_of('m', wall.axis, False)}/s, the device's limit"
+                    axis = AXES[wall.axis]
+                    raise ParameterError(f"edge of the wall on {axis} must move at {limit} (got {moved / elapsed:.3g})")
+            sent.append(wall)
+        return tuple(sent)
 
     def _prepare(self) -> None:
         """Do slow work before takeoff."""
@@ -147,7 +198,7 @@ class GuardedPlant:
         """
         self._check_open()
         if self.unanswered and self.lockstep:  # the device waits: repeat the previous answer, without its pulse
-            self._send(self.last_currents, None, 0.0)
+            self._send(self.last_currents, None, 0.0, self._walls)
         before, frame = self._frame, self._next_frame()
         report: StateReport = frame.body  # type: ignore[assignment]
         # a sample from before the device's last answer reports an outdated state
@@ -162,7 +213,9 @@ class GuardedPlant:
             hand.sampled(samples.tick, samples.elapsed, self._located, answers.answered_tick, answers.newest_delay)
         previous = before.body if before is not None else None
         guided, modelled = self.guided or not active, self._output.thermal.rises
-        sample = DeviceSample(report, previous, samples, active, guided, pose, error, since, hand.currents, modelled)  # type: ignore[arg-type]
+        # the currents of walls are not known to the host; the device compares them
+        expected = hand.currents if samples.tick > self._walled_until else None
+        sample = DeviceSample(report, previous, samples, active, guided, pose, error, since, expected, modelled)  # type: ignore[arg-type]
         self.alarm = ""
         for guard in self.guards:
             if (alarm := guard(sample)) is not None:
@@ -177,16 +230,15 @@ class GuardedPlant:
 
         Raises:
             DeviceFault: If the command is not finite.
-            PlantError: If no sample was read, or the command has walls on the device, which the protocol cannot carry.
+            PlantError: If no sample was read.
         """
         frame = self._answered_frame("write")
-        if command.walls:
-            raise PlantError(f"a command to a device must have no walls on the device (got {len(command.walls)})")
         try:
+            walls = self._on_device(command.walls) if command.walls else ()
             command, held, pulsed, width = self._output.currents(command, self.pose)
-        except (PlantError, TypeError) as error:
+        except (PlantError, ParameterError, TypeError) as error:
             self.fail(Fault.INVALID_COMMAND, str(error))
-        self._answer(frame, held, pulsed, width)
+        self._answer(frame, held, pulsed, width, walls)
         self._hand.answered(self.samples.tick, command, held, pulsed, width)
         return command
 
@@ -210,8 +262,10 @@ class GuardedPlant:
             raise PlantError(f"{call}() needs a sample: call read() first")
         return self._frame
 
-    def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
-        self._send(held, pulsed, width)
+    def _answer(
+        self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float, walls: _Walls = ()
+    ) -> None:
+        self._send(held, pulsed, width, walls)
         self.unanswered = None
         if self.state is _ACTIVE:
             self._output.add_command(held, pulsed, width)
@@ -342,10 +396,14 @@ class GuardedPlant:
         self._located = tuple(pose)  # copy: the caller may modify the list
         return pose, None, since
 
-    def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+    def _send(
+        self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, walls: _Walls = ()
+    ) -> None:
         self.last_currents = held
-        first = tuple(held)
-        answer = CommandFrame(self._connection.sequence, 0, first, first if pulsed is None else tuple(pulsed), width)
+        if walls or self._walls:
+            self._walls, self._walled_until = walls, self.samples.tick + _WALLED
+        first, second = tuple(held), tuple(held if pulsed is None else pulsed)
+        answer = CommandFrame(self._connection.sequence, 0, first, second, width, walls)
         try:
             self._connection.command(answer)
         except Exception as error:

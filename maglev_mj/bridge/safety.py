@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
-from maglev_mj.bridge.wire import VERSION, Fault, HelloAck
+from maglev_mj.bridge.wire import VERSION, Fault, HelloAck, Wall
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.frames import ZERO, Command, clipped
+from maglev_mj.frames import AXES, ZERO, Command, clipped, unit_of
 from maglev_mj.parameters import Parameters, flag, number, param, read_json, store
 from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
@@ -53,8 +53,12 @@ class Limits(Parameters):
     )
     hover_limit: float = param("hover current limit", "A", default=_CONTINUOUS, at_least=0.0, at_most=20.0)
     frozen: int = param("equal readings of a frozen sensor; 0: no check", default=30, at_least=0, at_most=1_000_000)
+    stiffness_limit: float = param("stiffness limit of a wall", "N/m", default=1e5, at_least=0.0, at_most=1e8)
+    damping_limit: float = param("damping limit of a wall", "N s/m", default=400.0, at_least=0.0, at_most=1e6)
+    edge_speed: float = param("speed limit of a wall's edge", "m/s", default=0.1, at_least=0.0, at_most=10.0)
 
 
+_OWN = "period", "delay", "calibration", "wall_period", "wall_delay"
 _LIMITS = [x.name for x in Limits.parameters()]
 _NANOSECONDS = "watchdog", "enable", "stale"
 """Limits in nanoseconds on the wire."""
@@ -67,8 +71,28 @@ _AT_MOST = (
     ("stale", "watchdog"),
     ("hover_limit", "continuous_current"),
     ("continuous_current", "current_limit"),
+    ("wall_delay", "two wall periods"),
 )
 """Pairs in which the first must be at most the second, as in HELLO_ACK."""
+
+
+class WallMaps(NamedTuple):
+    """Linear maps of a device that renders walls, at the centre; see `Calibration.wall_maps`.
+
+    Attributes:
+        spots: Spots at the centre [m], six.
+        pose_per_spot: Rows of the map from a change of the spots to the pose [1, rad/m], (6, 6).
+        current_per_wrench: Rows of the map from wrench to currents [A/N, A/(N m)], (6, 6).
+    """
+
+    spots: Sequence[float]
+    pose_per_spot: Sequence[Sequence[float]]
+    current_per_wrench: Sequence[Sequence[float]]
+
+    def pose(self, spots: Sequence[float]) -> list[float]:
+        """Return the linearised pose [m, rad], six."""
+        a, b, c, d, e, f = [spot - centre for spot, centre in zip(spots, self.spots)]
+        return [p * a + q * b + r * c + s * d + t * e + u * f for p, q, r, s, t, u in self.pose_per_spot]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +111,9 @@ class Profile:
     limits: Limits = field(default_factory=Limits)
     lockstep: bool = False
     number: int = 1
+    wall_period: int = 0  # of walls on the device [ns]; 0 for none
+    wall_delay: int = 0  # [ns]
+    wall_maps: WallMaps | None = None  # not on the wire
 
     def __post_init__(self) -> None:
         number("period", self.period * 1e-9, at_least=1e-5, at_most=0.1)
@@ -96,6 +123,9 @@ class Profile:
             store(self, limits=self.limits.replace(stale=min(_STALE * self.period * 1e-9, self.limits.watchdog)))
         # compare in units of the wire, to round as the device does
         values = {**self.stated, "one period": self.period, "two periods": 2 * self.period, "delay": self.delay}
+        values |= {"wall_delay": self.wall_delay, "two wall periods": 2 * self.wall_period}
+        if self.wall_period and (self.wall_period < 0 or self.period % self.wall_period):
+            raise ParameterError(f"wall_period must divide {self.period} ns, the period (got {self.wall_period})")
         for name, bound in _AT_MOST:
             if values[name] > values[bound]:
                 scale, unit = (1e-9, "s") if isinstance(values[bound], int) else (1, "A")
@@ -112,14 +142,28 @@ class Profile:
     def of(cls, answer: HelloAck) -> Self:
         """Return the properties that a device states."""
         number("lockstep", answer.lockstep, at_least=0, at_most=1)
-        own = {name: getattr(answer, name) for name in ("period", "delay", "calibration")}
+        own = {name: getattr(answer, name) for name in _OWN}
         limits = {name: getattr(answer, name) * (1e-9 if name in _NANOSECONDS else 1) for name in _LIMITS}
         return cls(**own, limits=Limits(**limits), lockstep=bool(answer.lockstep), number=answer.device)
 
     def answer(self, **state: Any) -> HelloAck:
         """Return the HELLO_ACK with these properties and the given state."""
-        own = {name: getattr(self, name) for name in ("period", "delay", "calibration", "lockstep")}
-        return HelloAck(version=VERSION, device=self.number, **own, **self.stated, **state)
+        own = {name: getattr(self, name) for name in _OWN}
+        return HelloAck(version=VERSION, device=self.number, lockstep=self.lockstep, **own, **self.stated, **state)
+
+    def wall_problem(self, wall: Wall) -> str:
+        """Return why the device cannot render a wall, or ""."""
+        limits, lever = self.limits, wall.lever
+        if not self.wall_period:
+            return "the device renders no walls"
+        if wall.axis not in range(6) or wall.side not in (-1, 0, 1) or not math.isfinite(wall.edge):
+            return f"a wall needs an axis from 0 to 5, a side of -1, 0 or 1 and a finite edge (got {wall})"
+        for name, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
+            most, value = getattr(limits, f"{name}_limit") * lever * lever, getattr(wall, name)
+            if not 0.0 <= value <= most:  # also for NaN
+                bound = f"{most:g} {unit_of(unit, wall.axis)}, the device's limit"
+                return f"{name} of the wall on {AXES[wall.axis]} must be between 0 and {bound} (got {value:g})"
+        return "" if 0.0 <= wall.cutoff < math.inf else f"cutoff of a wall must be 0 or above (got {wall.cutoff:g})"
 
 
 class HostLimits(Parameters):

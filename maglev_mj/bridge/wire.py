@@ -45,6 +45,7 @@ class Fault(IntFlag):
     HOST = 4096  # the host program failed, or lost the device's samples
     SENSOR_STOPPED = 8192  # the sensor's conversion counter stopped
     COIL_NOT_OFF = 16384  # current flows although the currents are cut
+    WALL_ENERGY = 32768  # the walls on the device generated energy
 
 
 class Flag(IntFlag):
@@ -94,6 +95,9 @@ _MAGIC = MAGIC.to_bytes(2, "little")
 
 VERSION = 4
 
+MOST_WALLS = 6
+"""Largest number of walls in a CMD."""
+
 WRAP = NEVER = 0xFFFFFFFF
 """Largest sequence number; sentinel for 'no command' in its number and age."""
 
@@ -141,6 +145,15 @@ class HelloAck(NamedTuple):
     thermal_time: float  # [s]
     spot_limit: float
     spot_speed: float
+    wall_period: int  # 0: no walls on the device
+    wall_delay: int
+    stiffness_limit: float  # [N/m]; for a rotation see `LEVER`
+    damping_limit: float  # [N s/m]
+    edge_speed: float  # [m/s]
+
+
+LEVER = 0.03
+"""Lever arm of the limits of a wall on a rotation [m]: its square for gains, its inverse for the edge's speed."""
 
 
 class Control(NamedTuple):
@@ -178,14 +191,31 @@ class StateReport(NamedTuple):
     conversions: int  # conversion counter of the sensor interface
 
 
+class Wall(NamedTuple):
+    """Wall that the device renders at its own rate; fields as in `DeviceWall`, and a cutoff of 0 for none."""
+
+    axis: int
+    side: int
+    edge: float  # [m, rad]
+    stiffness: float  # [N/m, N m/rad]
+    damping: float  # [N s/m, N m s/rad]
+    cutoff: float  # [Hz]
+
+    @property
+    def lever(self) -> float:
+        """Lever arm of the limits [m]; 1 for a translation."""
+        return 1.0 if self.axis < 3 else LEVER
+
+
 class Command(NamedTuple):
-    """Commanded currents [A], six each: `pulsed` for the first `width` seconds, then `held`."""
+    """Commanded currents [A], six each: `pulsed` for the first `width` seconds, then `held`; and all walls."""
 
     answers: int  # number of the answered sample
     flags: int  # 0
     held: tuple[float, ...]
     pulsed: tuple[float, ...]
     width: float
+    walls: tuple[Wall, ...] = ()
 
 
 class Estop(NamedTuple):
@@ -208,7 +238,7 @@ Body: TypeAlias = Hello | HelloAck | Control | ControlAck | StateReport | Comman
 
 _TYPES: dict[int, tuple[type[Body], str]] = {
     1: (Hello, "Q16s"),
-    2: (HelloAck, "QBBBBI16sQQQQQQIII6d"),
+    2: (HelloAck, "QBBBBI16sQQQQQQIII6dQQ3d"),
     3: (Control, "IB3xI14d"),
     4: (ControlAck, "IBBBxI"),
     5: (StateReport, "6d6f6fBBHIIII"),
@@ -218,6 +248,9 @@ _TYPES: dict[int, tuple[type[Body], str]] = {
 }
 _NUMBERS = {body: number for number, (body, _) in _TYPES.items()}
 _STRUCTS = {number: struct.Struct(_HEADER + fields) for number, (_, fields) in _TYPES.items()}
+_COMMAND, _WALL = 6, struct.Struct("<Bb2x4d")
+_WALLED = [_STRUCTS[_COMMAND].size + _WALL.size * count for count in range(MOST_WALLS + 1)]
+"""Lengths of header and body of a CMD, by the number of its walls."""
 # bodies with fields of six numbers: to and from flat values
 _FLAT: dict[int, Callable[[Any], Sequence[Any]]] = {
     3: lambda body: (*body[:3], *body[3], *body[4]),
@@ -269,6 +302,8 @@ class Codec:
         number = _NUMBERS[body.__class__]
         values = _FLAT[number](body) if number in _FLAT else body
         data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & WRAP, time, *values)
+        if number == _COMMAND and body.walls:  # type: ignore[union-attr]
+            data += b"".join(_WALL.pack(*wall) for wall in body.walls)  # type: ignore[union-attr]
         if self._key is not None:
             data += _tag(data, self._key)
         return data + _CRC.pack(zlib.crc32(data))
@@ -281,6 +316,9 @@ class Codec:
         number = data[3]
         values = _STRUCTS[number].unpack_from(data)
         body = _NESTED[number](values) if number in _NESTED else _TYPES[number][0](*values[6:])
+        if number == _COMMAND and (end := len(data) - self._overhead) > _WALLED[0]:
+            walls = tuple(map(Wall._make, _WALL.iter_unpack(data[_WALLED[0] : end])))
+            body = body._replace(walls=walls)  # type: ignore[call-arg]
         return Frame(values[3], values[4], values[5], body)
 
     def _reason(self, data: bytes) -> str:
@@ -299,7 +337,8 @@ class Codec:
         if shape is None:
             return "type"
         if len(data) != shape.size + self._overhead:
-            return "length"
+            if data[3] != _COMMAND or len(data) - self._overhead not in _WALLED:
+                return "length"
         if self._key is not None:
             end = len(data) - self._overhead
             if not hmac.compare_digest(data[end : end + TAG], _tag(data[:end], self._key)):

@@ -195,7 +195,13 @@ class Timeline:
         switches.append((tick, offset, held, pulsed, width))
 
     def period(
-        self, tick: int, answer: tuple[Any, Any, float] | None = None, *, after: float | None = None
+        self,
+        tick: int,
+        answer: tuple[Any, Any, float] | None = None,
+        *,
+        after: float | None = None,
+        begin: float = 0.0,
+        until: float | None = None,
     ) -> list[Interval]:
         """Return the intervals from sample `tick` to the next, in order; their durations sum to the period.
 
@@ -205,6 +211,8 @@ class Timeline:
             tick: Index of the sample.
             answer: Its command as (held, pulsed, width); None if it was added by `answer`, or if there is none.
             after: Delay to its effect [s], as in `answer`; one device only.
+            begin: Start of a part of the period [s], the end of the part before it; one device only.
+            until: End of the part [s]; None for the period's.
         """
         switches = self._switches
         if answer is not None:
@@ -224,8 +232,8 @@ class Timeline:
                 return [(after, before), (self._period - after, held)]
             self.answer(tick, held, pulsed, width, after=after)
         intervals: list[Interval] = []
-        done, each, least = 0.0, self._each, self._negligible
-        while switches and switches[0][0] <= tick:
+        done, each, least, end = begin, self._each, self._negligible, self._period if until is None else until
+        while switches and switches[0][0] <= tick and (until is None or switches[0][1] <= end + least):
             _, offset, held, pulsed, width = switches.popleft()
             duration = offset - done
             if self._pulse is not None:
@@ -235,7 +243,7 @@ class Timeline:
             if each or duration > least:
                 intervals.append((duration, self.acting))
             self.acting, self._pulse, done = held, (pulsed, width) if width > 0.0 else None, offset
-        duration = self._period - done
+        duration = end - done
         if self._pulse is not None:
             duration = self._add_pulse(duration, intervals)
         if each or duration > least:

@@ -133,7 +133,7 @@ class SampledPlant(ABC):
         self.unanswered: Sample | None = None
         numbers("delay", timing.delay, shape=f"() or {batch}")
         self._limits = self._limit is not None
-        self._walls: DeviceWalls | None = None
+        self._walls: Any = None  # `DeviceWalls`, or those of a twin's firmware
 
     @abstractmethod
     def _prepare(self, force: Six) -> Any:
@@ -273,6 +273,15 @@ class SampledPlant(ABC):
         held = drive_of(currents)
         self._timeline.answer(self._tick, held, held if pulsed is None else drive_of(pulsed), width, after=after)
         self.unanswered = None
+
+    def follow(self, walls: Any) -> None:
+        """Let an object in place of `DeviceWalls` divide each period into intervals of constant force."""
+        self._walls, self._intervals_of = walls, walls.period
+
+    def advance(self, time: float) -> None:
+        """Advance to a time after the last sample [s]; only with `follow`."""
+        for duration, drive in self._walls.until(self._tick, time):
+            self._run(duration, drive)
 
     def close(self) -> None:
         """Release the plant; may be called at any time and repeatedly."""

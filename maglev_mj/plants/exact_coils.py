@@ -78,6 +78,10 @@ class ExactCoilPlant(ExactPlant):
         """
         self._switch(tuple, currents, pulsed, width, after)
 
+    def raised(self, drive: Sequence[float], currents: Sequence[float]) -> Sequence[float]:
+        """Return a drive with currents added to its own [A], six."""
+        return tuple([own + extra for own, extra in zip(drive, currents)])
+
     def open_coil(self, coil: int) -> None:
         """Disconnect a coil (0 to 5), as by a broken wire."""
         self._constants[coil] = 0.0
@@ -85,7 +89,7 @@ class ExactCoilPlant(ExactPlant):
     @property
     def currents(self) -> Array:
         """Commanded coil currents at the last sample [A], (6,)."""
-        return np.array(self._timeline.now())
+        return np.array(self._timeline.now() if self._walls is None else self._walls.drive)
 
     @property
     def intervals(self) -> list[Interval]:

@@ -228,6 +228,10 @@ class MuJoCoPlant(SampledPlant):
             raise PlantError("no currents: the plant was created with coils=False")
         self._switch(_of_currents, currents, pulsed, width, after)
 
+    def raised(self, drive: engine.Drive, currents: Sequence[float]) -> engine.Drive:
+        """Return a drive with currents added to its own [A], six."""
+        return _of_currents([own + extra for own, extra in zip(drive[1], currents)])
+
     def open_coil(self, coil: int) -> None:
         """Disconnect a coil (0 to 5), as by a broken wire."""
         self._model.actuator_gainprm[whole("coil", coil, at_most=5), 0] = 0.0

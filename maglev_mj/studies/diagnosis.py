@@ -29,7 +29,7 @@ from maglev_mj.theory.boundary import (
 )
 from maglev_mj.theory.closed_loop import SampledLoop, bisect, critical_delay, is_stable, pd
 from maglev_mj.theory.margin import Margin
-from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
+from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, laws_on_device, rates_of
 
 if TYPE_CHECKING:
     from maglev_mj.studies.oscillation import Oscillation
@@ -401,7 +401,13 @@ def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
     controller, body = found.controller(), found.body.inertia
     gains, law, velocity = stated_gains(controller), None, controller.velocity
     around: Any = {"period": found.period, "delay": found.delay}
-    if gains is None:
+    own, rendered = laws_on_device(controller, found.timing().device), dict[str, Any]()
+    if own and gains is not None:  # the wall in question; the host's laws in contact are beside it
+        index, acting = max(own, key=lambda axis: (own[axis].stiffness, own[axis].damping)), ("contact",)
+        k, b = (float(part[index]) for part in gains[acting])
+        rendered = {f"device_{name}": getattr(own[index], name) for name in ("stiffness", "damping", "period", "delay")}
+        assumptions += [f"without the cutoff of {x.cutoff:g} Hz on the device" for x in [own[index]] if x.cutoff]
+    elif gains is None:
         verdict = stability(found)
         index, acting = AXES.index(verdict.axes[0]) if verdict.axes else found.axis_index, verdict.acting
         k, b = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
@@ -416,13 +422,14 @@ def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
         k, b = (float(part[index]) for part in gains[acting])
         if not isinstance(velocity, FiniteDifference | LowPass):
             law = pd(velocity)(np.asarray(k), np.asarray(b), np.asarray(found.period))
-    if not k > 0.0:
+    if not k > 0.0 and not rendered.get("device_stiffness"):
         raise ParameterError(f"scene {found.name} renders no stiffness on its worst axis, {AXES[index]}")
     state = f" ({', '.join(acting)})" if acting else ""
-    assumptions.append(f"axis {AXES[index]} of {found.name}{state}, the one with the smallest margin")
+    reason = "stiffest wall on the device" if rendered else "the one with the smallest margin"
+    assumptions.append(f"axis {AXES[index]} of {found.name}{state}, {reason}")
     values: dict[str, Any] = {"stiffness": k, "damping": max(b, 0.0), "law": law}
     values |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) and law is None else {}
-    return {**values, **around, "inertia" if index > 2 else "mass": float(body[index])}
+    return {**values, **around, **rendered, "inertia" if index > 2 else "mass": float(body[index])}
 
 
 def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Oscillation | None) -> Diagnosis:

@@ -19,11 +19,14 @@ static struct maglev_device device;
 static struct maglev_profile profile = {
     .period = PERIOD, .delay = 1500000, .watchdog = 10 * PERIOD, .enable = 3 * PERIOD, .stale = 4 * PERIOD,
     .current_limit = 10.0, .continuous_current = 3.0, .hover_limit = 1.5, .thermal_time = 10.0, .spot_limit = 0.012,
-    .spot_speed = 1.0, .frozen = 20, .device = 1};
+    .spot_speed = 1.0, .frozen = 20, .device = 1, .wall_period = PERIOD / 5, .wall_delay = 200000,
+    .stiffness_limit = 1e5, .damping_limit = 400.0, .edge_speed = 0.1,
+    .pose = {[0] = 1.0, [7] = 1.0, [14] = 1.0, [21] = 1.0, [28] = 1.0, [35] = 1.0},
+    .current = {[0] = 0.5, [7] = 0.5, [14] = 0.5, [21] = 0.5, [28] = 0.5, [35] = 0.5}};
 static uint64_t now, state_of_random;
 static uint32_t number;
-static double flowing[COILS];
-static unsigned long done, driven, flights, stopped;
+static double flowing[COILS], added[COILS], peak[COILS];
+static unsigned long done, driven, flights, stopped, pushed;
 
 static uint64_t draw(uint64_t below) { /* xorshift64* */
     state_of_random ^= state_of_random >> 12, state_of_random ^= state_of_random << 25;
@@ -61,13 +64,24 @@ static void drive(void *context, uint64_t at, const double *held, const double *
         double most = 10.0 * (1.0 + 1e-9);
         require(held[i] >= -most && held[i] <= most && pulsed[i] >= -most && pulsed[i] <= most, "beyond the limit");
         flowing[i] = held[i];
+        peak[i] = held[i] * held[i] > pulsed[i] * pulsed[i] ? held[i] : pulsed[i];
     }
     driven++;
 }
 
+static void add(void *context, uint64_t at, const double *currents) {
+    (void)context, (void)at;
+    require(device.state == MAGLEV_ACTIVE || device.stopping, "walls although currents are cut");
+    for (int i = 0; i < COILS; i++) {
+        double sum = (peak[i] < 0.0 ? -peak[i] : peak[i]) + (currents[i] < 0.0 ? -currents[i] : currents[i]);
+        require(sum <= 10.0 * (1.0 + 1e-9) || currents[i] == 0.0, "walls beyond the limit");
+        added[i] = currents[i], pushed += currents[i] != 0.0;
+    }
+}
+
 static void cut(void *context) {
     (void)context;
-    memset(flowing, 0, sizeof flowing);
+    memset(flowing, 0, sizeof flowing), memset(added, 0, sizeof added);
 }
 
 static void toggle(void *context, uint64_t at) {
@@ -85,7 +99,7 @@ static uint32_t draw_session(void *context) {
     return (uint32_t)draw(4) * 0x40000001u;
 }
 
-static const struct maglev_hardware hardware = {NULL, read_sample, drive, cut, toggle, device_now, draw_session};
+static const struct maglev_hardware hardware = {NULL, read_sample, drive, add, cut, toggle, device_now, draw_session};
 
 static void fill(struct maglev_frame *f) {
     static const uint8_t usual[] = {MAGLEV_CMD, MAGLEV_CMD, MAGLEV_CMD, MAGLEV_CTRL, MAGLEV_CTRL};
@@ -109,7 +123,14 @@ static void fill(struct maglev_frame *f) {
             f->of.cmd.held[i] = draw(10) ? 0.5 : number_at_random();
             f->of.cmd.pulsed[i] = draw(10) ? 0.5 : number_at_random();
         }
-        f->of.cmd.width = draw(10) ? 0.001 : number_at_random(); break;
+        f->of.cmd.width = draw(10) ? 0.001 : number_at_random();
+        f->of.cmd.count = (uint32_t)draw(MAGLEV_WALLS + 1);
+        for (uint32_t i = 0; i < f->of.cmd.count; i++) {
+            bool odd = draw(200) == 0;
+            f->of.cmd.walls[i] = (struct maglev_wall){odd ? 6 : (uint8_t)i, (int8_t)draw(3) - 1,
+                odd ? number_at_random() : 1e-3, odd ? number_at_random() : 10.0, 1e-3, draw(2) ? 0.0 : 200.0};
+        }
+        break;
     default: break; /* unchanged */
     }
 }
@@ -133,6 +154,7 @@ static size_t make(uint8_t *data) {
     uint64_t kind = draw(12);
     fill(&f);
     if (kind == 0) turn_bits(draw(4) ? (void *)&f.of : (void *)&f.session, draw(4) ? 8 : sizeof f.of);
+    if (f.type == MAGLEV_CMD) f.of.cmd.count %= MAGLEV_WALLS + 1;
     size_t length = maglev_encode(&profile, &f, data);
     if (kind == 1 || kind == 2) turn_bits(data, draw(3) ? length : 4);
     if (kind == 3) length = draw(length + 1);
@@ -147,7 +169,7 @@ static void look(size_t length) {
     for (int i = 0; i < COILS && device.stopping; i++)
         require(flowing[i] >= -3.0 && flowing[i] <= 3.0, "more than the continuous current in a controlled stop");
     for (int i = 0; i < COILS && device.state != MAGLEV_ACTIVE && !device.stopping; i++)
-        require(flowing[i] == 0.0, "a current after a cut");
+        require(flowing[i] == 0.0 && added[i] == 0.0, "a current after a cut");
 }
 
 static void run(unsigned long count) {
@@ -168,6 +190,7 @@ static void run(unsigned long count) {
             number += draw(100) ? 1 : (uint32_t)draw(15), now += PERIOD;
             before = device.state;
             look(maglev_sample(&device, answer));
+            for (int i = 0; i < 4 && device.walled; i++) now += PERIOD / 5, maglev_wall(&device), look(0);
             stopped += before == MAGLEV_ACTIVE && device.state != MAGLEV_ACTIVE;
         }
         if (draw(5000) == 0) memset(device.rises, 0, sizeof device.rises), now += UINT64_C(2000000000); /* it cools */
@@ -182,8 +205,8 @@ int main(int count, char **arguments) {
     profile.key_length = 32;
     for (int i = 0; i < 32; i++) profile.key[i] = (uint8_t)i;
     run(each);
-    printf("%lu frames, %lu flights, %lu commands driven, %lu flights ended by a guard at a sample\n", done, flights,
-           driven, stopped);
+    printf("%lu frames, %lu flights, %lu commands driven, %lu flights ended by a guard at a sample, %lu wall currents\n",
+           done, flights, driven, stopped, pushed);
     for (int i = 0; i < MAGLEV_REASONS; i++)
         printf("%s %lu%s", maglev_reasons[i], (unsigned long)device.counts[i], i + 1 < MAGLEV_REASONS ? ", " : "\n");
     return 0;

@@ -17,7 +17,8 @@ enum {
     MAGLEV_STOP = 8,      /* controlled stop at ARM: damping by spots, six [s/m], duration [s], lift */
     MAGLEV_HASH = 16,     /* bytes of a calibration digest */
     MAGLEV_KEY = 32,      /* largest key [bytes] */
-    MAGLEV_LARGEST = 256, /* largest frame [bytes] */
+    MAGLEV_WALLS = 6,     /* walls in a CMD */
+    MAGLEV_LARGEST = 384, /* largest frame [bytes] */
     MAGLEV_STUFFED = MAGLEV_LARGEST + 4 /* largest frame on a serial link [bytes] */
 };
 
@@ -34,7 +35,7 @@ enum maglev_fault {
     MAGLEV_SENSOR_OUT_OF_RANGE = 1, MAGLEV_COIL_OVERTEMP = 2, MAGLEV_COIL_OVERCURRENT = 4, MAGLEV_FLOTOR_OVERSPEED = 8,
     MAGLEV_WATCHDOG = 32, MAGLEV_INVALID_COMMAND = 64, MAGLEV_ESTOPPED = 128, MAGLEV_COIL_NOT_FOLLOWING = 256,
     MAGLEV_SENSOR_FROZEN = 512, MAGLEV_HOST = 4096, MAGLEV_SENSOR_STOPPED = 8192, MAGLEV_COIL_NOT_OFF = 16384,
-    MAGLEV_ALL_FAULTS = 32767
+    MAGLEV_WALL_ENERGY = 32768, MAGLEV_ALL_FAULTS = 65535
 };
 /* Reasons for ignoring a frame: the first seven invalid, the others not acceptable. */
 enum maglev_reason {
@@ -58,6 +59,14 @@ struct maglev_profile {
     double thermal_time;         /* thermal time constant of a coil [s] */
     double spot_limit;           /* largest coordinate of a spot on its diode [m] */
     double spot_speed;           /* largest speed of a spot [m/s] */
+    uint64_t wall_period;        /* between samples of walls [ns], a whole fraction of `period`; 0: no walls */
+    uint64_t wall_delay;         /* from such a sample to its effect [ns] */
+    double stiffness_limit;      /* of a wall [N/m] */
+    double damping_limit;        /* of a wall [N s/m] */
+    double edge_speed;           /* of a wall [m/s] */
+    double spots[MAGLEV_SPOTS];  /* at the centre [m]; with the two maps below from the calibration, for walls */
+    double pose[36];             /* row-major, pose per change of the spots [1, rad/m] */
+    double current[36];          /* row-major, current per wrench [A/N, A/(N m)] */
     uint32_t frozen;             /* consecutive equal readings ruled out by sensor noise; 0: no noise */
     uint32_t device;             /* device number */
     uint32_t key_length;         /* 16 to 32 bytes, or 0 for no key */
@@ -84,7 +93,10 @@ struct maglev_hardware {
     void (*read)(void *context, struct maglev_reading *reading);
     /* Currents [A] from `delay` after `now` on: `pulsed` for the first `width` seconds, then `held`. */
     void (*drive)(void *context, uint64_t now, const double *held, const double *pulsed, double width);
-    /* Switch all currents off immediately and discard pending commands. */
+    /* Add the currents of walls [A] to the others from `wall_delay` after `now` on, until the next call. May be null
+       without walls. */
+    void (*add)(void *context, uint64_t now, const double *currents);
+    /* Switch all currents off immediately, those of walls too, and discard pending commands. */
     void (*cut)(void *context);
     /* Toggle the enable line. */
     void (*toggle)(void *context, uint64_t now);
@@ -93,6 +105,9 @@ struct maglev_hardware {
     /* 32 unpredictable bits. */
     uint32_t (*random)(void *context);
 };
+
+/* A wall rendered at the device's own rate; cutoff 0: no filter. */
+struct maglev_wall { uint8_t axis; int8_t side; double edge, stiffness, damping, cutoff; };
 
 struct maglev_frame {
     uint8_t type;
@@ -108,6 +123,8 @@ struct maglev_frame {
             uint64_t period, delay, watchdog, enable, stale, fault_time;
             uint32_t faults, first, frozen;
             double current_limit, continuous_current, hover_limit, thermal_time, spot_limit, spot_speed;
+            uint64_t wall_period, wall_delay;
+            double stiffness_limit, damping_limit, edge_speed;
         } hello_ack;
         struct { uint32_t request; uint8_t operation; uint32_t faults; double hover[MAGLEV_COILS], stop[MAGLEV_STOP];
         } ctrl;
@@ -119,12 +136,20 @@ struct maglev_frame {
             uint16_t flags;
             uint32_t faults, answered, age, conversions;
         } state;
-        struct { uint32_t answers, flags; double held[MAGLEV_COILS], pulsed[MAGLEV_COILS], width; } cmd;
+        struct {
+            uint32_t answers, flags;
+            double held[MAGLEV_COILS], pulsed[MAGLEV_COILS], width;
+            uint32_t count;      /* of the walls; on the wire the length of the frame */
+            struct maglev_wall walls[MAGLEV_WALLS];
+        } cmd;
         struct { uint64_t request; } estop;
         struct { uint64_t request; uint8_t state; uint32_t faults; uint64_t sampled; float currents[MAGLEV_COILS];
         } estop_ack;
     } of;
 };
+
+/* Last valid spots [m] at a sample, and equal readings of each diode in a row. */
+struct maglev_diodes { double spots[MAGLEV_SPOTS]; uint32_t number, same[3]; bool known; };
 
 /* A device: one session at a time, a state, latched faults. The fields up to `rises` may be read by others; only the
    functions below write them. */
@@ -140,6 +165,7 @@ struct maglev_device {
     uint8_t state;
     bool is_answered, holding;
     bool stopping;                     /* a controlled stop: currents flow in FAULT */
+    bool walled;                       /* maglev_wall() is to be called */
     double rises[MAGLEV_COILS];        /* temperatures; a coil trips at 1 */
 
     /* the session */
@@ -151,11 +177,19 @@ struct maglev_device {
     uint64_t commanded_at, stopped_at;
     uint32_t answers;
     /* the sensors */
-    double spots[MAGLEV_SPOTS], measured[MAGLEV_COILS];
+    double measured[MAGLEV_COILS];
+    struct maglev_diodes diodes;
     uint64_t sampled;
-    uint32_t number, spots_number, conversions, same[3];
+    uint32_t number, conversions;
     uint8_t not_following, not_off, not_enabled;
-    bool has_spots, has_conversions, has_sampled, heated;
+    bool has_conversions, has_sampled, heated;
+    /* the walls: in effect, and of the newest CMD from `due` on; the rest is that of the last wall sample */
+    struct maglev_wall walls[MAGLEV_WALLS], next[MAGLEV_WALLS];
+    uint32_t count, next_count;
+    bool has_next, has_pose;
+    uint64_t due, wall_sampled;
+    double pose[6], wall_speeds[MAGLEV_WALLS], wall_forces[MAGLEV_WALLS], peaks[2][MAGLEV_COILS], energy;
+    struct maglev_diodes seen;
 };
 
 /* Start inactive, with the currents cut. Return false, without effect, if the profile is invalid: a time or limit not
@@ -172,6 +206,9 @@ size_t maglev_receive(struct maglev_device *device, const uint8_t *data, size_t 
 /* Read a sample, react to faults, and write the STATE for the session's peer. Return its length, 0 without a
    session. */
 size_t maglev_sample(struct maglev_device *device, uint8_t *frame);
+
+/* While `device->walled`, call once per wall period, at a period's own sample after maglev_sample(): render the walls. */
+void maglev_wall(struct maglev_device *device);
 
 /* Update the temperatures for constant currents [A] over a duration [s]. A board with pulses calls it for each interval
    since the last sample; if it is not called, maglev_sample() assumes the measured currents for the whole period. */

@@ -3,14 +3,14 @@
        cd scripts/firmware
        cc -std=c99 -O2 simulated_device.c simulated_flotor.c maglev_firmware.c -o simulated_device -lm
        simulated_device --plant FILE [--port 0] [--rate 200] [--delay 0.0015] [--watchdog 0.05] [--enable SECONDS]
-                        [--stale SECONDS] [--hover-limit 3] [--noise 0] [--lockstep] [--calibration-hash HEX32]
+                        [--stale SECONDS] [--wall-rate 1000] [--wall-delay 0.0002] [--hover-limit 3] [--noise 0] [--lockstep] [--calibration-hash HEX32]
                         [--key FILE] [--device 1] [--seconds 0] [--fault NAME:K@SECONDS]
                         [--hand X,Y,Z,RX,RY,RZ@FROM:UNTIL]
        simulated_device --golden [--key FILE] < FRAMES
 
-   The plant FILE contains five names, each followed by its numbers: wrench_per_current (36, row-major) [N/A, N m/A],
+   The plant FILE contains seven names, each followed by its numbers: wrench_per_current (36, row-major) [N/A, N m/A],
    inertia (6: mass three times, then moments) [kg, kg m^2], gravity (6: accelerations) [m/s^2, rad/s^2],
-   spots_per_pose (36, row-major) [1, m], rest (6) [m, rad]. A key FILE has 32 to 64 hexadecimal digits. --noise is
+   spots_per_pose (36, row-major) [1, m], rest (6) [m, rad], and the inverses pose_per_spot and current_per_wrench. A key FILE has 32 to 64 hexadecimal digits. --noise is
    the amplitude of the spot noise [m]; with it 30 consecutive equal readings are a fault. --golden reads frames, one line of
    hexadecimal digits each, and prints them re-encoded. Faults are listed in FAULTS below. --hand applies a constant
    wrench [N, N m] to the flotor between two times of the device's clock [s]. */
@@ -47,7 +47,10 @@ static void fail(const char *what, const char *name) {
 struct plant plant = {.fault = NO_FAULT, .random = 1};
 struct maglev_device device;
 struct maglev_profile profile = {.current_limit = 10.0, .continuous_current = 3.0, .thermal_time = 10.0,
-                                 .spot_limit = 0.012, .spot_speed = 1.0};
+                                 .spot_limit = 0.012, .spot_speed = 1.0, .stiffness_limit = 1e5,
+                                 .damping_limit = 400.0, .edge_speed = 0.1};
+
+void render(void) { maglev_wall(&device); }
 
 uint32_t draw(void *context) {
     uint32_t number = 0;
@@ -148,15 +151,17 @@ static void in_real_time(uint64_t stop) {
 /* ---- arguments ---- */
 
 static void read_plant(const char *path) {
-    static const char *const names[] = {"wrench_per_current", "inertia", "gravity", "spots_per_pose", "rest"};
-    double *const places[] = {plant.wrench, plant.inertia, plant.gravity, plant.slopes, plant.rest};
+    static const char *const names[] = {"wrench_per_current", "inertia", "gravity", "spots_per_pose", "rest",
+                                        "pose_per_spot", "current_per_wrench"};
+    double *const places[] = {plant.wrench, plant.inertia, plant.gravity, plant.slopes, plant.rest, profile.pose,
+                              profile.current};
     FILE *file = fopen(path, "r");
     if (!file) fail("cannot be read", path);
-    for (int i = 0; i < 5; i++) {
+    for (int i = 0; i < 7; i++) {
         char name[32];
         if (fscanf(file, "%31s", name) != 1 || strcmp(name, names[i]))
             fail("not in its place in the plant's file", names[i]);
-        for (int k = 0; k < (i == 0 || i == 3 ? 36 : 6); k++)
+        for (int k = 0; k < (i == 0 || i == 3 || i > 4 ? 36 : 6); k++)
             if (fscanf(file, "%lf", &places[i][k]) != 1 || !isfinite(places[i][k]))
                 fail("too few numbers, or one that is none", names[i]);
     }
@@ -237,12 +242,12 @@ static void listen_on(uint16_t port) {
 }
 
 int main(int count, char **arguments) {
-    enum { PORT, RATE, DELAY, WATCHDOG, ENABLE, STALE, HOVER, NOISE, DEVICE, SECONDS, NUMBERS };
+    enum { PORT, RATE, DELAY, WATCHDOG, ENABLE, STALE, HOVER, NOISE, DEVICE, SECONDS, WALLS, LATE, NUMBERS };
     struct { const char *name; double value, least, most; } numbers[NUMBERS] = {
         {"--port", 0.0, 0.0, 65535.0}, {"--rate", 200.0, 1.0, 1e5}, {"--delay", 0.0015, 0.0, 0.1},
         {"--watchdog", 0.05, 0.001, 1.0}, {"--enable", 0.0, 0.0, 1.0}, {"--stale", 0.0, 0.0, 1.0},
         {"--hover-limit", 3.0, 0.001, 10.0}, {"--noise", 0.0, 0.0, 0.001}, {"--device", 1.0, 0.0, 4294967295.0},
-        {"--seconds", 0.0, 0.0, 1e6}};
+        {"--seconds", 0.0, 0.0, 1e6}, {"--wall-rate", 1000.0, 0.0, 1e5}, {"--wall-delay", 0.0002, 0.0, 0.1}};
     const char *plant_file = NULL;
     int only_golden = 0;
     char rest;
@@ -276,6 +281,12 @@ int main(int count, char **arguments) {
     if (!profile.stale) { /* 4 periods, and at most the watchdog */
         profile.stale = 4 * profile.period;
         if (profile.stale > profile.watchdog) profile.stale = profile.watchdog;
+    }
+    if (numbers[WALLS].value > 0.0) { /* the nearest whole fraction of the period that divides it */
+        uint64_t count = (uint64_t)(numbers[WALLS].value / numbers[RATE].value + 0.5);
+        for (count += count == 0; profile.period % count;) count--;
+        profile.wall_period = profile.period / count, profile.wall_delay = nanoseconds(numbers[LATE].value);
+        if (profile.wall_delay > 2 * profile.wall_period) profile.wall_delay = 2 * profile.wall_period;
     }
     profile.hover_limit = numbers[HOVER].value, profile.device = (uint32_t)numbers[DEVICE].value;
     profile.frozen = plant.noise > 0.0 ? 30 : 0;

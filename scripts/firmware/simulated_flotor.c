@@ -10,7 +10,8 @@ static bool suffers(int fault) { return plant.fault == fault && plant.now >= pla
 /* Currents from now on; the board passes none while its enable line is still, whatever is commanded. */
 const double *flow(void) {
     const double *told = plant.now < plant.on.pulse_end ? plant.on.pulsed : plant.on.held;
-    for (int i = 0; i < COILS; i++) plant.flowing[i] = plant.now < plant.live_until ? told[i] : 0.0;
+    for (int i = 0; i < COILS; i++)
+        plant.flowing[i] = plant.now < plant.live_until ? told[i] + plant.added.currents[i] : 0.0;
     if (suffers(DEAD_COIL)) plant.flowing[plant.which] = 0.0;
     if (suffers(STUCK_AMPLIFIER)) plant.flowing[plant.which] = plant.kept;
     plant.kept = plant.flowing[plant.which];
@@ -53,10 +54,22 @@ void advance(uint64_t now) {
             plant.waiting--;
             for (int i = 0; i < plant.waiting; i++) plant.due[i] = plant.due[i + 1];
         }
+        while (plant.extras && plant.adding[0].at <= plant.now) {
+            plant.added = plant.adding[0];
+            plant.extras--;
+            for (int i = 0; i < plant.extras; i++) plant.adding[i] = plant.adding[i + 1];
+        }
         if (plant.now >= now) return;
+        if (device.walled && plant.rendered <= plant.now) { /* the walls' clock runs from time 0 on */
+            if (plant.now % profile.wall_period == 0) render();
+            plant.rendered = (plant.now / profile.wall_period + 1) * profile.wall_period;
+            continue;
+        }
         uint64_t next = sooner(sooner(now, plant.live_until), plant.on.pulse_end);
         next = sooner(sooner(next, plant.hand_from), plant.hand_until);
         if (plant.waiting) next = sooner(next, plant.due[0].at);
+        if (plant.extras) next = sooner(next, plant.adding[0].at);
+        if (device.walled) next = sooner(next, plant.rendered);
         move((double)(next - plant.now) * 1e-9);
         plant.now = next;
     }
@@ -84,6 +97,7 @@ static void read_sample(void *context, struct maglev_reading *r) {
     plant.has_stuck = suffers(STUCK_DIODES) || suffers(STUCK_DIODE);
     if (suffers(INVALID_DIODE)) r->valid &= (uint8_t)~(1 << plant.which);
     copy_six(r->commanded, plant.now < plant.on.pulse_end ? plant.on.pulsed : plant.on.held);
+    for (int i = 0; i < COILS; i++) r->commanded[i] += plant.added.currents[i];
     copy_six(r->measured, flow());
 }
 
@@ -98,10 +112,17 @@ static void drive(void *context, uint64_t now, const double *held, const double 
     copy_six(next->pulsed, pulsed);
 }
 
+static void add(void *context, uint64_t now, const double *currents) {
+    (void)context;
+    if (plant.extras == EXTRAS) plant.extras--;
+    plant.adding[plant.extras].at = now + profile.wall_delay;
+    copy_six(plant.adding[plant.extras++].currents, currents);
+}
+
 static void cut(void *context) {
     (void)context;
-    plant.waiting = 0;
-    plant.on = (struct drive){0};
+    plant.waiting = plant.extras = 0;
+    plant.on = (struct drive){0}, plant.added = (struct extra){0};
 }
 
 static void toggle(void *context, uint64_t now) {
@@ -114,4 +135,4 @@ static uint64_t device_now(void *context) {
     return plant.now;
 }
 
-const struct maglev_hardware hardware = {NULL, read_sample, drive, cut, toggle, device_now, draw};
+const struct maglev_hardware hardware = {NULL, read_sample, drive, add, cut, toggle, device_now, draw};

@@ -5,10 +5,11 @@
 
 #include "maglev_firmware.h"
 
-enum { COILS = MAGLEV_COILS, SWITCHES = 64 };
+enum { COILS = MAGLEV_COILS, SWITCHES = 64, EXTRAS = 4 };
 enum fault { DEAD_COIL, STUCK_AMPLIFIER, STUCK_DIODE, INVALID_DIODE, STUCK_DIODES, STUCK_COUNTER, NO_FAULT };
 
 struct drive { uint64_t at, pulse_end; double held[COILS], pulsed[COILS]; };
+struct extra { uint64_t at; double currents[COILS]; }; /* of walls */
 struct plant {
     double wrench[36];            /* row-major, per current [N/A, N m/A] */
     double inertia[6];            /* mass three times, then moments of inertia [kg, kg m^2] */
@@ -22,11 +23,13 @@ struct plant {
     uint64_t fault_at;
     uint32_t number, random;      /* of the sample; state of the noise generator, not 0 */
 
+    uint64_t rendered;            /* time of the next sample of walls [ns] */
     uint64_t now, live_until;     /* the rest starts as zeros, except pose and lying */
     double pose[6], twist[6], flowing[COILS], stuck[6], kept;
     struct drive on, due[SWITCHES];
+    struct extra added, adding[EXTRAS];
     uint32_t conversions;
-    int waiting, lying, has_stuck;
+    int waiting, extras, lying, has_stuck;
 };
 
 extern struct plant plant;
@@ -43,7 +46,8 @@ void advance(uint64_t now);
 /* Return the actual currents [A]. */
 const double *flow(void);
 
-/* Supplied by the program: 32 unpredictable bits. */
+/* Supplied by the program: 32 unpredictable bits; a call of maglev_wall(). */
 uint32_t draw(void *context);
+void render(void);
 
 #endif

@@ -29,7 +29,7 @@ STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 TRAPPED = ["-O1", "-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
 
-_LARGEST, _REASONS, _NO_FRAME = 256, 12, 7
+_LARGEST, _REASONS, _NO_FRAME = 384, 12, 7
 _Six = c_double * 6
 
 
@@ -43,7 +43,7 @@ def _profile() -> list[tuple[str, Any]]:
         "uint8_t": c_uint8,
         "bool": c_bool,
     }
-    counts = {"": 0, "MAGLEV_KEY": 32, "MAGLEV_HASH": 16}
+    counts = {"": 0, "MAGLEV_KEY": 32, "MAGLEV_HASH": 16, "MAGLEV_SPOTS": 6, "36": 36}
     (text,) = re.findall(r"struct maglev_profile \{\n(.*?)\};", header, re.DOTALL)
     declared = re.findall(r"^    (\w+) (\w+)(?:\[(\w+)\])?;", text, re.MULTILINE)
     return [(name, kinds[kind] * counts[count] if count else kinds[kind]) for kind, name, count in declared]
@@ -66,13 +66,17 @@ class _Reading(ctypes.Structure):
 class _Hardware(ctypes.Structure):
     _read = ctypes.CFUNCTYPE(None, c_void_p, ctypes.POINTER(_Reading))
     _drive = ctypes.CFUNCTYPE(None, c_void_p, c_uint64, ctypes.POINTER(_Six), ctypes.POINTER(_Six), c_double)
+    _add = ctypes.CFUNCTYPE(None, c_void_p, c_uint64, ctypes.POINTER(_Six))
     _cut = ctypes.CFUNCTYPE(None, c_void_p)
     _toggle = ctypes.CFUNCTYPE(None, c_void_p, c_uint64)
     _now = ctypes.CFUNCTYPE(c_uint64, c_void_p)
     _random = ctypes.CFUNCTYPE(c_uint32, c_void_p)
     _fields_ = [
         ("context", c_void_p),
-        *zip(("read", "drive", "cut", "toggle", "now", "random"), (_read, _drive, _cut, _toggle, _now, _random)),
+        *zip(
+            ("read", "drive", "add", "cut", "toggle", "now", "random"),
+            (_read, _drive, _add, _cut, _toggle, _now, _random),
+        ),
     ]
 
 
@@ -85,7 +89,7 @@ class _Device(ctypes.Structure):
         *[(name, c_uint32) for name in ("session", "faults", "first", "answered")],
         ("counts", c_uint32 * _REASONS),
         ("state", c_uint8),
-        *[(name, c_bool) for name in ("is_answered", "holding", "stopping")],
+        *[(name, c_bool) for name in ("is_answered", "holding", "stopping", "walled")],
         ("rises", _Six),
     ]
 
@@ -112,7 +116,8 @@ def library() -> ctypes.CDLL:
         function.restype = c_size_t
     core.maglev_receive.argtypes = [c_void_p, c_char_p, c_size_t, c_uint64, c_void_p]
     core.maglev_heat.argtypes = [c_void_p, c_double, c_void_p]
-    core.maglev_heat.restype = core.maglev_trip.restype = core.maglev_lose_host.restype = None
+    core.maglev_wall.argtypes = [c_void_p]
+    core.maglev_wall.restype = core.maglev_heat.restype = core.maglev_trip.restype = core.maglev_lose_host.restype = None
     return core
 
 
@@ -133,6 +138,9 @@ class CoreFirmware:
         own = {"period": profile.period, "delay": profile.delay, "device": profile.number}
         known = _Profile(**own, **profile.stated, lockstep=profile.lockstep)
         known.calibration[:] = profile.calibration
+        known.wall_period, known.wall_delay = profile.wall_period, profile.wall_delay
+        if (maps := profile.wall_maps) is not None:
+            known.spots[:], known.pose[:], known.current[:] = maps.spots, sum(maps[1], []), sum(maps[2], [])
         if (key := codec._key) is not None:
             known.key_length, known.key[:] = len(key), key[:32].ljust(32, b"\0")
         self._now, self._reading = 0, _Reading()
@@ -143,6 +151,7 @@ class CoreFirmware:
             None,
             _Hardware._read(self._read),
             _Hardware._drive(self._drive),
+            _Hardware._add(self._add),
             _Hardware._cut(lambda _: self._told.append(amplifiers.cut)),
             _Hardware._toggle(lambda _, now: self._told.append(lambda: amplifiers.toggle(now))),
             _Hardware._now(lambda _: self._now),
@@ -175,6 +184,17 @@ class CoreFirmware:
     @property
     def stopping(self) -> bool:
         return bool(self._device.stopping)
+
+    @property
+    def walled(self) -> bool:
+        return bool(self._device.walled)
+
+    def wall(self, now: int, reading: Reading) -> None:
+        self._now = now
+        six = (_Six(*values) for values in (reading.spots, reading.measured, reading.commanded))
+        self._reading = _Reading(now, *six, 0, 0, reading.valid, reading.enabled)
+        self._core.maglev_wall(self._memory)
+        self._passed_on(b"")
 
     @property
     def counts(self) -> Counter[str]:
@@ -236,6 +256,10 @@ class CoreFirmware:
 
     def _read(self, _: Any, place: Any) -> None:
         place[0] = self._reading
+
+    def _add(self, _: Any, now: int, currents: Any) -> None:
+        told = tuple(currents[0])
+        self._told.append(lambda: self._amplifiers.add(now, told))
 
     def _drive(self, _: Any, now: int, held: Any, pulsed: Any, width: float) -> None:
         currents, pulse = tuple(held[0]), tuple(pulsed[0]) if width else None

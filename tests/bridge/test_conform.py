@@ -24,6 +24,7 @@ from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.safety import Limits, Profile, ThermalModel, command_fault
 from maglev_mj.bridge.twin import firmware, twin
 from maglev_mj.bridge.twin.firmware import Firmware
+from maglev_mj.bridge.twin.walls import Walls
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import AmplifierBoard, Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Fault, State
@@ -250,7 +251,7 @@ def test_ctrl_c_in_flight_lands() -> None:
 
 # a twin without a guard
 
-F, C = Firmware, Codec
+F, C, W = Firmware, Codec, Walls
 GUARDS: list[tuple[str, Any, str, str, str]] = [
     # sessions
     ("session", F, "receive", "frame.session != self.session", "False"),
@@ -323,6 +324,15 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("silence-after-arm", F, "_hold", "gap > _GAP * self.profile.period", "False"),
     ("silence-after-arm", F, "_hold", "gap > _GAP * self.profile.period", "gap > 4 * self.profile.period"),
     ("silence-after-commands", F, "_hold", "gap > self._watchdog", "gap > 2 * self._watchdog"),
+    # walls
+    ("walls", F, "_apply", "command.walls, now", "(), now"),
+    ("walls", W, "render", "0.0 if silent and not side else stiffness", "stiffness"),
+    ("wall-limits", Profile, "wall_problem", "not 0.0 <= value <= most", "not value <= most"),
+    ("wall-limits", Profile, "wall_problem", "not 0.0 <= value <= most", "value < 0.0"),
+    ("wall-limits", Profile, "wall_problem", "* lever * lever", ""),
+    ("wall-limits", Profile, "wall_problem", " or not math.isfinite(wall.edge)", ""),
+    ("wall-limits", W, "fault", "not moved <= step", "False"),
+    ("wall-limits", W, "fault", "step * periods", "1e3 * step"),
     # controlled stop
     ("stop", F, "trip", "and self._stop[6]", "and False"),
     ("stop", F, "_reset", "or self.stopping", ""),

@@ -18,10 +18,11 @@ from typing import Any
 
 import pytest
 
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import cobs_decode, cobs_encode
 from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
-from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State
+from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State, Wall
 from tests.bridge.firmware_core import FOLDER, SANITIZED, STRICT, CoreFirmware, library
 from tests.bridge.test_wire import sealed
 from tests.conftest import COMPILER
@@ -30,6 +31,7 @@ PERIOD = 5_000_000
 KEY = bytes(range(32))
 CALIBRATION = bytes(range(16))
 PROFILE = Profile(period=PERIOD, delay=1_500_000, calibration=CALIBRATION, limits=Limits(hover_limit=1.5))
+WALLED = replace(PROFILE, wall_period=1_000_000, wall_delay=200_000, wall_maps=Calibration.nominal().wall_maps)
 ZERO = (0.0,) * 6
 HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
 ODD = (math.nan, math.inf, -math.inf, 10.1, -10.1, 1e308, 5e-324)
@@ -53,6 +55,9 @@ class Amplifiers:
     def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         self.told.append((now, held, pulsed, width))
         self.currents = held
+
+    def add(self, now: int, currents: Sequence[float]) -> None:
+        self.told.append(("add", now, tuple(currents)))
 
     def cut(self) -> None:
         self.told.append("cut")
@@ -91,6 +96,7 @@ class Exchange:
     """
 
     WRONGS = ("nothing", "frames", "currents", "silence", "spots", "frozen", "stopped", "measured", "hot", "disabled")
+    WRONGS += ("walls", "nothing")
 
     def __init__(self, profile: Profile, key: bytes | None, seed: int) -> None:
         self.sides = [Side(made, profile, key) for made in (Firmware, CoreFirmware)]
@@ -99,7 +105,8 @@ class Exchange:
         self.tick = 2**32 - 500  # numbers go round
         self.wrong = "nothing"
         self.spots = [1e-3] * 6
-        self.faults, self.frames, self.stops = Fault(0), Counter[int](), 0
+        self.faults, self.frames, self.stops, self.forces = Fault(0), Counter[int](), 0, 0
+        self.walls = 3 if profile.wall_period else 0
 
     def run(self, steps: int) -> None:
         """Run frames and samples; compare after each."""
@@ -108,6 +115,8 @@ class Exchange:
                 self.wrong = self.WRONGS[number // 120 % len(self.WRONGS)]
                 self.now += self.draw.choice([0, 3_000_000_000])  # coils cool, and a session may be taken over
             (self.sample if self.draw.random() < 0.5 else self.frame)()
+            if self.draw.random() < 0.5:
+                self.wall()
 
     def bad(self, wrong: str, share: float) -> bool:
         """Return True if an error is due now."""
@@ -150,7 +159,31 @@ class Exchange:
         self.sequence += draw.choice([1] * 8 + [0, -1, 3])
         answers = self.tick - (draw.choice([1, 3, 4, 5, -1]) if self.bad("frames", 0.2) else 0)
         width = draw.choice([-1e-9, 1.1, *ODD]) if self.bad("currents", 0.03) else draw.choice([0.0, 0.001])
-        return Command(answers % 2**32, 0, self.currents(), self.currents(), width)
+        walls = tuple(self.one_wall(index) for index in range(draw.randrange(self.walls + 1)))
+        return Command(answers % 2**32, 0, self.currents(), self.currents(), width, walls)
+
+    def one_wall(self, index: int) -> Wall:
+        draw, axis, side = self.draw, (2, 0, 4)[index], (1, -1, 0)[index]
+        lever = 1.0 if axis < 3 else 0.03
+        share = draw.choice([0.05, 1.0]) * lever**2
+        wall = Wall(axis, side, draw.uniform(-1e-4, 1e-4) / lever, 1e5 * share, 400.0 * share, 0.0)
+        if self.bad("walls", 0.1):
+            name, odd = draw.choice(["edge", "stiffness", "damping", "cutoff"]), draw.choice([-1.0, 1.1e5, *ODD])
+            wall = draw.choice([wall._replace(**{name: odd}), wall._replace(axis=6), wall._replace(side=2)])
+        return wall
+
+    def wall(self) -> None:
+        """Sample the walls between two samples of the host."""
+        assert self.sides[1].device.walled == self.sides[0].device.walled
+        draw, self.now = self.draw, self.now + 1_000_000
+        size = draw.choice([1.0, 4e-4, 1e-5]) if self.wrong == "walls" else 1e-4
+        spots = [draw.uniform(-size, size) for _ in range(6)] if self.walls else ZERO
+        valid = 3 if self.bad("walls", 0.01) else 7
+        for side in self.sides:
+            side.device.wall(self.now, Reading(spots, valid, ZERO, ZERO))
+        told = [call for call in self.sides[0].amplifiers.told if isinstance(call, tuple) and call[0] == "add"]
+        self.forces += any(any(currents) for _, _, currents in told)
+        self.compare([side.outcome(None) for side in self.sides])
 
     def currents(self) -> tuple[float, ...]:
         currents = [one * self.draw.uniform(0.5, 1.5) for one in HOVER]
@@ -171,7 +204,7 @@ class Exchange:
         self.tick, self.now = (self.tick + steps) % 2**32, self.now + steps * PERIOD
         self.conversions += not self.bad("stopped", 0.1)
         if not self.bad("frozen", 0.98):
-            self.spots = [draw.uniform(-2e-3, 2e-3) for _ in self.spots]
+            self.spots = [draw.uniform(-2e-3, 2e-3) * (0.05 if self.walls else 1.0) for _ in self.spots]
         spots, valid = list(self.spots), 7
         if self.bad("spots", 0.2):
             spots[draw.randrange(6)] = draw.choice([0.0121, 0.0119, 0.009, 0.006, math.nan, math.inf, 1e308])
@@ -192,17 +225,23 @@ class Exchange:
 @pytest.mark.parametrize("seeds", [2, pytest.param(4, marks=pytest.mark.study)])
 @pytest.mark.parametrize("lockstep", [False, True], ids=["real time", "lockstep"])
 @pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
-def test_it_does_what_the_firmware_in_python_does(key: bytes | None, lockstep: bool, seeds: int) -> None:
+@pytest.mark.parametrize("profile", [PROFILE, WALLED], ids=["no walls", "walls"])
+def test_it_does_what_the_firmware_in_python_does(
+    profile: Profile, key: bytes | None, lockstep: bool, seeds: int
+) -> None:
     faults, frames, counts = Fault(0), Counter[int](), Counter[str]()
     for seed in range(seeds):
-        exchange = Exchange(replace(PROFILE, lockstep=lockstep), key and key[: 32 - 5 * seed], seed)
+        exchange = Exchange(replace(profile, lockstep=lockstep), key and key[: 32 - 5 * seed], seed)
         exchange.run(5000)
-        assert exchange.stops > 50
+        assert exchange.stops > 50 and (exchange.forces > 100 or not profile.wall_period)
         faults |= exchange.faults
         frames += exchange.frames
         counts += exchange.sides[1].device.counts + exchange.sides[1].codec.dropped
-    assert faults == BY_DEVICE | Fault.BOUNDARY | Fault.CLOCK
     assert {2, 4, 5, 8} == set(frames)
+    if profile.wall_period:
+        assert Fault.WALL_ENERGY | Fault.INVALID_COMMAND | Fault.SENSOR_FROZEN in faults
+        return
+    assert faults == BY_DEVICE & ~Fault.WALL_ENERGY | Fault.BOUNDARY | Fault.CLOCK
     assert {"direction", "session", "old", "inactive", "busy", "crc", "magic", "short"} <= set(counts)
 
 
@@ -272,14 +311,14 @@ def test_no_session_has_the_number_0() -> None:
 
 def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
     side = Side(CoreFirmware, PROFILE, None)
-    for length, reason in ((256, "version"), (257, "length")):
+    for length, reason in ((384, "version"), (385, "length")):
         data = bytearray(length)
         data[:4] = b"MJ\x05\x01"
         answer = side.device.receive(sealed(bytes(data)), 0, "host")
         assert (answer is not None) == (reason == "version") and side.codec.dropped[reason] == 1
 
 
-@pytest.mark.parametrize("length", [1, 8, 253, 254, 255, 256])
+@pytest.mark.parametrize("length", [1, 8, 253, 254, 255, 384])
 def test_cobs_is_that_of_the_serial_line(length: int) -> None:
     core, draw = library(), random.Random(length)
     line = ctypes.create_string_buffer(512)
@@ -298,10 +337,10 @@ def test_bytes_of_a_line_that_are_no_frame_are_skipped() -> None:
     core, draw = library(), random.Random(3)
     line = ctypes.create_string_buffer(512)
     for _ in range(500):
-        piece = bytes(draw.choice([1, 2, 3, 255, draw.randrange(1, 256)]) for _ in range(draw.choice([3, 8, 300])))
+        piece = bytes(draw.choice([1, 2, 3, 255, draw.randrange(1, 256)]) for _ in range(draw.choice([3, 8, 500])))
         lengths = [core.maglev_unstuff(line, ctypes.c_uint8(byte)) for byte in piece + b"\0"]
         decoded = cobs_decode(piece) or b""
-        decoded = decoded if len(decoded) <= 256 else b""
+        decoded = decoded if len(decoded) <= 384 else b""
         assert not any(lengths[:-1]) and line.raw[: lengths[-1]] == decoded
 
 
@@ -315,8 +354,9 @@ def test_mutated_frames_do_no_harm(count: int, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     counts = dict(re.findall(r"(\w+) (\d+)", done.stdout.splitlines()[1]))
     assert len(counts) == 12 and all(map(int, counts.values()))  # each reason was met
-    frames, flights, driven, stopped = map(int, re.findall(r"\d+", done.stdout.splitlines()[0]))
+    frames, flights, driven, stopped, pushed = map(int, re.findall(r"\d+", done.stdout.splitlines()[0]))
     assert frames == 2 * count and flights > count // 100 and driven > count // 10 and stopped > count * 3 // 500
+    assert pushed > count // 100
 
 
 @pytest.mark.needs("cross")
@@ -324,4 +364,4 @@ def test_it_compiles_for_a_cortex_m4_and_asks_for_no_library() -> None:
     make = subprocess.run(["make", "firmware"], cwd=FOLDER.parent.parent, capture_output=True, text=True, check=False)
     assert make.returncode == 0, make.stderr
     code, data, bss = map(int, re.findall(r"^\s*(\d+)\s+(\d+)\s+(\d+)", make.stdout, re.MULTILINE)[0])
-    assert code < 8192 and data == bss == 0
+    assert code < 12288 and data == bss == 0

@@ -38,6 +38,7 @@ from tests.processes import Program
 PROFILE = TwinParameters().profile
 NOMINAL = Calibration.nominal()
 SLOPES = NOMINAL.beams._spots(np.zeros(6))[1]
+MAPS = NOMINAL.wall_maps
 PERIOD = 5_000_000
 
 pytestmark = pytest.mark.needs("compiler")
@@ -73,6 +74,8 @@ def write_plant(path: Path) -> Path:
         "gravity": [*NOMINAL.gravity, 0.0, 0.0, 0.0],
         "spots_per_pose": SLOPES,
         "rest": REST,
+        "pose_per_spot": MAPS.pose_per_spot,
+        "current_per_wrench": MAPS.current_per_wrench,
     }
     lines = [f"{name} {' '.join(repr(float(one)) for one in np.ravel(values))}" for name, values in rows.items()]
     path.write_text("\n".join(lines) + "\n", encoding="ascii")

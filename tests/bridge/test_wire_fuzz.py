@@ -103,17 +103,19 @@ def sessions(key: bytes | None) -> list[Frames]:
 
     hello, stop = frame(0, Hello(5, CALIBRATION)), frame(9, Estop(77))
     arm = frame(1, Control(1, Operation.ARM, 0, SIX))
+    walls = (wire.Wall(2, 1, 0.0, 6e3, 80.0, 0.0), wire.Wall(0, -1, 3e-3, 1e3, 0.0, 200.0))
     flight = [hello, arm, *(frame(number, wire.Command(number - 1, 0, SIX, SIX, 0.001)) for number in (2, 3))]
     ends = [frame(9, Control(2, operation, 0, SIX)) for operation in (*Operation, 3, 99)]
     reset = frame(10, Control(3, Operation.RESET, 0, SIX))
     others: list[Any] = [
-        wire.HelloAck(5, 0, 0, 3, 0, 1, CALIBRATION, PERIOD, 0, 0, 0, 0, 0, 0, 0, 20, 10.0, 3.0, 1.4, 10.0, 0.012, 1.0),
+        wire.HelloAck(5, *[0] * 2, 3, 0, 1, CALIBRATION, PERIOD, *[0] * 7, 20, 10.0, 3.0, 1.4, 10.0, 0.01, 1.0, *[0] * 5),
         wire.ControlAck(1, 1, 0, 0, 0),
         wire.StateReport(SIX, SIX, SIX, 0, 7, 0, 0, 0, 0, 1),
         EstopAck(77, 2, 128, 0, SIX),
     ]
     whole = [[hello], [stop], flight, [*flight, stop, reset, arm], [hello, *(frame(1, one) for one in others)]]
-    return [*whole, *([*flight, end] for end in ends)]
+    walled = [*flight, frame(4, wire.Command(3, 0, SIX, SIX, 0.0, walls))]
+    return [*whole, *([*flight, end] for end in ends), walled]
 
 
 SESSIONS = {key: sessions(key) for key in (None, KEY)}

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from maglev_mj.bridge.safety import WallMaps
 from maglev_mj.bridge.wire import CUT
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.files import atomic_path
@@ -117,6 +118,14 @@ class Calibration:
         """Hover currents at the centre, upright [A], (6,)."""
         return self.coils.currents(np.concatenate([-self.mass * self.gravity, np.zeros(3)]))
 
+    @property
+    def wall_maps(self) -> WallMaps:
+        """Linear maps at the centre, for walls on the device; see `WallMaps`."""
+        steps = 1e-6 * np.eye(6)
+        slopes = (self.beams.spots(steps) - self.beams.spots(-steps)).T / 2e-6
+        centre = self.beams.spots(np.zeros(6)) + self.spot_offsets
+        return WallMaps(centre.tolist(), np.linalg.inv(slopes).tolist(), self.coils.current_per_wrench.tolist())
+
     def controlled_stop(self, latency: float, current: float) -> tuple[float, ...]:
         """Return the parameters of a device's controlled stop, eight.
 
@@ -133,9 +142,7 @@ class Calibration:
         weight, most = float(np.linalg.norm(self.gravity)), float(np.abs(self.hover).max())
         if not weight or not most:
             return CUT
-        steps = 1e-6 * np.eye(6)
-        slopes = (self.beams.spots(steps) - self.beams.spots(-steps)).T / 2e-6
-        up = -self.gravity / weight @ np.linalg.inv(slopes)[:3]
+        up = -self.gravity / weight @ np.array(self.wall_maps.pose_per_spot)[:3]
         return (*(_DAMPING / latency / weight * up).tolist(), _STOP, min(_LIFT, 0.99 * current / most))
 
     @property

@@ -452,6 +452,66 @@ def _stale_answers(t: Tester) -> str:
     return same("WATCHDOG; status of another host's HELLO", t.greet(draw()).body.status, HelloStatus.BUSY)
 
 
+# walls
+
+
+def _pressing(t: Tester) -> tuple[wire.Wall, list[float]]:
+    """Bring the device to ACTIVE; return a wall that presses the flotor on its stop with 8 N, and its currents [A]."""
+    t.bring(State.ACTIVE)
+    depth = 0.8e-9 * t.welcome.edge_speed * t.welcome.period
+    stiffness = min(8.0 / depth, t.welcome.stiffness_limit) if depth else 0.0
+    edge = t.calibration.wall_maps.pose(t.last.body.spots)[2] - depth
+    force = [0.0, 0.0, -stiffness * depth, 0.0, 0.0, 0.0]
+    return wire.Wall(2, -1, edge, stiffness, 0.0, 0.0), t.calibration.coils.currents(force).tolist()
+
+
+@check("walls of a CMD add their force at the diodes' pose, end with the CMDs that name them, and stand in silence")
+def _walls(t: Tester) -> str:
+    if not t.welcome.wall_period:
+        return _NO_WALLS
+    wall, currents = _pressing(t)
+    for held in (ZERO, t.half):
+        t.walls, t.law = (wall,), lambda frame, held=held: held
+        close(t.states(6)[-1], [a + b for a, b in zip(held, currents)])
+    t.walls = ()
+    close(t.states(6)[-1], t.half)
+    if not t.welcome.lockstep:
+        for side, expected in ((-1, currents), (0, ZERO)):
+            t.bring(State.ACTIVE)
+            t.walls = (wall._replace(side=side),)
+            t.states(6)
+            t.answering = False
+            frames = t.states(t.welcome.watchdog // t.welcome.period)
+            held = [frame for frame in frames if frame.body.flags & Flag.HOLDING] or fail("HOLDING is never set")
+            close(held[-1], [a + b for a, b in zip(t.half, expected)])
+    return f"{shown(currents)} A for {wall.stiffness:.3g} N/m"
+
+
+@check("a wall that is not finite, above its limits, around the flotor or jumping ends in INVALID_COMMAND")
+def _wall_limits(t: Tester) -> str:
+    if not t.welcome.wall_period:
+        return _NO_WALLS
+    step, most = 2e-9 * t.welcome.edge_speed * t.welcome.period, t.welcome.stiffness_limit
+    bad: list[dict[str, Any]] = [{"axis": 6}, {"side": 2}, {"side": -2}, {"cutoff": -1.0}]
+    bad += [{name: value} for name in ("edge", "stiffness", "damping", "cutoff") for value in _UNREAL]
+    bad += [{"stiffness": -1.0}, {"stiffness": 1.001 * most}, {"axis": 3, "stiffness": 9.1e-4 * most}]
+    bad += [{"damping": -1.0}, {"damping": 1.001 * t.welcome.damping_limit}]
+    for change in (*bad, {"edge": -step}, {"edge": step, "side": 1}, {"edge": step, "side": 0}, {"edge": step}):
+        wall, _ = _pressing(t)
+        if set(change) == {"edge"} and change["edge"] == step:  # of a wall that continues
+            t.walls = (wall,)
+            t.states(3)
+        if "edge" in change:
+            change = change | {"edge": wall.edge + change["edge"]}
+        t.once, t.walls = [[ZERO, (), 0.0, (wall._replace(**change),)]], ()
+        with case(", ".join(f"{name} {value:g}" for name, value in change.items())):
+            t.expect(State.FAULT, Fault.INVALID_COMMAND, 1)
+    return f"INVALID_COMMAND, {len(bad) + 4} walls"
+
+
+_NO_WALLS = "not checked: the device renders no walls"
+
+
 # the controlled stop
 
 

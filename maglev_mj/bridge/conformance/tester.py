@@ -48,6 +48,7 @@ class Tester:
         welcome: HELLO_ACK of the session, sent at `greeted` by the device's clock [ns].
         last: Newest STATE.
         law: Function from a STATE to the currents of its answer [A].
+        walls: Walls of every command.
         once: Arguments of `command` for the next answer, instead of the law's currents.
         answering: True if STATEs are answered.
         loss: Fraction of answers that are lost; the same fractions are damaged and duplicated.
@@ -66,6 +67,7 @@ class Tester:
         self.answering, self.late, self.loss = True, False, 0.0
         self.wrong: dict[str, str] = {}
         self.once: list[Sequence[Any]] = []
+        self.walls: tuple[wire.Wall, ...] = ()
         self._answer: Sequence[Any] = []
         self.others: list[Any] = []
         self._sessions: set[int] = set()
@@ -83,10 +85,18 @@ class Tester:
             session = 0
         return self.codec.encode(self.session if session is None else session, sequence, self.now(), body)
 
-    def command(self, answers: int, held: Sequence[float], pulsed: Sequence[float] = (), width: float = 0.0) -> None:
+    def command(
+        self,
+        answers: int,
+        held: Sequence[float],
+        pulsed: Sequence[float] = (),
+        width: float = 0.0,
+        walls: tuple[wire.Wall, ...] | None = None,
+    ) -> None:
         """Send currents under the next sequence number."""
         self.sequence = (self.sequence + 1) & WRAP
-        body = wire.Command(answers & WRAP, 0, tuple(held), tuple(pulsed or held), width)
+        walls = self.walls if walls is None else walls
+        body = wire.Command(answers & WRAP, 0, tuple(held), tuple(pulsed or held), width, walls)
         data, chance = self.encode(body, sequence=self.sequence), self._random.random()
         if self.loss <= chance < 2.0 * self.loss:
             self.links[0].send(data[:43] + bytes([data[43] ^ 255]) + data[44:])
@@ -254,7 +264,7 @@ class Tester:
             answering: False to stop sending commands afterwards.
             stop: Parameters of the controlled stop at ARM.
         """
-        self.law, self.answering, self.loss, self.once = _zeros, True, 0.0, []
+        self.law, self.answering, self.loss, self.once, self.walls = _zeros, True, 0.0, [], ()
         try:
             self.ask(Operation.DISARM) if self.session else self.join()
         except Unexpected:

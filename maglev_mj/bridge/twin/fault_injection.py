@@ -67,6 +67,10 @@ def _silence(twin: Any, milliseconds: int) -> None:
     twin.silent_until = twin.board.now + milliseconds * _MS
 
 
+def _late_sensor(twin: Any, milliseconds: int) -> None:
+    twin.sensor_delay = milliseconds * _MS
+
+
 def _stuck_amplifier(twin: Any, coil: int) -> None:
     twin.board.stuck[coil] = float(twin.plant.currents[coil])
 
@@ -90,6 +94,7 @@ INJECTED_FAULTS = {
     "hot-report": Effect("the reported temperature of coil K is 5", 5, report=_HOT),
     "clock-jump": Effect("the device's clock jumps ahead by K milliseconds", 10_000, _clock_jump),
     "silence": Effect("no frame is sent or received for K milliseconds", 60_000, _silence),
+    "late-sensor": Effect("the diodes are read K milliseconds late", 100, _late_sensor),
     "hung-firmware": Effect("the firmware hangs, the amplifier board works (K is 0)", 0, _hung_firmware),
 }
 """Faults of a device by name."""

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Profile, SpotGuard, ThermalModel, command_fault
+from maglev_mj.bridge.twin.walls import Walls
 from maglev_mj.bridge.wire import NEVER, WRAP, Codec, Fault, HelloStatus, Operation, State, newer
 from maglev_mj.frames import ZERO
 
@@ -26,8 +27,11 @@ class Amplifiers(Protocol):
     def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         """Switch to the currents [A] as soon as possible; `now` is the device's time [ns]."""
 
+    def add(self, now: int, currents: Sequence[float]) -> None:
+        """Add the currents of walls [A] to the others from `wall_delay` after `now` [ns], until the next call."""
+
     def cut(self) -> None:
-        """Switch all currents off and discard pending ones."""
+        """Switch all currents off and discard pending ones, those of walls too."""
 
     def toggle(self, now: int) -> None:
         """Toggle the amplifiers' enable line."""
@@ -71,6 +75,7 @@ class Firmware:
         self._nonce, self._heard, self._sequence = 0, 0, 0
         self._acknowledgement: wire.ControlAck | None = None
         self._hover: Sequence[float] = ZERO
+        self._lifted: Sequence[float] = ZERO  # largest currents without a command
         self._stop: Sequence[float] = wire.CUT
         self._stopped_at = 0
         self._commanded_at, self._answers, self._holding, self._sampled = 0, NEVER, False, 0
@@ -78,6 +83,8 @@ class Firmware:
         self._watchdog = profile.stated["watchdog"]
         self._first, self._fault_time, self._sampled_at = Fault(0), 0, 0
         self._measured: Sequence[float] = ZERO
+        self._walls, self._wall_time = Walls(profile), profile.wall_period * 1e-9
+        self._wall_spots = SpotGuard(profile.limits, self._wall_time)
         self._reset_guards()
         # largest age of the answered sample [ns]
         self._stale = 0 if profile.lockstep else profile.stated["stale"]
@@ -156,6 +163,30 @@ class Firmware:
         body = wire.StateReport(*sixes, self.state, valid, flags, self.faults, self._answers, age, count)
         return self._codec.encode(self.session, tick, now, body)
 
+    @property
+    def walled(self) -> bool:
+        """True while `wall` is to be called at each sample of the walls."""
+        return self._walls.active
+
+    def wall(self, now: int, reading: Reading) -> None:
+        """Render the walls at a sample of their own clock, `wall_period` after the last one.
+
+        Args:
+            now: Time of the sample [ns].
+            reading: Measurements; spots and validity are used.
+        """
+        if not self._walls.active or not (self.state == State.ACTIVE or self.stopping):
+            return
+        if faults := self._wall_spots.check(reading.spots, reading.valid, now, 1):
+            self.trip(faults, now)
+            return
+        stopping = max(now - self._stopped_at, 0) * 1e-9 if self.stopping else 0.0
+        self._amplifiers.add(now, self._walls.render(now, reading.spots, self._holding or self.stopping, stopping))
+        if self._walls.unstable:
+            self._walls.clear()
+            self._amplifiers.add(now, ZERO)
+            self.trip(Fault.WALL_ENERGY, now, soft=True)
+
     def trip(self, faults: Fault, now: int, *, soft: bool = False) -> None:
         """Latch faults at `now` [ns], and cut the currents; if `soft`, by a controlled stop if currents flow."""
         flying = self.state == State.ACTIVE and (self._holding or self._answers != NEVER)
@@ -177,6 +208,7 @@ class Firmware:
 
     def _cut(self) -> None:
         self._amplifiers.cut()
+        self._walls.clear()
         self.stopping = self._holding = False
 
     def _hold(self, now: int, faults: Fault) -> bool:
@@ -236,9 +268,14 @@ class Firmware:
             if self.state == State.INACTIVE:  # so that a host can measure the link before takeoff
                 self._commanded_at, self._answers = now, command.answers
             return
-        if wrong := command_fault(self.profile.limits, command.held, command.pulsed, command.width):
+        wrong = command_fault(self.profile.limits, command.held, command.pulsed, command.width)
+        periods = (command.answers - self._answers) & WRAP if self._answers != NEVER else 1
+        if wrong := wrong or self._walls.fault(command.walls, self._spots.last, periods):
             self.trip(wrong, now, soft=True)
             return
+        if command.walls and not self._walls.active:
+            self._wall_spots = SpotGuard(self.profile.limits, self._wall_time)
+        self._walls.command(command.walls, now + self.profile.delay, (command.held, command.pulsed, self._lifted))
         self._commanded_at, self._answers, self._holding = now, command.answers, False
         self._amplifiers.drive(now, command.held, command.pulsed if command.width else None, command.width)
 
@@ -284,6 +321,7 @@ class Firmware:
         if not all(abs(stop[7] * x) <= limits.continuous_current for x in hover):
             return False
         self._hover, self._stop = hover, stop
+        self._lifted = [max(stop[7], 1.0) * x for x in hover]
         self._commanded_at, self._answers, self._holding = now, NEVER, False
         self._reset_guards()
         self.state = State.ACTIVE

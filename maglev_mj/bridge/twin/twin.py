@@ -19,6 +19,7 @@ from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
+from maglev_mj.bridge.twin.wall_clock import WallClock
 from maglev_mj.bridge.wire import WRAP, Codec, Fault, State, StateReport, fault_names
 from maglev_mj.errors import check_instance, check_one_of
 from maglev_mj.frames import ZERO, Array
@@ -27,7 +28,7 @@ from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.plants.hand import HandForce
 from maglev_mj.scenes.scene import PLANTS
-from maglev_mj.spec import Spec
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, Spec
 from maglev_mj.terminal import wrapped
 
 REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
@@ -66,6 +67,8 @@ class TwinParameters:
     limits: Limits = field(default_factory=Limits)
     faults: Sequence[InjectedFault] = ()
     plant: str = "mujoco"  # name from PLANTS
+    wall_period: float = DEVICE_PERIOD  # sample period of walls [s], rounded to a divisor of `period`; 0 for no walls
+    wall_delay: float = DEVICE_DELAY  # delay of walls [s]
 
     profile: Profile = field(init=False)  # for the handshake; limits adapted to calibration, period and sensor
 
@@ -81,9 +84,14 @@ class TwinParameters:
             # with noise of half a quantum no reading repeats for long
             frozen=limits.frozen if self.noise > 0.0 and self.noise >= 0.5 * self.quantum else 0,
         )
-        digest = self.calibration.digest
-        profile = Profile(period=period, delay=delay, calibration=digest, limits=limits, lockstep=self.lockstep)
-        object.__setattr__(self, "profile", profile)
+        walls: dict[str, Any] = {}
+        if number("wall_period", self.wall_period, at_least=0.0):
+            count = max(round(self.period / self.wall_period), 1)
+            own = period // next(part for part in range(count, 0, -1) if period % part == 0)
+            late = round(number("wall_delay", self.wall_delay, at_least=0.0) * 1e9)
+            walls = {"wall_period": own, "wall_delay": min(late, 2 * own), "wall_maps": self.calibration.wall_maps}
+        own_limits = {"calibration": self.calibration.digest, "limits": limits, "lockstep": self.lockstep}
+        object.__setattr__(self, "profile", Profile(period=period, delay=delay, **own_limits, **walls))
 
 
 class AmplifierBoard:
@@ -102,6 +110,7 @@ class AmplifierBoard:
         self._sampled_at, self.now, self._opens = -1, 0, 0
         self._commands: Sequence[float] = ZERO
         self.stuck: dict[int, float] = {}
+        self.walls: WallClock | None = None  # of the twin
 
     @property
     def enabled(self) -> bool:
@@ -116,11 +125,20 @@ class AmplifierBoard:
         """Switch to the currents [A] after the device's delay."""
         if self.enabled:
             # in lockstep the command takes no time; None avoids rounding
-            after = None if self._lockstep else (self.now - self._sampled_at) * 1e-9 + self._delay
+            passed = (self.now - self._sampled_at) * 1e-9
+            after = None if self._lockstep and not passed else passed + self._delay
             self._switch(held, pulsed, width, after)
+
+    def add(self, now: int, currents: Sequence[float]) -> None:
+        """Add the currents of walls after their delay; see `Amplifiers`."""
+        if self.walls is not None and self.enabled:
+            moving = [0.0 if coil in self.stuck else x for coil, x in enumerate(currents)]
+            self.walls.add((self.now - self._sampled_at) * 1e-9, moving)
 
     def cut(self) -> None:
         """Switch all currents off immediately."""
+        if self.walls is not None:
+            self.walls.cut()
         self._switch(ZERO, None, 0.0, (self.now - self._sampled_at) * 1e-9)
 
     def toggle(self, now: int) -> None:
@@ -130,8 +148,14 @@ class AmplifierBoard:
     def advance(self, now: int) -> None:
         """Advance to the next sample [ns]; cut the currents if `enable` has elapsed."""
         if self._sampled_at < self._opens <= now:
-            self.now = self._opens
+            self.pass_to(self._opens)
             self.cut()
+
+    def pass_to(self, now: int) -> None:
+        """Let time pass to `now` [ns], with the samples of walls until then."""
+        if self.walls is not None and self.walls.busy and self._sampled_at >= 0:
+            self._plant.advance((now - self._sampled_at) * 1e-9)
+        self.now = now
 
     def sampled(self, now: int) -> None:
         """Set the time of the last sample [ns]."""
@@ -165,6 +189,7 @@ class Twin:
         ahead: Offset of the firmware's clock [ns].
         hung: True if the firmware hangs.
         silent_until: Time until which no frames pass [ns].
+        sensor_delay: Delay of the diodes' readings [ns].
 
     Example:
         >>> from maglev_mj import Twin, TwinParameters
@@ -185,7 +210,10 @@ class Twin:
         self.parameters = parameters
         self.truth = truth = parameters.truth or parameters.calibration
         self.plant = _plant(parameters, truth, hand_force)
-        self._read = SpotReader(truth.beams, quantum=parameters.quantum, noise=parameters.noise, seed=parameters.seed)
+        self._read, self._read_walls = (
+            SpotReader(truth.beams, quantum=parameters.quantum, noise=parameters.noise, seed=parameters.seed + offset)
+            for offset in (0, 1)
+        )
         self._offsets: list[float] | None = truth.spot_offsets.tolist() if truth.spot_offsets.any() else None
         self.codec = Codec(key)
         self.board = AmplifierBoard(self.plant, parameters)
@@ -194,7 +222,8 @@ class Twin:
         self._period = parameters.profile.period
         self._waiting = sorted(parameters.faults, key=lambda fault: fault.at)
         self._live: list[tuple[Effect, int, Reading]] = []
-        self.ahead, self.hung, self.silent_until = 0, False, 0
+        self.ahead, self.hung, self.silent_until, self.sensor_delay = 0, False, 0, 0
+        self._seen = deque[tuple[int, Sequence[float]]]()
 
     @property
     def answered(self) -> bool:
@@ -210,7 +239,7 @@ class Twin:
         """Handle a frame received at `now` [ns], in simulated time; return the reply, or None."""
         if self.hung or self._silent:
             return None
-        self.board.now = max(now, self.tick * self._period)
+        self.board.pass_to(max(now, self.tick * self._period))
         return self.firmware.receive(data, self.board.now + self.ahead, peer)
 
     def sample(self) -> bytes | None:
@@ -220,24 +249,54 @@ class Twin:
             DivergenceError: If the flotor is far outside its range of motion, which the metal stops prevent.
         """
         now = (self.tick + 1) * self._period
+        if self.board.walls is None and self.firmware.walled:
+            self._follow_walls()
         self.board.advance(now)
         position = self.plant.read().position
         self.tick += 1
         self.board.sampled(now)
-        spots: Sequence[float] = self._read(position)
-        if self._offsets is not None:
-            spots = [spot + offset for spot, offset in zip(spots, self._offsets)]
         currents, board = self.plant.currents.tolist(), self.board
         commands = board.commanded(currents) if board.stuck else currents
+        spots = self._spots(self._read(position), now)
         reading = Reading(spots, _ALL, currents, commands, self.plant.intervals, self.tick + 1, board.enabled)
         if self._waiting:
             self._begin(reading)
-        for effect, which, first in self._live:
-            reading = effect.read(reading, first, which) if effect.read else reading
+        reading = self._affected(reading)
         if self.hung:
             return None
         frame = self.firmware.sample(self.tick, now + self.ahead, reading)
         return None if frame is None or self._silent else self._reported(frame)
+
+    def _spots(self, spots: Sequence[float], now: int) -> Sequence[float]:
+        """Return spots as the sensor reports them, with its offsets and its own delay."""
+        if self._offsets is not None:
+            spots = [spot + offset for spot, offset in zip(spots, self._offsets)]
+        if self.sensor_delay:
+            self._seen.append((now, spots))
+            while len(self._seen) > 1 and self._seen[1][0] <= now - self.sensor_delay:
+                self._seen.popleft()
+            return self._seen[0][1]
+        return spots
+
+    def _affected(self, reading: Reading) -> Reading:
+        """Return a reading as changed by injected faults."""
+        for effect, which, first in self._live:
+            reading = effect.read(reading, first, which) if effect.read else reading
+        return reading
+
+    def _follow_walls(self) -> None:
+        """Divide the periods from now on for the firmware's walls."""
+        profile, plant = self.firmware.profile, self.plant
+        step, delay = profile.wall_period * 1e-9, profile.wall_delay * 1e-9
+        walled = lambda: self.firmware.walled and not self.hung  # noqa: E731
+        self.board.walls = WallClock(plant._timeline, step, delay, self._sample_walls, walled, plant.raised)
+        plant.follow(self.board.walls)
+
+    def _sample_walls(self, after: float) -> None:
+        """Sample the walls at a time after the last sample [s]."""
+        now = self.board.now = self.tick * self._period + round(after * 1e9)
+        spots = self._spots(self._read_walls(self.plant._motion()[0]), now)
+        self.firmware.wall(now + self.ahead, self._affected(Reading(spots, _ALL, ZERO, ZERO)))
 
     @property
     def _silent(self) -> bool:

@@ -33,7 +33,7 @@ struct maglev_profile profile = {PROFILE};
 
 struct ring { uint8_t bytes[RING]; volatile uint32_t head, tail; };
 static struct ring came, leaving;
-static struct { uint32_t sample, command, frame, lost, again; } most; /* [clock counts], and numbers */
+static struct { uint32_t sample, command, frame, wall, lost, again; } most; /* [clock counts], and numbers */
 
 /* What the compiler needs of a C library, besides the firmware's memset. */
 void *memcpy(void *to, const void *from, size_t count);
@@ -177,11 +177,17 @@ static void tell(void) {
     say("us ", plant.now / 1000), say(" number ", plant.number), say(" state ", device.state);
     say(" faults ", device.faults), say(" flows ", flows);
     say(" sample ", most.sample), say(" command ", most.command), say(" frame ", most.frame);
-    say(" lost ", most.lost), say(" again ", most.again);
+    say(" wall ", most.wall), say(" lost ", most.lost), say(" again ", most.again);
     say(" stack ", (uint32_t)((stack_end - unused) * 4)), print("\n");
 }
 
 /* ---- samples ---- */
+
+void render(void) {
+    uint32_t before = begin();
+    maglev_wall(&device);
+    note(&most.wall, before);
+}
 
 static void run(void) {
     static uint8_t frame[MAGLEV_LARGEST];

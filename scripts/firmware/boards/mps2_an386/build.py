@@ -49,7 +49,8 @@ def plant(hand: str) -> dict[str, object]:
 def profile(key: bytes) -> dict[str, object]:
     """Return the members of the profile."""
     profile = TwinParameters(lockstep=True).profile
-    limits = profile.limits
+    limits, maps = profile.limits, profile.wall_maps
+    assert maps is not None
     return {
         "period": profile.period,
         "delay": profile.delay,
@@ -62,6 +63,9 @@ def profile(key: bytes) -> dict[str, object]:
         "thermal_time": limits.thermal_time,
         "spot_limit": limits.spot_limit,
         "spot_speed": limits.spot_speed,
+        **{name: getattr(limits, name) for name in ("stiffness_limit", "damping_limit", "edge_speed")},
+        **{name: getattr(profile, name) for name in ("wall_period", "wall_delay")},
+        **{"spots": maps.spots, "pose": maps.pose_per_spot, "current": maps.current_per_wrench},
         "device": profile.number,
         "key_length": len(key),
         "key": np.frombuffer(key.ljust(32, b"\0"), np.uint8),
