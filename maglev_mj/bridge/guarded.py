@@ -396,9 +396,7 @@ class GuardedPlant:
         self._located = tuple(pose)  # copy: the caller may modify the list
         return pose, None, since
 
-    def _send(
-        self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, walls: _Walls = ()
-    ) -> None:
+    def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, walls: _Walls = ()) -> None:
         self.last_currents = held
         if walls or self._walls:
             self._walls, self._walled_until = walls, self.samples.tick + _WALLED

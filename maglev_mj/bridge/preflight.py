@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 
@@ -300,8 +300,23 @@ def preflight(
         MaglevError: If a law fails, or its stability is not known in time.
     """
     report = report or measure_link(plant)
-    question = scene.replace(period=plant.period, delay=plant.delay), plant.calibration.body.inertia, report, as_written
+    question = on_device(scene, plant), plant.calibration.body.inertia, report, as_written
     return _assess_aside(plant, *question) if aside else assess(*question)
+
+
+def on_device(scene: Scene, plant: RemotePlant) -> Scene:
+    """Return a scene with the clocks of a device.
+
+    Raises:
+        ParameterError: If the device cannot render a wall of the scene.
+    """
+    clocks = {"period": plant.period, "delay": plant.delay}
+    if plant.walls_clock is not None:
+        own = zip(("device_period", "device_delay"), plant.walls_clock)
+        clocks |= {name: value for name, value in own if hasattr(scene, name)}
+    scene = scene.replace(**clocks)
+    plant.check_walls(scene.controller().device_walls)
+    return scene
 
 
 def _assess_aside(plant: RemotePlant, scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -> Preflight:
@@ -380,7 +395,8 @@ def judge_change(
 
 
 def _critical_delay(scene: Scene, inertia: Array) -> float:
-    margins = delay_margins(device_controller(scene), list(HANDS), pose=scene.start().pose, inertia=inertia)
+    around: Any = {"pose": scene.start().pose, "inertia": inertia, "device": scene.timing().device}
+    margins = delay_margins(device_controller(scene), list(HANDS), **around)
     return float(np.min([*margins.values()]))
 
 
@@ -422,7 +438,8 @@ def _reduced(scene: Scene, required_delay: float, inertia: Array) -> Scene | Non
                 reduced = scene.replace(stiffness=share * stiffness, damping=damping_share * damping)
             except ParameterError:
                 continue
-            if judge(device_controller(reduced), delay=delay, pose=reduced.start().pose, inertia=inertia).stable:
+            around: Any = {"pose": reduced.start().pose, "inertia": inertia, "device": reduced.timing().device}
+            if judge(device_controller(reduced), delay=delay, **around).stable:
                 return reduced
         return None
 

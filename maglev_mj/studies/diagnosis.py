@@ -401,7 +401,7 @@ def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
     controller, body = found.controller(), found.body.inertia
     gains, law, velocity = stated_gains(controller), None, controller.velocity
     around: Any = {"period": found.period, "delay": found.delay}
-    own, rendered = laws_on_device(controller, found.timing().device), dict[str, Any]()
+    own, rendered, acting = laws_on_device(controller, found.timing().device), dict[str, Any](), tuple[str, ...]()
     if own and gains is not None:  # the wall in question; the host's laws in contact are beside it
         index, acting = max(own, key=lambda axis: (own[axis].stiffness, own[axis].damping)), ("contact",)
         k, b = (float(part[index]) for part in gains[acting])

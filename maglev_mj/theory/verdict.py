@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from itertools import compress, product
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
@@ -275,9 +275,15 @@ def stated_gains(controller: Controller) -> _Gains | None:
 
 
 def _by_gains(
-    gains: _Gains, controller: Controller, delay: float, pose: Array, body: Array, laws: Mapping[int, DeviceLaw]
+    gains: _Gains,
+    controller: Controller,
+    delay: float,
+    pose: Array,
+    body: Array,
+    laws: Mapping[int, DeviceLaw],
+    hand: Hand | None = None,
 ) -> Verdict:
-    """Return the verdict from declared gains, and laws on the device in contact."""
+    """Return the verdict from declared gains, and laws on the device in contact; with a hand on the translations."""
     kinds: dict[tuple[Any, ...], tuple[list[str], NDArray[Any]]] = {}
     touching: Mapping[Any, Mapping[int, DeviceLaw]] = {acting: laws if "contact" in acting else {} for acting in gains}
     own = [
@@ -286,14 +292,16 @@ def _by_gains(
     ]
     loop: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
     cases = {mass: {pair for axis in np.flatnonzero(body == mass) for pair in own[axis].values()} for mass in {*body}}
-    roots_of = {mass: _poles_of(pairs, mass=mass, **loop) for mass, pairs in cases.items()}  # once for equal axes
+    held = {mass: hand if mass in body[:3] else None for mass in cases}
+    # once for equal axes
+    roots_of = {mass: _poles_of(frozenset(pairs), mass=mass, hand=held[mass], **loop) for mass, pairs in cases.items()}
     for axis, mass, axis_gains in zip(AXES, body.tolist(), own, strict=True):
         states_here = [acting[0] for acting in gains if len(acting) == 1 and axis_gains[acting] != axis_gains[()]]
         for acting in (acting for acting in gains if set(acting) <= set(states_here)):
             stiffness, damping, law = case = axis_gains[acting]
             if law is not None:
                 stiffness, damping = stiffness + law.stiffness, damping + law.damping
-            free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
+            free = 0 if stiffness > 0.0 or held[mass] is not None else 1 if damping > 0.0 else 2
             roots = roots_of[mass][case]
             others = tuple(name for name in states_here if name not in acting)
             kind = acting, others, round(_spectral_radius(roots, free), 12), free > 0
@@ -320,18 +328,25 @@ def _by_gains(
 _Case: TypeAlias = tuple[float, float, DeviceLaw | None]
 
 
-def _poles_of(cases: Iterable[_Case], **loop: Any) -> dict[_Case, NDArray[Any]]:
+@lru_cache(maxsize=512)  # rotations are the same in every hand
+def _poles_of(cases: frozenset[_Case], **loop: Any) -> dict[_Case, NDArray[Any]]:
     """Return the poles per host period of gains beside a law on the device, those without one at once."""
-    cases = list(cases)
     alone = [case for case in cases if case[2] is None]
     stiffness, damping = np.array([case[:2] for case in alone]).reshape(-1, 2).T
     poles = np.linalg.eigvals(SampledLoop(**loop).matrix(stiffness, damping))
     roots_of: dict[_Case, NDArray[Any]] = dict(zip(alone, poles, strict=True))
     for stiff, damp, law in cases:
         if law is not None:
-            roots = np.linalg.eigvals(SampledLoop(device=law, **loop).matrix(stiff, damp)).astype(np.complex128)
-            roots_of[stiff, damp, law] = roots ** (1.0 / rates_of(loop["period"], law).host)
+            late = loop["delay"] if stiff or damp else 0.0  # without gains on the host its delay does not matter
+            roots_of[stiff, damp, law] = _two_rate_poles(stiff, damp, law, **loop | {"delay": late})
     return roots_of
+
+
+@lru_cache(maxsize=512)
+def _two_rate_poles(stiffness: float, damping: float, law: DeviceLaw, **loop: Any) -> NDArray[Any]:
+    """Return the poles per host period of gains beside a law on the device."""
+    roots = np.linalg.eigvals(SampledLoop(device=law, **loop).matrix(stiffness, damping)).astype(np.complex128)
+    return np.asarray(roots ** (1.0 / rates_of(loop["period"], law).host))
 
 
 def _word(stable: bool | None) -> str:
@@ -578,7 +593,12 @@ def axis_law(controller: Controller, axis: int, *, pose: ArrayLike, inertia: Arr
 
 
 def delay_margins(
-    controller: Controller, hands: Sequence[str], *, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA
+    controller: Controller,
+    hands: Sequence[str],
+    *,
+    pose: ArrayLike = ZERO,
+    inertia: ArrayLike = INERTIA,
+    device: ArrayLike = (DEVICE_PERIOD, DEVICE_DELAY),
 ) -> dict[str, float]:
     """Return the critical delay of a controller's loops, free and in each hand [s].
 
@@ -589,6 +609,7 @@ def delay_margins(
         hands: Names of hands; "none" for a free flotor.
         pose: Start of the flotor [m, rad], (6,).
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
+        device: Sample period and delay of walls on the device [s], (2,).
 
     Returns:
         By hand: 0 if a loop is unstable without delay, infinity if all are stable up to the lesser of 30 ms and 10
@@ -606,6 +627,10 @@ def delay_margins(
     """
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
     gains, period = stated_gains(controller), controller.period
+    own, late = numbers("device", device, shape="(2,)").tolist()
+    laws = laws_on_device(controller, (own, late))
+    if gains is None and laws:
+        return dict.fromkeys(hands, math.nan)
     if gains is None:
         try:
             linear = _linearised(controller, start, body)
@@ -616,6 +641,8 @@ def delay_margins(
         loops = [*_grouped(linear.loops)]
 
     def spectral_radius(delay: float, hand: Hand | None) -> float:
+        if gains is not None and laws:
+            return _by_gains(gains, controller, delay, start, body, laws, hand).spectral_radius
         if gains is not None:
             return float(stated_spectral_radii([*gains.values()], controller, delay, body, hand).max())
         roots = (_own_spectral_radius(own, loop.still) for loop, own in _roots(loops, delay, body, hand))

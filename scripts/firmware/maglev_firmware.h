@@ -188,7 +188,7 @@ struct maglev_device {
     uint32_t count, next_count;
     bool has_next, has_pose;
     uint64_t due, wall_sampled;
-    double pose[6], wall_speeds[MAGLEV_WALLS], wall_forces[MAGLEV_WALLS], peaks[2][MAGLEV_COILS], energy;
+    double pose[6], wall_speeds[MAGLEV_WALLS], wall_forces[MAGLEV_WALLS], peaks[2][MAGLEV_COILS], energy, stored;
     struct maglev_diodes seen;
 };
 

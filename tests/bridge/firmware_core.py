@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 from ctypes import c_bool, c_char_p, c_double, c_size_t, c_uint8, c_uint32, c_uint64, c_void_p
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +118,9 @@ def library() -> ctypes.CDLL:
     core.maglev_receive.argtypes = [c_void_p, c_char_p, c_size_t, c_uint64, c_void_p]
     core.maglev_heat.argtypes = [c_void_p, c_double, c_void_p]
     core.maglev_wall.argtypes = [c_void_p]
-    core.maglev_wall.restype = core.maglev_heat.restype = core.maglev_trip.restype = core.maglev_lose_host.restype = None
+    core.maglev_wall.restype = core.maglev_heat.restype = core.maglev_trip.restype = core.maglev_lose_host.restype = (
+        None
+    )
     return core
 
 
@@ -140,7 +143,7 @@ class CoreFirmware:
         known.calibration[:] = profile.calibration
         known.wall_period, known.wall_delay = profile.wall_period, profile.wall_delay
         if (maps := profile.wall_maps) is not None:
-            known.spots[:], known.pose[:], known.current[:] = maps.spots, sum(maps[1], []), sum(maps[2], [])
+            known.spots[:], known.pose[:], known.current[:] = maps.spots, [*chain(*maps[1])], [*chain(*maps[2])]
         if (key := codec._key) is not None:
             known.key_length, known.key[:] = len(key), key[:32].ljust(32, b"\0")
         self._now, self._reading = 0, _Reading()

@@ -95,8 +95,7 @@ class Exchange:
         stops: Number of steps in controlled stops.
     """
 
-    WRONGS = ("nothing", "frames", "currents", "silence", "spots", "frozen", "stopped", "measured", "hot", "disabled")
-    WRONGS += ("walls", "nothing")
+    WRONGS = "nothing frames currents silence spots frozen stopped measured hot disabled walls nothing".split()
 
     def __init__(self, profile: Profile, key: bytes | None, seed: int) -> None:
         self.sides = [Side(made, profile, key) for made in (Firmware, CoreFirmware)]
@@ -169,7 +168,8 @@ class Exchange:
         wall = Wall(axis, side, draw.uniform(-1e-4, 1e-4) / lever, 1e5 * share, 400.0 * share, 0.0)
         if self.bad("walls", 0.1):
             name, odd = draw.choice(["edge", "stiffness", "damping", "cutoff"]), draw.choice([-1.0, 1.1e5, *ODD])
-            wall = draw.choice([wall._replace(**{name: odd}), wall._replace(axis=6), wall._replace(side=2)])
+            changes: list[dict[str, Any]] = [{name: odd}, {"axis": 6}, {"side": 2}]
+            wall = wall._replace(**draw.choice(changes))
         return wall
 
     def wall(self) -> None:

@@ -76,6 +76,9 @@ ABSURD: list[tuple[str, Any, str]] = [
             ("thermal_time", 0.009, 1.1e7),
             ("spot_limit", 0.9e-4, 0.11),
             ("spot_speed", 0.9e-3, 101.0),
+            ("stiffness_limit", -0.1, 1.1e8),
+            ("damping_limit", -0.1, 1.1e6),
+            ("edge_speed", -0.1, 10.1),
         )
         for value in (NAN, INF, -INF, -1.0, 1e9, least, most)
     ),
@@ -88,6 +91,8 @@ ABSURD: list[tuple[str, Any, str]] = [
     ("enable", 50_000_001, "enable must be at most watchdog, 0.05 s [(]got 0.050000001 s"),
     ("stale", 4_999_999, "one period must be at most stale, 0.004999999 s [(]got 0.005 s"),
     ("stale", 50_000_001, "stale must be at most watchdog, 0.05 s [(]got 0.050000001 s"),
+    ("wall_period", 3_000_000, "wall_period must divide 5000000 ns"),
+    ("wall_delay", 2_000_001, "wall_delay must be at most two wall periods, 0.002 s [(]got 0.002000001 s"),
     ("hover_limit", 3.5, "hover_limit must be at most continuous_current, 3 A [(]got 3.5 A"),
     ("continuous_current", 11.0, "continuous_current must be at most current_limit, 10 A [(]got 11 A"),
     ("state", State.FAULT, "state FAULT with faults none"),
@@ -164,7 +169,7 @@ def foreign() -> bytes:
     """Return an untagged frame of another version."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("maglev_mj.bridge.wire.VERSION", 7)
-        return Codec().encode(0, 0, 0, HelloAck(0, 1, 0, 7, 0, 0, bytes(16), *[0] * 9, *[0.0] * 6))
+        return Codec().encode(0, 0, 0, HelloAck(0, 1, 0, 7, 0, 0, bytes(16), *[0] * 9, *[0.0] * 6, *[0] * 5))
 
 
 class Disturbed(Doctored):

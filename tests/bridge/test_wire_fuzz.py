@@ -108,7 +108,12 @@ def sessions(key: bytes | None) -> list[Frames]:
     ends = [frame(9, Control(2, operation, 0, SIX)) for operation in (*Operation, 3, 99)]
     reset = frame(10, Control(3, Operation.RESET, 0, SIX))
     others: list[Any] = [
-        wire.HelloAck(5, *[0] * 2, 3, 0, 1, CALIBRATION, PERIOD, *[0] * 7, 20, 10.0, 3.0, 1.4, 10.0, 0.01, 1.0, *[0] * 5),
+        wire.HelloAck._make(
+            (
+                *(5, 0, 0, 3, 0, 1, CALIBRATION, PERIOD, 0, 0, 0, 0, 0, 0, 0, 20, 10.0, 3.0, 1.4, 10.0, 0.012, 1.0),
+                *(0, 0, 1e5, 400.0, 0.1),
+            )
+        ),
         wire.ControlAck(1, 1, 0, 0, 0),
         wire.StateReport(SIX, SIX, SIX, 0, 7, 0, 0, 0, 0, 1),
         EstopAck(77, 2, 128, 0, SIX),
@@ -150,6 +155,8 @@ class Amplifiers:
         assert all(abs(one) <= LIMIT for one in (*held, *(pulsed or ()))), "driven beyond the limit"
         assert 0.0 <= width <= 1.0, "driven for no width"
         self.on = True
+
+    def add(self, now: int, currents: Any) -> None: ...
 
     def cut(self) -> None:
         self.on = False

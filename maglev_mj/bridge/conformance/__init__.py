@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
-from maglev_mj.bridge.conformance import protocol  # noqa: F401, registers CHECKS
+from maglev_mj.bridge.conformance import flights  # noqa: F401, registers CHECKS, those of `protocol` first
 from maglev_mj.bridge.conformance.check import CHECKS, CheckResult
 from maglev_mj.bridge.conformance.tester import Tester
 from maglev_mj.bridge.links import Link

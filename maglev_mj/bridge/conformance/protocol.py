@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -29,8 +30,6 @@ from maglev_mj.frames import ZERO
 _JUNK = 500
 _FADE = (*ZERO, 0.2, 1.0)
 """Controlled stop of 0.2 s without damping."""
-_GENTLE = 0.1
-"""Largest speed at which a controlled stop sets the flotor down [m/s]."""
 
 
 @check("HELLO_ACK has this version and calibration, and plausible limits")
@@ -456,13 +455,13 @@ def _stale_answers(t: Tester) -> str:
 
 
 def _pressing(t: Tester) -> tuple[wire.Wall, list[float]]:
-    """Bring the device to ACTIVE; return a wall that presses the flotor on its stop with 8 N, and its currents [A]."""
+    """Bring the device to ACTIVE; return a wall that presses the flotor on its stop with 3 N, and its currents [A]."""
     t.bring(State.ACTIVE)
     depth = 0.8e-9 * t.welcome.edge_speed * t.welcome.period
-    stiffness = min(8.0 / depth, t.welcome.stiffness_limit) if depth else 0.0
+    stiffness = min(3.0 / depth, t.welcome.stiffness_limit) if depth else 0.0
     edge = t.calibration.wall_maps.pose(t.last.body.spots)[2] - depth
-    force = [0.0, 0.0, -stiffness * depth, 0.0, 0.0, 0.0]
-    return wire.Wall(2, -1, edge, stiffness, 0.0, 0.0), t.calibration.coils.currents(force).tolist()
+    per_force = t.calibration.coils.current_per_wrench[:, 2]
+    return wire.Wall(2, -1, edge, stiffness, 0.0, 0.0), (-stiffness * depth * per_force).tolist()
 
 
 @check("walls of a CMD add their force at the diodes' pose, end with the CMDs that name them, and stand in silence")
@@ -471,7 +470,7 @@ def _walls(t: Tester) -> str:
         return _NO_WALLS
     wall, currents = _pressing(t)
     for held in (ZERO, t.half):
-        t.walls, t.law = (wall,), lambda frame, held=held: held
+        t.walls, t.law = (wall,), partial(_constant, held)
         close(t.states(6)[-1], [a + b for a, b in zip(held, currents)])
     t.walls = ()
     close(t.states(6)[-1], t.half)
@@ -482,8 +481,8 @@ def _walls(t: Tester) -> str:
             t.states(6)
             t.answering = False
             frames = t.states(t.welcome.watchdog // t.welcome.period)
-            held = [frame for frame in frames if frame.body.flags & Flag.HOLDING] or fail("HOLDING is never set")
-            close(held[-1], [a + b for a, b in zip(t.half, expected)])
+            waiting = [frame for frame in frames if frame.body.flags & Flag.HOLDING] or fail("HOLDING is never set")
+            close(waiting[-1], [a + b for a, b in zip(t.half, expected)])
     return f"{shown(currents)} A for {wall.stiffness:.3g} N/m"
 
 
@@ -503,10 +502,15 @@ def _wall_limits(t: Tester) -> str:
             t.states(3)
         if "edge" in change:
             change = change | {"edge": wall.edge + change["edge"]}
-        t.once, t.walls = [[ZERO, (), 0.0, (wall._replace(**change),)]], ()
+        once: list[Any] = [ZERO, (), 0.0, (wall._replace(**change),)]
+        t.once, t.walls = [once], ()
         with case(", ".join(f"{name} {value:g}" for name, value in change.items())):
             t.expect(State.FAULT, Fault.INVALID_COMMAND, 1)
     return f"INVALID_COMMAND, {len(bad) + 4} walls"
+
+
+def _constant(currents: Sequence[float], _: Any) -> Sequence[float]:
+    return currents
 
 
 _NO_WALLS = "not checked: the device renders no walls"
@@ -646,7 +650,7 @@ def _estop_elsewhere(t: Tester) -> str:
 # silence
 
 
-def _silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> str:
+def silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> str:
     """Send nothing; check HOLDING and WATCHDOG.
 
     Times are by the device's clock.
@@ -676,72 +680,10 @@ def _silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> str:
 def _silence_after_arm(t: Tester) -> str:
     t.answering = False
     t.ask(Operation.ARM)
-    return _silence(t, t.half, t.asked_at)
+    return silence(t, t.half, t.asked_at)
 
 
 @check("silence after commands: the same, timed from the last command", real_time=True)
 def _silence_after_commands(t: Tester) -> str:
     t.bring(State.ACTIVE)
-    return _silence(t, t.half)
-
-
-# flights
-
-
-check("in flight: hovers at the centre and lands", "hover", flight=True)(Tester.hovers)
-
-
-@check("in flight: hovers with 5 % of the CMDs lost, 5 % damaged and 5 % duplicated", flight=True, real_time=True)
-def _bad_line(t: Tester) -> str:
-    t.loss = 0.05
-    t.states(2_000_000_000 // t.welcome.period)
-    return t.hovers()
-
-
-def _set_down(t: Tester) -> str:
-    """Check that a controlled stop sets the flotor down gently."""
-    heights = [t.locate(frame)[2] for frame in t.states(600_000_000 // t.welcome.period)]
-    speed = max(before - after for before, after in pairwise(heights)) * 1e9 / t.welcome.period
-    return fail(f"it falls at {speed:.2f} m/s") if speed > _GENTLE else f"{zero(t)}, set down at {speed:.2f} m/s"
-
-
-@check("in flight: silence gives hover currents, WATCHDOG, and a controlled stop", flight=True, real_time=True)
-def _flight_silence(t: Tester) -> str:
-    return f"{_silence(t, t.calibration.hover.tolist())}; {_set_down(t)}"
-
-
-@check("in flight: a CMD above current_limit ends in a controlled stop", flight=True)
-def _flight_over_current(t: Tester) -> str:
-    t.once = [[[1.001 * t.welcome.current_limit] * 6]]
-    t.expect(State.FAULT, Fault.COIL_OVERCURRENT, 1)
-    return _set_down(t)
-
-
-check("in flight: ESTOP cuts the currents", "flight-estop", flight=True)(stopped)
-
-
-@check("in flight: DISARM cuts the currents", flight=True)
-def _flight_disarm(t: Tester) -> str:
-    same("state", t.ask(Operation.DISARM).state, State.INACTIVE)
-    return zero(t)
-
-
-@check("in flight: BYE cuts the currents", flight=True)
-def _flight_bye(t: Tester) -> str:
-    t.ask(Operation.BYE)
-    t.join()
-    same("state", t.welcome.state, State.INACTIVE)
-    return zero(t)
-
-
-# rules for all frames, evaluated last
-
-
-def _keeps(name: str, expected: str) -> None:
-    """Add a check of a rule for all frames received so far."""
-    check(expected, name)(lambda t: fail(t.wrong[name]) if name in t.wrong else "as expected")
-
-
-_keeps("frames", "every frame has the right length, CRC, tag, zeros, session and number; time never decreases")
-_keeps("samples", "every STATE is finite, whole periods after the last, with conversions; FAULT has faults")
-_keeps("cut", "no current outside ACTIVE, except in a controlled stop")
+    return silence(t, t.half)

@@ -90,7 +90,11 @@ class TwinParameters:
             own = period // next(part for part in range(count, 0, -1) if period % part == 0)
             late = round(number("wall_delay", self.wall_delay, at_least=0.0) * 1e9)
             walls = {"wall_period": own, "wall_delay": min(late, 2 * own), "wall_maps": self.calibration.wall_maps}
-        own_limits = {"calibration": self.calibration.digest, "limits": limits, "lockstep": self.lockstep}
+        own_limits: dict[str, Any] = {
+            "calibration": self.calibration.digest,
+            "limits": limits,
+            "lockstep": self.lockstep,
+        }
         object.__setattr__(self, "profile", Profile(period=period, delay=delay, **own_limits, **walls))
 
 

@@ -86,7 +86,7 @@ class WallClock:
             if self._waiting:
                 following = min(following, self._waiting[0][0])
             whole = self._done == 0.0 and following == self._period
-            part = {} if whole else {"begin": self._done, "until": following}
+            part: dict[str, Any] = {} if whole else {"begin": self._done, "until": following}
             for duration, drive in self._timeline.period(tick, **part):
                 self.drive = drive if self._extra is None else self._drive_of(drive, self._extra)
                 self.intervals.append((duration, self.drive))
