@@ -1,13 +1,15 @@
-/* See maglev_firmware.h. Sections: bytes and numbers, CRC and tag, frames, serial line, temperatures, guards, states,
-   session.
+/* See maglev_firmware.h. Sections: bytes and numbers, CRC and tag, frames, serial line, temperatures, guards, walls,
+   states, session.
 
    Bounded time: every loop below runs over the coils, the spots, or the bytes of a frame, of which there are
    MAGLEV_LARGEST at most; nothing waits and nothing calls itself. The longest ways through are
-     maglev_receive  a HELLO with a key: CRC over 60 bytes and 2 blocks of BLAKE2s to check it, CRC over 176 bytes and 4
-                     blocks for the answer; 24 000 instructions of a Cortex-M4. A CMD: 16 000, without a key 7 000.
-                     256 bytes that are no frame: 3 000.
+     maglev_receive  a HELLO with a key: CRC over 60 bytes and 2 blocks of BLAKE2s to check it, CRC over 216 bytes and 5
+                     blocks for the answer; 29 000 instructions of a Cortex-M4. A CMD: 16 000, without a key 7 000; with
+                     one wall 25 000 and 15 500, with six 44 000 and 28 000. 384 bytes that are no frame: 5 000.
      maglev_sample   read(), the guards, one exp step, one drive() or cut(), toggle(), CRC over 152 bytes and 4 blocks of
-                     BLAKE2s; 26 000 instructions, without a key 16 000. In a controlled stop 2 000 more.
+                     BLAKE2s; 27 000 instructions, without a key 17 000. In a controlled stop 2 000 more.
+     maglev_wall     read(), the guard of the spots, two products of six by six, add(); 20 000 instructions with one wall,
+                     48 000 with six, each with a filter.
    Add 4 400 for each maglev_heat() and what the hardware's functions take. Doubles are the wire's; a Cortex-M4
    computes them in software, which is in these figures. */
 #include "maglev_firmware.h"

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -22,6 +22,7 @@ from maglev_mj.bridge.links import SerialLink
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
+from maglev_mj.recording.recording import Segment
 from maglev_mj.scenes.interactive import CENTRING, WEIGHT, Joystick
 from tests.bridge.firmware_core import FOLDER
 from tests.bridge.test_simulated_device import PROFILE, built, write_plant
@@ -34,9 +35,10 @@ LINE = "-chardev pty,id=line,mux=on -echr 256 -serial chardev:line"
 LONGEST = 120.0  # [s] that an emulator may live
 INSTRUCTIONS = 40 / 64  # in a count of the board's clock, 40 ns, at 64 ns an instruction
 # without a key and with one: those of maglev_firmware.c, but for frame, a HELLO whose number is drawn by a hash
-INSTRUCTIONS_AT_MOST = {"sample": (16_000, 26_000), "command": (7_000, 16_000), "frame": (17_000, 32_000)}
+INSTRUCTIONS_AT_MOST = {"sample": (17_000, 27_000), "command": (7_000, 16_500), "frame": (20_000, 36_500)}
+INSTRUCTIONS_OF_WALLS = {"command": (15_500, 25_000), "wall": (20_000, 20_000)}  # with one wall
 HARDWARE = 600  # instructions of the simulated hardware in each
-STACK = 2048
+STACK = 2816
 PERIOD = 0.005
 HAND, PRESSED = np.array([4.0, 0.0, -5.0, 0.0, 0.0, 0.0]), (2.3, 2.6)  # [N, N m], [s] of the device's clock
 PUSH = f"{','.join(map(str, HAND))}@{PRESSED[0]}:{PRESSED[1]}"
@@ -147,6 +149,12 @@ def flown(address: str, path: Path, *options: str) -> Recording:
     return Recording.load(path)
 
 
+def pressed(flight: Segment) -> Any:
+    """Return True for the last samples under the hand."""
+    time_on_device = (flight.tick + 1) * PERIOD
+    return (time_on_device > PRESSED[1] - 0.03) & (time_on_device < PRESSED[1])
+
+
 @KEY_ALONE
 def test_a_hand_presses_the_wall_and_it_lands(
     program: Program, start: Starter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -159,8 +167,7 @@ def test_a_hand_presses_the_wall_and_it_lands(
     assert told["faults"] == 0 and (told["lost"] == 0 or told["again"])  # a host that is late answers all at once
 
     # at rest in both walls, the coils bear the hand and the weight, and the laws give that at this depth
-    time_on_device = (flight.tick + 1) * PERIOD
-    late = (time_on_device > PRESSED[1] - 0.03) & (time_on_device < PRESSED[1])
+    late = pressed(flight)
     pose, wrench = flight.position[late].mean(axis=0), flight.applied[late].mean(axis=0)
     depth = np.clip(pose[:3], -EDGE, EDGE) - pose[:3]
     assert depth[0] < -4e-4 and depth[1] == 0.0 and depth[2] > 5e-4
@@ -174,16 +181,34 @@ def test_a_hand_presses_the_wall_and_it_lands(
         assert 0.9 * most < told[name] * INSTRUCTIONS <= most, name
     assert told["stack"] < STACK
 
-    # the same program of a PC flies the same, to the last bit
+    assert_same_on_pc(flight, program, tmp_path)
+
+
+def assert_same_on_pc(flight: Segment, program: Program, tmp_path: Path, *options: str) -> None:
+    """Check that the same program of a PC flies the same, to the last bit."""
     program_of_pc = built(tmp_path, ["-O2"])
     assert program_of_pc is not None
     known = ["--plant", str(write_plant(tmp_path / "plant.txt")), "--seconds", "60", "--lockstep", "--hand", PUSH]
     known += ["--calibration-hash", Calibration.nominal().digest.hex(), *program.options]
     with closing(Child(str(program_of_pc), *known, "--hover-limit", str(PROFILE.limits.hover_limit))) as device:
         port = device.wait_for(r"^listening udp://127\.0\.0\.1:(\d+)$")
-        (on_pc,) = flown(f"udp://127.0.0.1:{port}", tmp_path / "pc.maglev", *program.options).segments
+        (on_pc,) = flown(f"udp://127.0.0.1:{port}", tmp_path / "pc.maglev", *program.options, *options).segments
     for name in on_pc.arrays.keys() - {"arrival"}:
         assert np.array_equal(on_pc.arrays[name], flight.arrays[name], equal_nan=True), name
+
+
+@KEY_ALONE
+def test_a_wall_on_the_board(program: Program, start: Starter, tmp_path: Path) -> None:
+    board, options = start(), ["--scene", "drop", "--wall-on", "device", "--stiffness", "60000", "--damping", "200"]
+    (flight,) = flown(board.address, tmp_path / "flight.maglev", *program.options, *options).segments
+    told = board.wait(state=State.INACTIVE, flows=0)
+    assert told["faults"] == 0 and told["stack"] < STACK
+    # at rest it carries weight and hand
+    assert flight.position[pressed(flight), 2].mean() == pytest.approx((HAND - WEIGHT)[2] / 6e4, abs=2e-6)
+    for name, bounds in INSTRUCTIONS_OF_WALLS.items():
+        most = bounds[program.key is not None] + HARDWARE
+        assert 0.9 * most < told[name] * INSTRUCTIONS <= most, name
+    assert_same_on_pc(flight, program, tmp_path, *options)
 
 
 @KEY_ALONE

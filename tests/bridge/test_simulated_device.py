@@ -167,7 +167,7 @@ def test_golden_bytes(program: Path, keyed: bool) -> None:
     command = [str(program), "--golden", *(["--key", str(program.parent / "key")] if keyed else [])]
     lines = "\n".join(data.hex() for data in frames)
     done = subprocess.run(command, input=lines, capture_output=True, text=True, check=True, timeout=30)
-    assert done.stdout.split() == lines.split() and len(frames) == 8
+    assert done.stdout.split() == lines.split() and len(frames) == 9
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge import RemotePlant
-from maglev_mj.bridge.twin.simulated_links import VirtualLink
-from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.control import Bias, Hold, Law, Wall, drive
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError, PlantError
+from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, DeviceWall
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant, Sensor, Timing
 from maglev_mj.plants.device_walls import DeviceWalls
@@ -207,17 +204,6 @@ def test_recording_and_rewind() -> None:
             plant.restore(saved)
             controller._states, controller._velocity_state, controller._tick = list(states[0]), *states[1:]
     assert ends[0] == ends[1]
-
-
-def test_plants_without_the_ability() -> None:
-    plant = RemotePlant(VirtualLink(Twin(TwinParameters())))
-    controller = Drop(**STIFF).controller()
-    with pytest.raises(ParameterError, match="RemotePlant cannot render walls on the device"):
-        drive(plant, controller, 1)
-    plant.read()
-    with pytest.raises(PlantError, match="must have no walls"):
-        plant.write(Command([0.0] * 6, walls=(DeviceWall(2),)))
-    plant.close()
 
 
 WALL: Any = {"axes": "z", "lower": 0.0, "stiffness": 1.0, "damping": 1.0}

@@ -65,7 +65,7 @@ def profile(key: bytes) -> dict[str, object]:
         "spot_speed": limits.spot_speed,
         **{name: getattr(limits, name) for name in ("stiffness_limit", "damping_limit", "edge_speed")},
         **{name: getattr(profile, name) for name in ("wall_period", "wall_delay")},
-        **{"spots": maps.spots, "pose": maps.pose_per_spot, "current": maps.current_per_wrench},
+        **{"pose": maps.pose_per_spot, "current": maps.current_per_wrench},  # spots: 0 at the simulated centre
         "device": profile.number,
         "key_length": len(key),
         "key": np.frombuffer(key.ljust(32, b"\0"), np.uint8),
