@@ -78,7 +78,7 @@ class ExactCoilPlant(ExactPlant):
         """
         self._switch(tuple, currents, pulsed, width, after)
 
-    def raised(self, drive: Sequence[float], currents: Sequence[float]) -> Sequence[float]:
+    def _raised(self, drive: Sequence[float], currents: Sequence[float]) -> Sequence[float]:
         """Return a drive with currents added to its own [A], six."""
         return tuple([own + extra for own, extra in zip(drive, currents)])
 

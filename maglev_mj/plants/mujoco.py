@@ -228,7 +228,7 @@ class MuJoCoPlant(SampledPlant):
             raise PlantError("no currents: the plant was created with coils=False")
         self._switch(_of_currents, currents, pulsed, width, after)
 
-    def raised(self, drive: engine.Drive, currents: Sequence[float]) -> engine.Drive:
+    def _raised(self, drive: engine.Drive, currents: Sequence[float]) -> engine.Drive:
         """Return a drive with currents added to its own [A], six."""
         return _of_currents([own + extra for own, extra in zip(drive[1], currents)])
 

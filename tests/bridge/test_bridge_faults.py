@@ -183,8 +183,8 @@ def test_an_injected_fault_is_named(kind: str, which: int, moved: bool, fault: F
     error = fails(rig, fly(rig) if moved else lambda: rig.fly(1.0), fault)
     assert rig.twin.firmware.faults & ~Fault.COIL_NOT_OFF == error.faults  # NaN current counts as not off
     assert (error.path is not None and error.cycles[-1][0].tick >= load_fault(error.path).tick - 1) or kind == "silence"
-    # those of the amplifiers and the firmware have other effects, and tests of the twin
-    assert {name for name, *_ in SUFFERED} | {"stuck-amplifier", "hung-firmware"} == set(INJECTED_FAULTS)
+    # those of the amplifiers, the firmware and a late sensor have other effects, and other tests
+    assert {name for name, *_ in SUFFERED} | {"stuck-amplifier", "hung-firmware", "late-sensor"} == set(INJECTED_FAULTS)
 
 
 def unheard(rig: Rig) -> None:

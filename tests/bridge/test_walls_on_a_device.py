@@ -14,7 +14,7 @@ from maglev_mj.bridge.twin import twin as twins
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
-from maglev_mj.bridge.wire import MOST_WALLS
+from maglev_mj.bridge.wire import MOST_WALLS, Codec, Estop
 from maglev_mj.control import Bias, Hold, Law, Wall, drive
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError
@@ -110,6 +110,18 @@ def test_a_turned_flotor_meets_the_wall_in_its_place() -> None:
         start = [1e-3, -1e-3, 1e-3, *turn]
         _, poses = flown(controller, TwinParameters(**QUIET, pose=start))
         assert np.abs(np.array(poses) - simulated(ExactPlant, controller, start))[:, 2].max() < 2e-5
+
+
+def test_a_cut_between_samples_ends_the_walls_then() -> None:
+    wall = Wall(axes="z", lower=0.0, stiffness=6e3, damping=80.0, on="device")
+    device = Twin(TwinParameters(**QUIET, pose=[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0]))
+    plant = RemotePlant(VirtualLink(device))
+    armed(plant)
+    drive(plant, Controller([wall], period=0.005), 80)
+    height = device.pose[2]
+    device.receive(Codec().encode(0, 0, 0, Estop(1)), device.tick * 5_000_000 + 4_000_000, "anyone")
+    device.sample()
+    assert device.pose[2] - height == pytest.approx(-0.5 * 9.81 * 1e-6, rel=1e-3)  # it falls for 1 ms
 
 
 class Moving(Law):

@@ -293,7 +293,7 @@ class Twin:
         profile, plant = self.firmware.profile, self.plant
         step, delay = profile.wall_period * 1e-9, profile.wall_delay * 1e-9
         walled = lambda: self.firmware.walled and not self.hung  # noqa: E731
-        self.board.walls = WallClock(plant._timeline, step, delay, self._sample_walls, walled, plant.raised)
+        self.board.walls = WallClock(plant._timeline, step, delay, self._sample_walls, walled, plant._raised)
         plant.follow(self.board.walls)
 
     def _sample_walls(self, after: float) -> None:
