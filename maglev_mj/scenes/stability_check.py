@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from maglev_mj import theory
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, TooManyCallsError, check_instance, named
-from maglev_mj.frames import AXES, ZERO, Sample, components
+from maglev_mj.frames import AXES, ZERO, Sample, Six, components
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
@@ -158,13 +158,23 @@ def check_step(present: Controller, new: Controller, pose: Sequence[float], step
     Raises:
         ParameterError: If the step is larger, or a law fails there.
     """
-    before, after = present.at_rest(pose).force, new.at_rest(pose)
-    for pulses in (ZERO, ZERO if after.extra is None else after.extra):
-        for axis, old, force, pulse in zip(AXES, before, after.force, pulses):
+    (before, _), (after, extra) = _at_rest(present, pose), _at_rest(new, pose)
+    for pulses in (ZERO, ZERO if extra is None else extra):
+        for axis, old, force, pulse in zip(AXES, before, after, pulses):
             limit, unit = (step_force, "N") if axis in AXES[:3] else (step_force * _ARM, "N m")
             if not abs(step := force + pulse - old) <= limit:
                 bound = f"at most {limit:g} {unit} (got {step:+.3g} {unit})"
                 raise ParameterError(f"force step on {axis} at the present pose must be {bound}")
+
+
+def _at_rest(controller: Controller, pose: Sequence[float]) -> tuple[Sequence[float], Six | None]:
+    """Return the wrench on a flotor at rest [N, N m], six, that of walls on the device included, and the pulse."""
+    command = controller.at_rest(pose)
+    force = list(command.force)
+    for axis, edge, side, stiffness, _, _ in command.walls:
+        if side * (pose[axis] - edge) <= 0.0:
+            force[axis] -= stiffness * (pose[axis] - edge)
+    return force, command.extra
 
 
 def started(scene: Scene) -> Controller:
