@@ -70,7 +70,7 @@ def walls(seed: int) -> tuple[Controller, list[float]]:
         for axis, k in zip("zx", 10.0 ** random.uniform(3.8, 4.9, 2))
     )
     push = Bias([*random.uniform(1.0, 5.0, 1), 0.0, 0.0, 0.0, 0.0, 0.0])
-    return Controller([lower, upper, push], period=0.005), [0.0, 0.0, random.uniform(4e-4, 8e-4), 0.0, 0.0, 0.0]
+    return Controller([lower, upper, push], period=0.005), [0.0, 0.0, random.uniform(4e-4, 6e-4), 0.0, 0.0, 0.0]
 
 
 C = pytest.param("c", marks=pytest.mark.needs("compiler"))
