@@ -104,7 +104,7 @@ firmware:  ## compile the device's firmware for a Cortex-M4, and the emulated bo
 	if $(CROSS)nm --undefined-only build/maglev_firmware.o | grep -v __aeabi_; then \
 	  echo 'firmware: a board would have to bring those'; exit 1; fi && \
 	if [ -x $(BIN)/python ]; then \
-	  PYTHONPATH=. $(BIN)/python scripts/firmware/boards/mps2_an386/build.py build/board.elf && $(CROSS)size build/board.elf; \
+	  PYTHONPATH=. $(BIN)/python scripts/firmware/boards/build.py build/board.elf && $(CROSS)size build/board.elf; \
 	else echo 'firmware: no program for the emulated board, which needs the package (make demo)'; fi
 
 wheel: $(READY)

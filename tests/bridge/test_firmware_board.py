@@ -1,4 +1,4 @@
-"""The firmware flies on an emulated Cortex-M4, over a serial line in lockstep."""
+"""The firmware flies on emulated boards with a Cortex-M4, over a serial line in lockstep; a device's program builds."""
 
 from __future__ import annotations
 
@@ -29,11 +29,13 @@ from tests.bridge.test_simulated_device import PROFILE, built, write_plant
 from tests.bridge.test_wire import KEY
 from tests.processes import Program as Child
 
-BUILD = FOLDER / "boards" / "mps2_an386" / "build.py"
-QEMU = "qemu-system-arm -M mps2-an386 -icount shift=6 -nographic -monitor none"
+BUILD = FOLDER / "boards" / "build.py"
+QEMU = "qemu-system-arm -M {} -icount shift=6 -nographic -monitor none"
 LINE = "-chardev pty,id=line,mux=on -echr 256 -serial chardev:line"
 LONGEST = 120.0  # [s] that an emulator may live
-INSTRUCTIONS = 40 / 64  # in a count of the board's clock, 40 ns, at 64 ns an instruction
+INSTRUCTION = 64.0  # [ns]
+COUNTS = {"mps2_an386": 40.0, "stm32f405": 1.0}  # of each board's emulated clock [ns]
+MACHINES = {"mps2_an386": "mps2-an386", "stm32f405": "netduinoplus2"}
 # without a key and with one: those of maglev_firmware.c, but for frame, a HELLO whose number is drawn by a hash
 INSTRUCTIONS_AT_MOST = {"sample": (17_000, 27_000), "command": (7_000, 16_500), "frame": (20_000, 36_500)}
 INSTRUCTIONS_OF_WALLS = {"command": (15_500, 25_000), "wall": (20_000, 20_000)}  # with one wall
@@ -50,8 +52,9 @@ pytestmark = pytest.mark.needs("compiler", "cross", "emulator", "linux")
 
 
 class Program(NamedTuple):
-    """Programs of the board, its key, and the options of a command that has it."""
+    """Programs of a board, its key, and the options of a command that has it."""
 
+    board: str
     path: Path
     still: Path  # without a hand
     key: bytes | None
@@ -64,12 +67,13 @@ def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     folder = tmp_path_factory.mktemp("board")
     (folder / "key").write_text(KEY.hex(), encoding="ascii")
     (folder / "key").chmod(0o600)
-    options = ["--key", str(folder / "key")] if request.param else []
+    board, key = request.param
+    options = ["--key", str(folder / "key")] if key else []
     for name, hand in (("board.elf", ["--hand", PUSH]), ("still.elf", [])):
-        command = [sys.executable, str(BUILD), *hand, *options, str(folder / name)]
+        command = [sys.executable, str(BUILD), "--board", board, *hand, *options, str(folder / name)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
         assert not done.returncode and not done.stderr, done.stderr
-    return Program(folder / "board.elf", folder / "still.elf", request.param, options)
+    return Program(board, folder / "board.elf", folder / "still.elf", key, options)
 
 
 class Board:
@@ -79,10 +83,10 @@ class Board:
         address: Address of its line.
     """
 
-    def __init__(self, program: Path, log: Path) -> None:
+    def __init__(self, machine: str, program: Path, log: Path) -> None:
         self._log = log
         log.touch()
-        command = [*QEMU.split(), "-kernel", str(program), *LINE.split(), "-serial", f"file:{log}"]
+        command = [*QEMU.format(machine).split(), "-kernel", str(program), *LINE.split(), "-serial", f"file:{log}"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         self._limit = threading.Timer(LONGEST, self.process.kill)
         self._limit.start()
@@ -124,7 +128,13 @@ class Board:
 Starter = Callable[..., Board]
 
 KEY_ALONE = pytest.mark.parametrize(
-    "program", [pytest.param(None, marks=pytest.mark.study), KEY], indirect=True, ids=["no key", "key"]
+    "program",
+    [
+        pytest.param((board, key), marks=[] if key else pytest.mark.study, id=f"{board}{', no key' * (key is None)}")
+        for board in MACHINES
+        for key in (None, KEY)
+    ],
+    indirect=True,
 )
 """Of tests in which frames without a tag are a part of those with one."""
 
@@ -135,7 +145,7 @@ def start(program: Program, tmp_path: Path) -> Iterator[Starter]:
     boards: list[Board] = []
 
     def new(path: Path = program.path) -> Board:
-        boards.append(Board(path, tmp_path / f"board{len(boards)}.log"))
+        boards.append(Board(MACHINES[program.board], path, tmp_path / f"board{len(boards)}.log"))
         return boards[-1]
 
     yield new
@@ -178,7 +188,7 @@ def test_a_hand_presses_the_wall_and_it_lands(
 
     for name, bounds in INSTRUCTIONS_AT_MOST.items():
         most = bounds[program.key is not None] + HARDWARE
-        assert 0.9 * most < told[name] * INSTRUCTIONS <= most, name
+        assert 0.9 * most < told[name] * COUNTS[program.board] / INSTRUCTION <= most, name
     assert told["stack"] < STACK
 
     assert_same_on_pc(flight, program, tmp_path)
@@ -238,3 +248,61 @@ def test_it_conforms(program: Program, start: Starter, only: list[str] | None) -
     skipped = {one.name for one in results if one.passed is None}
     assert skipped & {*CHECKS} == (set() if program.key else {"no-tag", "tag"})
     board.wait(state=State.INACTIVE, flows=0, faults=0)
+
+
+OWN = '#include "own.h"\n' + "\n".join(
+    [
+        "void own_start(void) {}",
+        "void own_read(struct maglev_reading *reading) { reading->valid = 7; }",
+        "void own_currents(const double *amperes) { (void)amperes; }",
+        "void own_toggle(void) {}",
+    ]
+)
+FLOWS = {
+    # a command each period of 5 ms, in effect 1.5 ms after its sample
+    0: [(6.5, 1.0), (11.5, 2.0), (16.5, 3.0), (21.5, 4.0)],
+    # with a pulse of 4 ms, which the next command does not shorten
+    1: [(6.5, 11.0), (10.5, 1.0), (11.5, 12.0), (15.5, 2.0), (16.5, 13.0), (20.5, 3.0), (21.5, 14.0)],
+    # a wall of 0.5 A, 0.2 ms after each millisecond, beside it
+    2: [(5.2, 0.5), (6.2, 0.5), (6.5, 1.5), (7.2, 1.5), (8.2, 1.5), (9.2, 1.5), (10.2, 1.5), (11.2, 1.5), (11.5, 2.5)],
+    # cut at the third sample, with the command of the second in effect and none pending
+    3: [(6.5, 1.0), (11.5, 2.0), (15.0, 0.0), (21.5, 4.0)],
+}
+"""Case of timers.c -> time [ms] and current [A] of the first changes."""
+
+
+@pytest.fixture(scope="module")
+def device_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build a device's program for the chip, and its timers' part for this machine; return the latter."""
+    folder = tmp_path_factory.mktemp("device")
+    (folder / "own.c").write_text(OWN, encoding="ascii")
+    options = ["--board", "stm32f405", "--own", str(folder / "own.c"), "--crystal", "12"]
+    subprocess.run([sys.executable, str(BUILD), *options, str(folder / "device.elf")], check=True, timeout=120)
+    chip, boards = Path(__file__).parent / "stm32f405", FOLDER / "boards"
+    compiler = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-include", str(chip / "chip.h"), f"-I{folder}"]
+    compiler += [f"-I{place}" for place in (FOLDER, boards, boards / "stm32f405")]
+    device = ["-Dmain=device_main", "-c", str(boards / "stm32f405" / "device.c"), "-o", str(folder / "device.o")]
+    for part in (device, [str(chip / "timers.c"), str(folder / "device.o"), "-o", str(folder / "timers")]):
+        subprocess.run([*compiler, *part], check=True, timeout=120)
+    return folder / "timers"
+
+
+@pytest.mark.parametrize("case", FLOWS)
+def test_the_timers_of_a_device_let_the_commanded_currents_flow_in_time(device_program: Path, case: int) -> None:
+    environment = {"SCENE": str(case)}
+    said = subprocess.run(
+        [device_program], env=environment, capture_output=True, text=True, check=True, timeout=60
+    ).stdout
+    rows = [line.split() for line in said.splitlines()]
+    told = {
+        kind: [(int(row[1]), float(row[2])) for row in rows if row[0] == kind] for kind in ("flow", "sample", "heat")
+    }
+    flows = [(time / 1e6, current) for time, current in told["flow"]]
+    assert flows[: len(FLOWS[case])] == FLOWS[case]
+    assert told["sample"] == [(number, 5e6 * number) for number in range(1, len(told["sample"]) + 1)]
+    assert len(told["sample"]) > 3
+    # the coils are heated by what flowed, from the start on
+    end = sum(time for time, _ in told["heat"]) / 1e6
+    changes = [(time, current) for time, current in flows if time < end]
+    flowed = sum((until - time) * now for (time, now), (until, _) in zip(changes, [*changes[1:], (end, 0.0)]))
+    assert sum(time * current for time, current in told["heat"]) / 1e6 == pytest.approx(flowed, rel=1e-9)

@@ -1,8 +1,10 @@
-"""Build the board's program, with the nominal device's plant and profile.
+"""Build a board's program, with the nominal device's plant and profile.
 
-    python scripts/firmware/boards/mps2_an386/build.py [--key FILE] [--hand X,Y,Z,RX,RY,RZ@FROM:UNTIL] PROGRAM
+    python scripts/firmware/boards/build.py [--board NAME] [--key FILE] [--hand X,Y,Z,RX,RY,RZ@FROM:UNTIL] PROGRAM
+    python scripts/firmware/boards/build.py --board stm32f405 --own FILE.c [--crystal MHZ] [--key FILE] PROGRAM
 
-Writes device.h next to the program. The hand applies a constant wrench [N, N m] to the flotor between two times of the
+Writes device.h next to the program. With --own it is that of a device, with its own functions; else the emulated one
+with the simulated flotor. The hand applies a constant wrench [N, N m] to the flotor between two times of the
 device's clock [s].
 """
 
@@ -21,9 +23,9 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import BAUD
 from maglev_mj.bridge.twin.twin import REST, TwinParameters
 
-BOARD = Path(__file__).resolve().parent
-FIRMWARE = BOARD.parent.parent
-SOURCES = [FIRMWARE / "maglev_firmware.c", FIRMWARE / "simulated_flotor.c", BOARD / "board.c"]
+BOARDS = Path(__file__).resolve().parent
+FIRMWARE = BOARDS.parent
+NAMES = "mps2_an386", "stm32f405"
 COMPILER = "arm-none-eabi-gcc"
 STRICT = "-std=c99 -Os -Wall -Wextra -Wpedantic -Werror -Wl,--fatal-warnings"
 BARE = "-ffreestanding -DMAGLEV_NO_LIBRARY -nostdlib"
@@ -83,28 +85,58 @@ def initialiser(members: Mapping[str, object]) -> str:
     return " \\\n    " + ", \\\n    ".join(lines)
 
 
-def build(program: Path, key: bytes = b"", hand: str = "0,0,0,0,0,0@0:0") -> None:
-    """Compile and link the program.
+def build(
+    program: Path,
+    key: bytes = b"",
+    hand: str = "0,0,0,0,0,0@0:0",
+    board: str = NAMES[0],
+    own: Path | None = None,
+    crystal: int = 8,
+) -> None:
+    """Compile and link the program of a board.
+
+    Args:
+        program: File to write.
+        key: Key of the device; empty for none.
+        hand: As on the command line.
+        board: One of NAMES.
+        own: C file with a device's own functions; None for the emulated program.
+        crystal: Frequency of the board's crystal [MHz].
 
     Raises:
         CalledProcessError: If compilation fails.
     """
-    macros = {"BAUD": str(BAUD), "PLANT": initialiser(plant(hand)), "PROFILE": initialiser(profile(key))}
+    members = profile(key) | {"lockstep": int(own is None)}
+    macros = {"BAUD": str(BAUD), "PROFILE": initialiser(members), "CRYSTAL_MHZ": str(crystal)}
+    sources = [FIRMWARE / "maglev_firmware.c", BOARDS / "board.c", BOARDS / board / "chip.c"]
+    if own is None:
+        macros |= {"PLANT": initialiser(plant(hand)), "QEMU": "1"}
+        sources += [FIRMWARE / "simulated_flotor.c", BOARDS / "simulation.c"]
+    else:
+        sources += [BOARDS / board / "device.c", own]
     header = "\n".join(f"#define {name} {text}" for name, text in macros.items())
     (program.parent / "device.h").write_text(header + "\n", encoding="ascii")
-    command = [COMPILER, *STRICT.split(), *BARE.split(), *CORTEX_M4.split(), f"-I{FIRMWARE}", f"-I{program.parent}"]
-    command += [*map(str, SOURCES), "-T", str(BOARD / "board.ld"), "-lgcc", "-o", str(program)]
+    folders = FIRMWARE, BOARDS, BOARDS / board, program.parent
+    command = [COMPILER, *STRICT.split(), *BARE.split(), *CORTEX_M4.split(), *(f"-I{folder}" for folder in folders)]
+    command += [*map(str, sources), "-T", str(BOARDS / board / "board.ld"), "-lgcc", "-o", str(program)]
     subprocess.run(command, check=True)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--key", type=Path, metavar="FILE", help="key file, hexadecimal digits (default: none)")
+    parser.add_argument("--board", default=NAMES[0], choices=NAMES, help="board (default: %(default)s)")
+    parser.add_argument("--own", type=Path, metavar="FILE.c", help="functions of a device, see stm32f405/own.h")
+    parser.add_argument("--crystal", type=int, default=8, metavar="MHZ", help="crystal of the board (default: 8)")
     parser.add_argument("--hand", default="0,0,0,0,0,0@0:0", help="wrench [N, N m] and times [s] (default: none)")
     parser.add_argument("program", type=Path)
     options = parser.parse_args()
+    if options.own and options.board != "stm32f405":
+        parser.error("own: needs --board stm32f405")
+    if not 4 <= options.crystal <= 26:
+        parser.error(f"crystal must be 4 to 26 MHz (got {options.crystal})")
     secret = bytes.fromhex(options.key.read_text()) if options.key else b""
     try:
-        build(options.program.resolve(), secret, options.hand)
+        build(options.program.resolve(), secret, options.hand, options.board, options.own, options.crystal)
     except (subprocess.CalledProcessError, ValueError) as error:
         sys.exit(f"build.py: {error}")
