@@ -64,9 +64,9 @@ def walls(seed: int) -> tuple[Controller, list[float]]:
     """Return a lower wall along z, an upper one along x, and the flotor's pose at the start."""
     random = np.random.default_rng(seed)
     lower, upper = (
-        Wall(axes="z", lower=0.0, on="device", cutoff=(None, 300.0)[seed % 2], stiffness=k, damping=0.003 * k + 40.0)
+        Wall(axes="z", lower=0.0, on="device", cutoff=(None, 300.0)[seed % 2], stiffness=k, damping=0.0025 * k + 40.0)
         if axis == "z"
-        else Wall(axes="x", upper=3e-4, on="device", stiffness=k, damping=0.003 * k + 40.0)
+        else Wall(axes="x", upper=3e-4, on="device", stiffness=k, damping=0.0025 * k + 40.0)
         for axis, k in zip("zx", 10.0 ** random.uniform(3.8, 4.9, 2))
     )
     push = Bias([*random.uniform(1.0, 5.0, 1), 0.0, 0.0, 0.0, 0.0, 0.0])
