@@ -67,7 +67,7 @@ def profile(key: bytes) -> dict[str, object]:
         "spot_speed": limits.spot_speed,
         **{name: getattr(limits, name) for name in ("stiffness_limit", "damping_limit", "edge_speed")},
         **{name: getattr(profile, name) for name in ("wall_period", "wall_delay")},
-        **{"pose": maps.pose_per_spot, "current": maps.current_per_wrench},  # spots: 0 at the simulated centre
+        **{"spots": maps.spots, "pose": maps.pose_per_spot, "current": maps.current_per_wrench},
         "device": profile.number,
         "key_length": len(key),
         "key": np.frombuffer(key.ljust(32, b"\0"), np.uint8),
@@ -106,7 +106,11 @@ def build(
     Raises:
         CalledProcessError: If compilation fails.
     """
-    members = profile(key) | {"lockstep": int(own is None)}
+    members = profile(key)
+    if own is not None:
+        members["lockstep"] = 0
+    else:
+        del members["spots"]  # 0 at the simulated centre
     macros = {"BAUD": str(BAUD), "PROFILE": initialiser(members), "CRYSTAL_MHZ": str(crystal)}
     sources = [FIRMWARE / "maglev_firmware.c", BOARDS / "board.c", BOARDS / board / "chip.c"]
     if own is None:
