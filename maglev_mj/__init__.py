@@ -99,6 +99,7 @@ A device, or its twin:
     RemotePlant              device as a plant
     open_link                link to an address, UDP or serial
     HostLimits               limits enforced by the host
+    Device                   description of a device, read from a file
     Calibration              coils, beams, mass and inertia of a device
     Twin                     simulated device behind the same protocol
     TwinParameters           its parameters

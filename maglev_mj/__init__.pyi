@@ -24,6 +24,7 @@ from maglev_mj.control import check_law as check_law
 from maglev_mj.control import gain as gain
 from maglev_mj.control.controller import Controller as Controller
 from maglev_mj.control.loop import drive as drive
+from maglev_mj.device import Device as Device
 from maglev_mj.errors import DivergenceError as DivergenceError
 from maglev_mj.errors import MaglevError as MaglevError
 from maglev_mj.errors import ParameterError as ParameterError

@@ -13,7 +13,7 @@ from maglev_mj.plants.hand import RecordedHand as RecordedHand
 from maglev_mj.plants.hand import SpringHand as SpringHand
 from maglev_mj.plants.hand import Trajectory as Trajectory
 from maglev_mj.plants.hand import get_hand as get_hand
-from maglev_mj.plants.model import Device as Device
+from maglev_mj.plants.model import CompiledModel as CompiledModel
 from maglev_mj.plants.model import load_model as load_model
 from maglev_mj.plants.model import model_names as model_names
 from maglev_mj.plants.model import model_path as model_path

@@ -12,13 +12,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.device import COILS
 from maglev_mj.errors import ModelError, PlantError, check_one_of
 from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.lazy import has_engine, mujoco
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.device_walls import HALF_ACCELERATION, HALF_ANGULAR
 from maglev_mj.plants.hand import Hand
-from maglev_mj.plants.model import COILS, Device, Model, acceleration, load_model, reference_state
+from maglev_mj.plants.model import CompiledModel, Model, acceleration, load_model, reference_state
 
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
 """Commanded wrench, or (None, six currents); engine controls; inverse coil map, None without coils."""
@@ -98,7 +99,7 @@ def prepared(
     stops: bool = False,
     force_falloff: float = 0.0,
     **device: Any,
-) -> Device:
+) -> CompiledModel:
     """Load a device and configure its model for a plant.
 
     Args:
@@ -142,13 +143,13 @@ def _has_passive_forces(model: mujoco.MjModel) -> bool:
     return bool(any(map(np.any, springs)) or options.density or options.viscosity or model.nflex or model.nplugin)
 
 
-def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) -> tuple[Array, Array]:
+def start_state(device: CompiledModel, pose: Array, twist: Array, hand: Hand | None) -> tuple[Array, Array]:
     """Return qpos and qvel of a device at release.
 
     A hand with a soft grip starts in static equilibrium with the flotor, at its velocity.
 
     Args:
-        device: Device.
+        device: CompiledModel.
         pose: Pose of the flotor [m, rad], (6,).
         twist: Its velocity [m/s, rad/s], (6,).
         hand: Hand on the flotor.
@@ -167,7 +168,7 @@ def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) ->
     return position, velocity
 
 
-def hand_addresses(device: Device, hand: Hand | None) -> list[int]:
+def hand_addresses(device: CompiledModel, hand: Hand | None) -> list[int]:
     """Return the indices into qvel of the hand's muscle forces on x, y and z.
 
     They act on the hand's own mass in a soft grip, otherwise on the flotor.
@@ -179,7 +180,7 @@ def hand_addresses(device: Device, hand: Hand | None) -> list[int]:
 
 
 def longest_step(
-    device: Device,
+    device: CompiledModel,
     driver_lag: bool = False,
     hand: Hand | None = None,
     stops: bool = False,
@@ -189,7 +190,7 @@ def longest_step(
     """Return the largest integrator step [s]; None if steps at force switches are enough.
 
     Args:
-        device: Device, for its driver time constant.
+        device: CompiledModel, for its driver time constant.
         driver_lag: Driver lag enabled.
         hand: Hand on the flotor.
         stops: Metal stops enabled.
@@ -227,7 +228,7 @@ class Steps:
     """Engine steps of one device under constant controls.
 
     Args:
-        device: Device.
+        device: CompiledModel.
         data: Its state.
         falloff: See `MuJoCoPlant`.
         stop_damping: See `MuJoCoPlant`.
@@ -237,7 +238,9 @@ class Steps:
         settle: The same at a sample, after which the state is that position.
     """
 
-    def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
+    def __init__(
+        self, device: CompiledModel, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False
+    ) -> None:
         self._options = device.model.opt
         controls = data.xfrc_applied[device.flotor] if device.coils is None else data.ctrl[: len(COILS)]
         # equivalent to controls[:] = values, in half the time
@@ -271,7 +274,9 @@ class CorrectedSteps(Steps):
     about several axes) leave an error of first order in h.
     """
 
-    def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
+    def __init__(
+        self, device: CompiledModel, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False
+    ) -> None:
         super().__init__(device, data, falloff, stop_damping)
         self._read, self.look, self.settle = self.look, self._look, self._settle
         self._velocity = data.qvel[device.velocity_address :][:6].tolist
@@ -357,7 +362,7 @@ class _DampedStops:
     indefinitely.
     """
 
-    def __init__(self, device: Device, data: mujoco.MjData) -> None:
+    def __init__(self, device: CompiledModel, data: mujoco.MjData) -> None:
         self._model, self._data = device.model, data
         self._damping = device.model.dof_damping[device.velocity_address :][:6]
         self._free = self._damping.copy()
@@ -379,7 +384,7 @@ class _Falloff:
     Force constants are evaluated at midstep, for an error of second order in the step.
     """
 
-    def __init__(self, device: Device, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
+    def __init__(self, device: CompiledModel, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
         self._model, self._data, self._falloff, self._step = device.model, data, falloff, step
         self._centre = reference_state(device.model).actuator_length[: len(COILS)].copy()
         self._flat = device.model.actuator_gainprm[: len(COILS), 0].copy()

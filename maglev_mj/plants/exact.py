@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Timing
+from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, Six, components, join
 from maglev_mj.parameters import LAG, flag, number, numbers, six
@@ -87,7 +88,10 @@ class ExactPlant(SampledPlant):
     ) -> None:
         timing = timing or Timing()
         moving, moments, lag, fall = INERTIA[0], np.array(INERTIA[3:]), DRIVER_TIME_CONSTANT, acceleration(GRAVITY)
-        if model is not None:
+        if isinstance(model, Device):
+            moving, moments, lag = model.mass, model.inertia[3:], model.driver.time_constant
+            fall = np.array(model.body.gravity)
+        elif model is not None:
             device = load_model(model, driver_lag=driver_lag, driver_time_constant=driver_time_constant)
             moving, moments, lag = device.mass, device.inertia, device.driver_time_constant
             fall = device.gravity

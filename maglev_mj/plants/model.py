@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.device import COILS, Device
 from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_message
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
@@ -24,15 +25,12 @@ from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import GRAVITY, INERTIA, RANGE, Spec
 from maglev_mj.versions import MODELS
 
-COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
-"""Actuator names, in the order of the six currents."""
-
 JOINTS = ("x", "y", "z", "rotation")
 """Names of the flotor's joints, in order."""
 
 
-Model: TypeAlias = "str | Path | mujoco.MjSpec"
-"""Name of a model of the package, MJCF file (.xml), or specification."""
+Model: TypeAlias = "str | Path | mujoco.MjSpec | Device"
+"""Name of a model of the package, MJCF file (.xml), specification, or description of a device."""
 
 
 def scenes() -> list[str]:
@@ -99,7 +97,7 @@ def written(folder: Path) -> tuple[tuple[str, int], ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Device:
+class CompiledModel:
     """Compiled model with resolved names.
 
     Attributes:
@@ -166,7 +164,7 @@ def load_model(
     inertia: ArrayLike | None = None,
     hand: Hand | None = None,
     flexible: bool = False,
-) -> Device:
+) -> CompiledModel:
     """Compile a model and resolve its names.
 
     A file is compiled once and cached; every call returns a separate copy.
@@ -209,7 +207,9 @@ def load_model(
         hand=hand,
         inertia=None if inertia is None else tuple(numbers("inertia", inertia, shape="(3,)", above=0.0).tolist()),
     )
-    if isinstance(model, mujoco.MjSpec):
+    if isinstance(model, Device):
+        device = _described(model, options._replace(coils=coils and model.coils is not None))
+    elif isinstance(model, mujoco.MjSpec):
         device = _compile(model.modelname, model.copy(), options)
     else:
         path = model_path(model)
@@ -252,13 +252,15 @@ class Body(NamedTuple):
 
 
 def body_of(keywords: Mapping[str, Any]) -> Body:
-    """Return the device of a plant's keywords; without a model, the published one.
+    """Return the device of a plant's keywords; without a model, the published joystick.
 
     Raises:
         ModelError: If its model is invalid.
     """
     body = Body(np.array(INERTIA), np.array([0.0, 0.0, -GRAVITY]), np.array(RANGE), Spec.largest_vertical_force.value)
-    if (model := keywords.get("model")) is not None:
+    if isinstance(model := keywords.get("model"), Device):
+        body = Body(model.inertia.copy(), np.array(model.body.gravity), model.reach, float(model.force_limit[2]))
+    elif model is not None:
         device = load_model(model, **{name: keywords[name] for name in ("coils", "coil_map") if name in keywords})
         limits = () if device.coils is None else device.coils.largest_wrench(Spec.peak_current.value)[2:3]
         inertia = np.array([device.mass] * 3 + device.inertia.tolist())
@@ -290,7 +292,13 @@ class _Options(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _compiled(path: Path, written: tuple[tuple[str, int], ...], options: _Options) -> Device:
+def _described(device: Device, options: _Options) -> CompiledModel:
+    """Compile the generated model of a device; see `load_model`."""
+    return _compile(device.name, mujoco.MjSpec.from_string(device.mjcf()), options)
+
+
+@lru_cache(maxsize=32)
+def _compiled(path: Path, written: tuple[tuple[str, int], ...], options: _Options) -> CompiledModel:
     """Compile a file; see `load_model`."""
     name = path.stem if path.parent == MODELS else path.name
     try:
@@ -306,7 +314,7 @@ def invalid_model(name: str, error: object) -> ModelError:
     return ModelError(f"model {name!r} is invalid: {' '.join(str(error).split())}")
 
 
-def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> Device:
+def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> CompiledModel:
     """Compile a specification; see `load_model`."""
     _check_names(name, spec, options)
     numeric = spec.numeric("driver_time_constant")
@@ -349,7 +357,7 @@ def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> Device:
         raise ModelError(f"model {name!r} must define its coils first, in the order {', '.join(COILS)}")
     if options.mass is not None:
         _share_out(model, flotor, options.mass)
-    device = Device(
+    device = CompiledModel(
         model=model,
         flotor=flotor,
         position_address=first,
@@ -485,7 +493,7 @@ def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
     )
 
 
-def _put_coils(device: Device, coils: CoilMap) -> None:
+def _put_coils(device: CompiledModel, coils: CoilMap) -> None:
     """Replace the model's coils by a coil map."""
     model, present = device.model, device.coils
     assert present is not None

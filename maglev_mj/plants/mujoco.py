@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Timing
+from maglev_mj.device import COILS
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, Six, components, join, rotation_vector
 from maglev_mj.lazy import mujoco
@@ -20,7 +21,7 @@ from maglev_mj.plants import engine
 from maglev_mj.plants.base import PlantKeywords, SampledPlant, restore, states_of
 from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap
 from maglev_mj.plants.hand import Hand
-from maglev_mj.plants.model import COILS, Model, load_model
+from maglev_mj.plants.model import Model, load_model
 from maglev_mj.plants.sensor import Measure
 
 _Snapshot: TypeAlias = tuple[Sequence[float], Sequence[float], engine.Drive]

@@ -14,10 +14,11 @@ from maglev_mj.control import Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.control.timeline import Timing
+from maglev_mj.device import COILS
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import axis_indices
-from maglev_mj.plants.model import COILS, Device, Model, load_model, reference_state
+from maglev_mj.plants.model import CompiledModel, Model, load_model, reference_state
 from maglev_mj.plants.mujoco import MuJoCoPlant
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import GRAVITY, Spec
@@ -188,7 +189,7 @@ def arrow_start(knob: Array, force: Array) -> Array:
     return np.asarray(knob + force / np.linalg.norm(force / [radius, radius, half_height]))
 
 
-def envelope(device: Device) -> tuple[float, float]:
+def envelope(device: CompiledModel) -> tuple[float, float]:
     """Return radius and height [m] of the upright cylinder around the device without its handle."""
     model = device.model
     data = reference_state(model)
@@ -288,7 +289,7 @@ def device_report() -> DeviceReport:
     return DeviceReport(_measure(load_model("maglev", lean=False)))
 
 
-def _measure(device: Device) -> dict[str, Any]:
+def _measure(device: CompiledModel) -> dict[str, Any]:
     model, coils = device.model, device.coils
     assert coils is not None  # loaded with coils
     radius, height = envelope(device)

@@ -42,8 +42,8 @@ from maglev_mj.bridge.wire import (
     Wall,
     newer,
 )
+from maglev_mj.device import COILS
 from maglev_mj.errors import ParameterError
-from maglev_mj.plants.model import COILS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "reference" / "protocol.md").read_text(encoding="utf-8")

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from maglev_mj import Controller, Hold, MuJoCoPlant, Timing, Wall, drive
+from maglev_mj.device import COILS
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand, get_hand
-from maglev_mj.plants.model import COILS, Device, load_model, scenes
+from maglev_mj.plants.model import CompiledModel, load_model, scenes
 from maglev_mj.plants.shapes import (
     GRIP,
     KNOB,
@@ -33,11 +34,11 @@ SPEC = Spec()
 
 
 @pytest.fixture(scope="module")
-def device() -> Device:
+def device() -> CompiledModel:
     return load_model("maglev", lean=False)
 
 
-def coil_map(device: Device) -> CoilMap:
+def coil_map(device: CompiledModel) -> CoilMap:
     assert device.coils is not None
     return device.coils
 
@@ -64,7 +65,7 @@ def test_walls_are_one_box_of_plates_that_the_knob_touches(count: int) -> None:
 # -- Table 1, row by row ---------------------------------------------------------------------------------
 
 
-def test_the_model_is_that_of_table_1(device: Device) -> None:
+def test_the_model_is_that_of_table_1(device: CompiledModel) -> None:
     compiled, coils = device.model, coil_map(device)
     assert envelope(device) == pytest.approx((SPEC.radius.value, SPEC.height.value), abs=1e-9)
     assert compiled.body("stator").mass[0] == SPEC.stator_mass.value
@@ -102,7 +103,7 @@ def test_range_is_a_stop_in_the_device() -> None:
     assert data.qpos[2] == pytest.approx(SPEC.translation_range.value, abs=5e-5)
 
 
-def test_payload_of_table_1_contradicts_its_current(device: Device) -> None:
+def test_payload_of_table_1_contradicts_its_current(device: CompiledModel) -> None:
     # 2 kg beside the 0.65 kg flotor takes 4.33 A a coil, not 3 A.
     coils = coil_map(device)
     lifted = coils.largest_wrench(SPEC.continuous_current.value)[2] / GRAVITY - SPEC.flotor_mass.value
@@ -136,7 +137,7 @@ def test_measured_bandwidth_is_that_of_the_sampled_loop() -> None:
 # -- geometry and map ------------------------------------------------------------------------------------
 
 
-def test_device_has_threefold_symmetry(device: Device) -> None:
+def test_device_has_threefold_symmetry(device: CompiledModel) -> None:
     turn = np.array([[-0.5, -math.sqrt(0.75), 0.0], [math.sqrt(0.75), -0.5, 0.0], [0.0, 0.0, 1.0]])
     coils = coil_map(device)
     for kind in (0, 3):
@@ -147,7 +148,7 @@ def test_device_has_threefold_symmetry(device: Device) -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.02, 0.1, 1.0])
-def test_coil_map_is_the_engine_s_at_any_angle(device: Device, angle: float) -> None:
+def test_coil_map_is_the_engine_s_at_any_angle(device: CompiledModel, angle: float) -> None:
     compiled, data = device.model, mujoco.MjData(device.model)
     vector = angle * np.array([0.6, -0.48, 0.64])
     data.qpos[3:7] = quaternion(vector)
@@ -163,7 +164,7 @@ def test_coil_map_is_the_engine_s_at_any_angle(device: Device, angle: float) -> 
     np.testing.assert_allclose(coil_map(device).inverse_at_angle(*vector.tolist()) @ engine, np.eye(6), atol=1e-12)
 
 
-def test_coils_that_cannot_give_every_wrench_are_refused(device: Device) -> None:
+def test_coils_that_cannot_give_every_wrench_are_refused(device: CompiledModel) -> None:
     coils = coil_map(device)
     with pytest.raises(ModelError, match="singular"):
         CoilMap(coils.points, np.tile([0.0, 0.0, 1.0], (6, 1)), coils.force_constants)

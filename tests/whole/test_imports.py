@@ -31,7 +31,7 @@ FLOORS = {
         "errors files frames keywords spec versions lazy process colours pictures result terminal".split(), 0
     ),
     "parameters": 1,
-    "control": 2,
+    **dict.fromkeys(("control", "device"), 2),
     "plants": 3,
     "theory": 4,
     "scenes": 5,

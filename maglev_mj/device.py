@@ -1,0 +1,377 @@
+"""Device description: one TOML file with body, coils, range, sensor, drivers and loop."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.frames import AXES, Array
+from maglev_mj.parameters import LAG, Parameters, numbers, param, read_file, transport_delay
+from maglev_mj.spec import GRAVITY, MAX_PERIOD, MIN_PERIOD
+from maglev_mj.versions import MODELS
+
+PUBLISHED = "ubc"
+"""Name of the default device, the published joystick."""
+
+COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
+"""Actuator names of a model, in the order of the six currents."""
+
+_FOLDER = MODELS / "devices"
+_UNIT_LENGTH = 1e-6
+_ZERO = (0.0, 0.0, 0.0)
+
+
+def _array(name: str, shape: str, unit: str, default: Any = None, *, optional: bool = False, **bounds: Any) -> Any:
+    """Declare an array; required unless it has a default or is optional."""
+    return param(name, unit, default=default, optional=optional, parse=partial(_parsed, name, shape, bounds))
+
+
+def _parsed(name: str, shape: str, bounds: Mapping[str, Any], value: Any) -> Any:
+    """Return a checked array as nested tuples."""
+    array = numbers(name, value, shape=shape, **bounds)
+    if name in ("directions", "across"):
+        lengths = np.linalg.norm(array, axis=-1)
+        worst = float(lengths.flat[np.abs(lengths - 1.0).argmax()])
+        if abs(worst - 1.0) > _UNIT_LENGTH:
+            raise ParameterError(f"{name} must be unit vectors within {_UNIT_LENGTH:g} (got length {worst!r})")
+    return _tuples(array.tolist())
+
+
+def _tuples(values: Any) -> Any:
+    return tuple(map(_tuples, values)) if isinstance(values, list) else values
+
+
+class Body(Parameters):
+    """Moving body: mass, moments of inertia, centre of mass in the frame of all points, gravity."""
+
+    mass: float = param("moving mass", "kg", default=None, at_least=1e-3, at_most=1e3)
+    inertia: Any = _array("inertia", "(3,)", "kg m²", (1e-3,) * 3, above=0.0, at_most=1e3)
+    centre_of_mass: Any = _array("centre_of_mass", "(3,)", "m", _ZERO)
+    gravity: Any = _array("gravity", "(3,)", "m/s²", (0.0, 0.0, -GRAVITY))
+
+
+class Coils(Parameters):
+    """Six coils on the body: points and unit directions of their forces (fixed axes), and limits."""
+
+    points: Any = _array("points", "(6, 3)", "m")
+    directions: Any = _array("directions", "(6, 3)", "")
+    force_constants: Any = _array("force_constants", "(6,)", "N/A")
+    current_limit: float = param("current limit", "A", default=None, above=0.0, at_most=20.0)
+    continuous_current: float = param("", "A", default=None, derive=lambda coils: coils.current_limit, above=0.0)
+    thermal_time: float = param("thermal time constant", "s", default=10.0, at_least=0.01, at_most=1e7)
+    resistance: float | None = param("resistance", "ohm", default=None, optional=True, above=0.0)
+
+    def check(self) -> None:
+        """See `Parameters`."""
+        if self.continuous_current > (most := self.current_limit):
+            raise ParameterError(
+                f"continuous_current must be at most current_limit, {most:g} A (got {self.continuous_current:g})"
+            )
+        if np.linalg.matrix_rank(self.wrench_per_current(_ZERO)) < len(AXES):
+            raise ParameterError("points and directions must allow every wrench: the coil map is singular")
+
+    def wrench_per_current(self, centre: Sequence[float]) -> Array:
+        """Return the map from currents to a wrench about a point [N/A, N m/A], (6, 6)."""
+        forces = np.array(self.directions) * np.array(self.force_constants)[:, None]
+        return np.asarray(np.concatenate([forces.T, np.cross(np.array(self.points) - centre, forces).T]))
+
+
+class Force(Parameters):
+    """Actuator along x, y, z that takes a force: its limit on each axis."""
+
+    limit: Any = _array("limit", "(3,)", "N", above=0.0)
+
+
+class Range(Parameters):
+    """Range of motion to either side of the centre."""
+
+    translation: Any = _array("translation", "(3,)", "m", (math.inf,) * 3, above=0.0, finite=False)
+    rotation_deg: Any = _array("rotation_deg", "(3,)", "deg", (math.inf,) * 3, above=0.0, finite=False)
+    stops: bool = param("stops at the ends of the range", default=True)
+
+
+class Sensor(Parameters):
+    """Pose sensor: a pose computed on the device, or spots of three beams on three diodes.
+
+    A pose is sent as x, y, z and the rotation vector times `lever`. LEDs and beams move with the body.
+    """
+
+    kind: str = param("what the device sends", default="pose", choices=("pose", "spots"))
+    resolution: Any = _array("resolution", "(6,)", "m, rad", _ZERO * 2, at_least=0.0)
+    noise: Any = _array("noise", "(6,)", "m, rad", _ZERO * 2, at_least=0.0)
+    latency: float = param("age of a pose at its stamp", "s", default=0.0, at_least=0.0, at_most=1.0)
+    lever: float = param("lever of rotations", "m", default=0.05, at_least=1e-3, at_most=1.0)
+    offsets: Any = _array("offsets", "(6,)", "m", _ZERO * 2)
+    leds: Any = _array("leds", "(3, 3)", "m", optional=True)
+    directions: Any = _array("directions", "(3, 3)", "", optional=True)
+    diodes: Any = _array("diodes", "(3, 3)", "m", optional=True)
+    across: Any = _array("across", "(3, 2, 3)", "", optional=True)
+
+    def check(self) -> None:
+        """See `Parameters`."""
+        for name in ("leds", "directions", "diodes", "across"):
+            if (getattr(self, name) is None) == (self.kind == "spots"):
+                raise ParameterError(f"{name} must be given for kind 'spots' alone (got kind {self.kind!r})")
+
+
+class Driver(Parameters):
+    """Current drivers: time constant of their lag, 0 for none."""
+
+    time_constant: float = param("time constant", "s", default=0.0, at_least=0.0, at_most=LAG["at_most"])
+
+
+class Loop(Parameters):
+    """Sample rate, and delay from a sample's stamp to the effect of its command."""
+
+    rate: float = param("sample rate", "Hz", default=None, at_least=1.0 / MAX_PERIOD, at_most=1.0 / MIN_PERIOD)
+    delay: float = param("delay", "s", default=None, at_least=0.0, at_most=1.0)
+
+
+class Knob(Parameters):
+    """Sphere at which a hand holds the body: radius, and height above the centre of mass."""
+
+    radius: float = param("radius", "m", default=0.0165, above=0.0, at_most=1.0)
+    height: float = param("height", "m", default=0.079, at_least=-1.0, at_most=1.0)
+
+
+_SECTIONS: Mapping[str, type[Parameters]] = {
+    **{"body": Body, "coils": Coils, "force": Force, "range": Range},
+    **{"sensor": Sensor, "driver": Driver, "loop": Loop, "knob": Knob},
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Device:
+    """Description of a device, in SI units.
+
+    Attributes:
+        name: Name; not part of the digest.
+        axes: Actuated axes: all six, or x, y, z.
+        coils: Coils; None for a device that takes a force.
+        force: Force limits; None for a device with coils.
+
+    Example:
+        >>> from maglev_mj import Device
+        >>> device = Device.load("stage")
+        >>> device.mass, device.force_limit.round(1).tolist()[2]  # [kg], [N]
+        (0.3, 33.0)
+    """
+
+    name: str
+    axes: tuple[str, ...] = AXES
+    body: Body
+    coils: Coils | None = None
+    force: Force | None = None
+    range: Range
+    sensor: Sensor
+    driver: Driver
+    loop: Loop
+    knob: Knob
+
+    def __post_init__(self) -> None:
+        if (self.coils is None) == (self.force is None):
+            raise ParameterError("exactly one of [coils] and [force] must be given")
+        if self.axes not in (AXES, AXES[:3]) or (self.coils is not None and self.axes != AXES):
+            raise ParameterError(
+                f"axes must be {list(AXES)}, or {list(AXES[:3])} without coils (got {list(self.axes)})"
+            )
+        if self.coils is not None and self.sensor.kind == "spots" and self.sensor.latency:
+            raise ParameterError(f"sensor.latency must be 0 for spots (got {self.sensor.latency:g})")
+        transport_delay(self.delay, self.period, "loop.delay plus sensor.latency")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Device:
+        """Read a device file (.toml), or a device of the package by name: ubc, stage, arm.
+
+        Raises:
+            ParameterError: If it cannot be read, or a value is missing, unknown, of another type or out of bounds; one
+                line with file and section.key.
+        """
+        if not (isinstance(path, Path) or str(path).endswith(".toml")):
+            check_one_of("device", devices(), path, ", or a file .toml")
+            path = _FOLDER / f"{path}.toml"
+        return read_file("device file", path, cls.parse)
+
+    @classmethod
+    @lru_cache(maxsize=32)
+    def parse(cls, text: str) -> Device:
+        """Return the device of a TOML text; see `load`."""
+        import tomllib  # imported here: slow
+
+        try:
+            values = tomllib.loads(text.removeprefix("\ufeff"))
+        except tomllib.TOMLDecodeError as error:
+            raise ParameterError(f"not TOML: {error}") from None
+        sections = {name: value for name, value in values.items() if isinstance(value, dict)}
+        top = {name: value for name, value in values.items() if name not in sections}
+        for name in sections:
+            check_one_of("section", _SECTIONS, name)
+        _check_keys("", top, {"format": True, "name": True, "axes": False})
+        if repr(top["format"]) != "1":
+            raise ParameterError(f"format must be 1 (got {top['format']!r})")
+        if not isinstance(top["name"], str) or not top["name"].isprintable() or not top["name"]:
+            raise ParameterError(f"name must be a printable text (got {top['name']!r})")
+        axes = top.get("axes", list(AXES))
+        required = {"body", "loop"} | set(sections)
+        made = {
+            name: _section(name, kind, sections.get(name, {}))
+            for name, kind in _SECTIONS.items()
+            if name in required or name not in ("coils", "force")
+        }
+        return cls(name=top["name"], axes=tuple(axes) if isinstance(axes, list) else axes, **made)  # type: ignore[arg-type]
+
+    def toml(self) -> str:
+        """Return the device as the text of a file, without loss of precision."""
+        lines = ["format = 1", f"name = {json.dumps(self.name)}", f"axes = {json.dumps(self.axes)}"]
+        for name in _SECTIONS:
+            if (section := getattr(self, name)) is not None:
+                rows = section.as_json().items()
+                lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in rows if value is not None)]
+        return "\n".join(lines) + "\n"
+
+    def change(self, section: str, **values: Any) -> Device:
+        """Return the device with other values in a section."""
+        return replace(self, **{section: getattr(self, section).replace(**values)})
+
+    @cached_property
+    def digest(self) -> bytes:
+        """BLAKE2s digest of all values but the name, 16 bytes."""
+        values = [getattr(self, item.name) for item in fields(self) if item.name != "name"]
+        rows = [value.as_json() if isinstance(value, Parameters) else value for value in values]
+        return hashlib.blake2s(json.dumps(rows, separators=(",", ":")).encode(), digest_size=16).digest()
+
+    @cached_property
+    def published(self) -> bool:
+        """True for the published joystick, under any name."""
+        return self.digest == Device.load(PUBLISHED).digest
+
+    mass = property(lambda self: self.body.mass, doc="Moving mass [kg].")
+    period = property(lambda self: 1.0 / self.loop.rate, doc="Sample period [s].")
+    delay = property(lambda self: self.loop.delay + self.sensor.latency, doc="Delay from a pose to its command [s].")
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Mass and moments of inertia [kg, kg m²], (6,)."""
+        return _frozen([self.mass] * 3 + list(self.body.inertia))
+
+    @cached_property
+    def reach(self) -> Array:
+        """Range of motion to either side of the centre [m, rad], (6,); infinite without one."""
+        return _frozen([*self.range.translation, *np.radians(self.range.rotation_deg)])
+
+    @cached_property
+    def force_limit(self) -> Array:
+        """Largest force or torque on each axis alone [N, N m], (6,)."""
+        if self.coils is None:
+            assert self.force is not None
+            return _frozen([*self.force.limit, 0.0, 0.0, 0.0])
+        inverse = np.linalg.inv(self.coils.wrench_per_current(self.body.centre_of_mass))
+        return _frozen(self.coils.current_limit / np.abs(inverse).max(axis=0))
+
+    @property
+    def escape(self) -> float:
+        """Distance from the centre at which a simulation counts as diverged [m]: ten ranges, or 1 m without one."""
+        largest = max(self.range.translation)
+        return 10.0 * largest if math.isfinite(largest) else 1.0
+
+    @property
+    def rest(self) -> tuple[float, ...]:
+        """Pose on the lower stop, or the centre without stops [m, rad], six."""
+        low = -self.range.translation[2] if self.range.stops and math.isfinite(self.range.translation[2]) else 0.0
+        return (0.0, 0.0, low, 0.0, 0.0, 0.0)
+
+    def from_centre(self, points: Sequence[Any]) -> Array:
+        """Return points of the file from the centre of mass [m]."""
+        return np.asarray(np.array(points) - self.body.centre_of_mass)
+
+    def mjcf(self) -> str:
+        """Return the bare device as MJCF: the flotor with its joints, and a site and an actuator per coil."""
+        move, turn = self.range.translation, min(self.range.rotation_deg)
+        joints = [
+            _joint(x, "slide", -end, end, f'axis="{_row(np.eye(3)[k])}"') for k, (x, end) in enumerate(zip("xyz", move))
+        ]
+        joints.append(_joint("rotation", "ball", 0.0, turn))
+        sites, actuators = list[str](), list[str]()
+        if (part := self.coils) is not None:
+            rows = zip(COILS, self.from_centre(part.points), part.directions, part.force_constants, strict=True)
+            for name, point, direction, constant in rows:
+                sites.append(f'<site name="{name}" pos="{_row(point)}"/>')
+                limits = f'ctrllimited="true" ctrlrange="{_row([-part.current_limit, part.current_limit])}"'
+                force = f'gear="{_row(direction)} 0 0 0" gainprm="{constant:.17g}"'
+                actuators.append(f'<general name="{name}" site="{name}" refsite="stator" {force} {limits}/>')
+        return f"""<mujoco model="device">
+  <compiler angle="degree"/>
+  <option gravity="{_row(self.body.gravity)}"/>
+  <default><joint solreflimit="0.004 1" solimplimit="0.99 0.995 0.0005"/><geom contype="0" conaffinity="0"/></default>
+  <custom><numeric name="driver_time_constant" data="{self.driver.time_constant:.17g}"/></custom>
+  <worldbody>
+    <site name="stator"/>
+    <body name="flotor">
+      {"".join(joints)}
+      <inertial pos="0 0 0" mass="{self.mass:.17g}" diaginertia="{_row(self.body.inertia)}"/>
+      <geom type="sphere" size="{self.knob.radius:.17g}" pos="0 0 {self.knob.height:.17g}"/>
+      {"".join(sites)}
+    </body>
+  </worldbody>
+  <actuator>{"".join(actuators)}</actuator>
+</mujoco>
+"""
+
+
+def devices() -> tuple[str, ...]:
+    """Return the names of the devices of the package."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
+
+
+def _section(name: str, kind: type[Parameters], values: Mapping[str, Any]) -> Parameters:
+    """Return a checked section."""
+    declared = kind.parameters()
+    _check_keys(
+        f"{name}.", values, {x.name: x.default is None and not x.optional and x.derive is None for x in declared}
+    )
+    try:
+        return kind(**values)
+    except ParameterError as error:
+        raise ParameterError(f"{name}.{error}") from None
+
+
+def _check_keys(where: str, values: Mapping[str, Any], keys: Mapping[str, bool]) -> None:
+    """Raise ParameterError for an unknown key, or a missing one that is required."""
+    for name in values:
+        if name not in keys:
+            raise ParameterError(f"{where}{name} is not a key; keys are {', '.join(keys)}")
+    for name, required in keys.items():
+        if required and name not in values:
+            raise ParameterError(f"{where}{name} is missing")
+
+
+def _toml(value: Any) -> str:
+    """Return a value as TOML; a float's text is exact."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    return repr(value) if isinstance(value, float) else json.dumps(value)
+
+
+def _frozen(values: Any) -> Array:
+    """Return a read-only array."""
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+def _row(values: Any) -> str:
+    return " ".join(f"{value:.17g}" for value in np.ravel(values))
+
+
+def _joint(name: str, kind: str, low: float, high: float, more: str = "") -> str:
+    limits = f'limited="true" range="{_row([low, high])}"' if math.isfinite(high) else ""
+    return f'<joint name="{name}" type="{kind}" {limits} {more}/>'

@@ -1,0 +1,133 @@
+"""Device files: every key, the shipped devices, and the models generated from them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from maglev_mj import Device, ExactPlant, load_model
+from maglev_mj.device import devices
+from maglev_mj.errors import ParameterError
+from maglev_mj.plants.model import body_of
+from maglev_mj.plants.sensor import beams
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, INERTIA, RANGE, RESOLUTION, Spec
+
+DEVICES = {name: Device.load(name) for name in devices()}
+COILS = [name for name, device in DEVICES.items() if device.coils is not None]
+
+
+def keys(text: str) -> Iterator[tuple[int, str, str, str]]:
+    """Yield line number, section, key and value of each row of a file."""
+    section = ""
+    for number, line in enumerate(text.splitlines()):
+        if match := re.fullmatch(r"\[(\w+)\]", line):
+            section = f"{match[1]}."
+        elif match := re.fullmatch(r"(\w+) = (.*)", line):
+            yield number, section, match[1], match[2]
+
+
+def damages(value: str) -> Iterator[str]:
+    """Yield values of another type, and outside the bounds."""
+    yield "17" if value.startswith('"') else '"text"'
+    yield "true" if value[0] in "[0123456789-" else "[1.0]"
+    if value[0] not in '"tf' and not value.startswith('["'):
+        yield re.sub(r"[\d.e-]+|inf", "nan", value)
+        yield "[]" if value.startswith("[") else "-1e12"
+
+
+ROWS = [(name, *row) for name, device in DEVICES.items() for row in keys(device.toml())]
+
+
+@pytest.mark.parametrize(("name", "line", "section", "key", "value"), ROWS)
+def test_a_wrong_value_is_refused_in_one_line(
+    name: str, line: int, section: str, key: str, value: str, tmp_path: Path
+) -> None:
+    rows, path = DEVICES[name].toml().splitlines(), tmp_path / "own.toml"
+
+    def message(row: str) -> str:
+        path.write_text("\n".join([*rows[:line], row, *rows[line + 1 :]]), encoding="utf-8-sig")
+        try:
+            Device.load(path)
+        except ParameterError as error:
+            assert "\n" not in str(error) and str(error).startswith(f"device file {str(path)!r}: ")
+            return str(error)
+        return ""
+
+    assert message(rows[line]) == ""
+    assert f"{section}{key}x" in message(f"{key}x = {value}")
+    for damaged in damages(value):
+        assert f"{section}{key}" in message(f"{key} = {damaged}"), damaged
+    missing = message("")
+    assert not missing or f"{section}{key}" in missing or key in missing  # a default, or the key
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_a_file_holds_every_value(name: str) -> None:
+    device = DEVICES[name]
+    copy = Device.parse(device.toml())
+    assert copy == device and copy.digest == device.digest
+    assert copy.change("loop", delay=1e-4).digest != device.digest
+    assert Device.parse(device.toml().replace(f'"{name}"', '"copy"')).digest == device.digest
+    assert device.published == (name == "ubc")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("format = 2\nname = 'x'", "format must be 1"),
+        ("format = 1\nname = 'x'\n[bode]\nmass = 1", "section must be one of"),
+        ("format = 1\nname = 'x'\n[body]\nmass = 1", "loop.rate is missing"),
+        ("format = 1\nname = 'x'\n[body]\nmass = 1\n[loop]\nrate = 100\ndelay = 0", r"exactly one of \[coils\] and"),
+        ("format = 1\nname =", "not TOML"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(ParameterError, match=message) as error:
+        Device.parse(text)
+    assert "\n" not in str(error.value)
+
+
+def test_the_published_device_is_that_of_the_paper_and_of_its_model() -> None:
+    device, model, sensor = DEVICES["ubc"], load_model("maglev"), beams()
+    assert device.coils is not None and model.coils is not None
+    for exact, value in ((INERTIA, device.inertia), (RANGE, device.reach), (RESOLUTION, device.sensor.resolution)):
+        np.testing.assert_array_equal(exact, value)
+    times = 1.0 / Spec.control_rate.value, Spec.transport_delay.value, DRIVER_TIME_CONSTANT, ESCAPE
+    assert times == (device.period, device.delay, device.driver.time_constant, device.escape)
+    currents = device.coils.current_limit, device.coils.continuous_current
+    assert currents == (Spec.peak_current.value, Spec.continuous_current.value)
+    for name in ("points", "directions", "force_constants"):
+        np.testing.assert_allclose(getattr(device.coils, name), getattr(model.coils, name), atol=1e-15)
+    for name in ("leds", "directions", "diodes", "across"):
+        np.testing.assert_allclose(getattr(device.sensor, name), getattr(sensor, name), atol=1e-15)
+    np.testing.assert_allclose(body_of({"model": device}).force_limit, body_of({}).force_limit)
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_the_generated_model_is_the_device(name: str) -> None:
+    device = DEVICES[name]
+    model, exact = load_model(device), ExactPlant(model=device)
+    np.testing.assert_allclose([model.mass, *model.inertia], device.inertia[2:], rtol=1e-12)
+    np.testing.assert_allclose(model.range[:3], device.reach[:3], rtol=1e-12)
+    assert model.range[3] == pytest.approx(device.reach[3:].min())
+    np.testing.assert_array_equal(model.gravity, device.body.gravity)
+    np.testing.assert_array_equal(exact.inertia, device.inertia)
+    np.testing.assert_allclose(exact.load, device.mass * np.array([*device.body.gravity, 0.0, 0.0, 0.0]))
+    assert (model.coils is None) == (device.coils is None)
+    if model.coils is not None:
+        limit = model.coils.largest_wrench(device.coils.current_limit)  # type: ignore[union-attr]
+        np.testing.assert_allclose(limit, device.force_limit, rtol=1e-12)
+
+
+def test_points_are_from_the_centre_of_mass() -> None:
+    stage = DEVICES["stage"]
+    assert stage.coils is not None
+    shifted = stage.change("body", centre_of_mass=(0.0, 0.0, 0.0))
+    points = [(x, y, z - 0.002) for x, y, z in stage.coils.points]
+    np.testing.assert_allclose(shifted.change("coils", points=points).force_limit, stage.force_limit, rtol=1e-12)
+    assert math.isclose(stage.force_limit[2], 33.0) and stage.rest[2] == -0.002
