@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import LAG, Parameters, numbers, param, read_file, transport_delay
-from maglev_mj.spec import GRAVITY, MAX_PERIOD, MIN_PERIOD
+from maglev_mj.spec import GRAVITY, MAX_PERIOD, MIN_PERIOD, RANGE
 from maglev_mj.versions import MODELS
 
 PUBLISHED = "ubc"
@@ -269,6 +269,11 @@ class Device:
         return _frozen([*self.range.translation, *np.radians(self.range.rotation_deg)])
 
     @cached_property
+    def scale(self) -> Array:
+        """Range of motion as a multiple of the published joystick's, 1 without a range, (6,)."""
+        return _frozen(np.where(np.isfinite(self.reach), self.reach, RANGE) / np.array(RANGE))
+
+    @cached_property
     def force_limit(self) -> Array:
         """Largest force or torque on each axis alone [N, N m], (6,)."""
         if self.coils is None:
@@ -284,14 +289,15 @@ class Device:
         return 10.0 * largest if math.isfinite(largest) else 1.0
 
     @property
+    def keywords(self) -> dict[str, Any]:
+        """Keywords that make a plant this device; none for the published joystick, as by default."""
+        return {} if self.published else {"model": self}
+
+    @property
     def rest(self) -> tuple[float, ...]:
         """Pose on the lower stop, or the centre without stops [m, rad], six."""
         low = -self.range.translation[2] if self.range.stops and math.isfinite(self.range.translation[2]) else 0.0
         return (0.0, 0.0, low, 0.0, 0.0, 0.0)
-
-    def from_centre(self, points: Sequence[Any]) -> Array:
-        """Return points of the file from the centre of mass [m]."""
-        return np.asarray(np.array(points) - self.body.centre_of_mass)
 
     def mjcf(self) -> str:
         """Return the bare device as MJCF: the flotor with its joints, and a site and an actuator per coil."""
@@ -302,7 +308,13 @@ class Device:
         joints.append(_joint("rotation", "ball", 0.0, turn))
         sites, actuators = list[str](), list[str]()
         if (part := self.coils) is not None:
-            rows = zip(COILS, self.from_centre(part.points), part.directions, part.force_constants, strict=True)
+            rows = zip(
+                COILS,
+                np.array(part.points) - self.body.centre_of_mass,
+                part.directions,
+                part.force_constants,
+                strict=True,
+            )
             for name, point, direction, constant in rows:
                 sites.append(f'<site name="{name}" pos="{_row(point)}"/>')
                 limits = f'ctrllimited="true" ctrlrange="{_row([-part.current_limit, part.current_limit])}"'
@@ -325,6 +337,22 @@ class Device:
   <actuator>{"".join(actuators)}</actuator>
 </mujoco>
 """
+
+
+class OnDevice(Parameters):
+    """Parameters with defaults of a device."""
+
+    device: str = param("device file (.toml), or a device of the package by name", default=PUBLISHED)
+
+    @cached_property
+    def hardware(self) -> Device:
+        """Description of the device."""
+        return Device.load(self.device)
+
+
+def of_device(value: Callable[[Device], float]) -> Callable[[Any], float]:
+    """Return a function that derives a default of `OnDevice` from its device; see `param`."""
+    return lambda parameters: float(value(parameters.hardware))
 
 
 def devices() -> tuple[str, ...]:

@@ -462,6 +462,7 @@ def param_range(
     unit: str,
     *,
     default: tuple[float, float] | None,
+    derive: Callable[[Any], Any] | None = None,
     at_least: float = -math.inf,
     at_most: float = math.inf,
 ) -> Any:
@@ -471,12 +472,13 @@ def param_range(
         name: Name of the field.
         help: Short description.
         unit: Unit; empty for none.
-        default: Default range; None if it is optional.
+        default: Default range; None if it is optional, or derived.
+        derive: Function that computes the default.
         at_least: Inclusive lower bound of both ends.
         at_most: Inclusive upper bound of both ends.
     """
     parse = partial(interval, name, at_least=at_least, at_most=at_most)
-    return param(help, unit, default=default, optional=default is None, parse=parse)
+    return param(help, unit, default=default, optional=default is None and derive is None, derive=derive, parse=parse)
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=True, field_specifiers=(param,))

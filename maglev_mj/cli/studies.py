@@ -28,7 +28,6 @@ from maglev_mj.cli.options import (
     chosen_scene,
     described,
     json_of,
-    parameters,
     pictures_to,
     range_of,
     scene_class,
@@ -250,7 +249,8 @@ def _add_ranges(parser: Parser, group: str, cls: Any, names: Sequence[str]) -> N
     """Add options for range parameters, of one or two values each."""
     for name in names:
         item = cls.parameter(name)
-        default = "covers the stable region" if item.default is None else f"{item.default[0]:g}"
+        value = getattr(cls(), name)
+        default = "covers the stable region" if value is None else f"{value[0]:g}"
         text = f"{item.help} [{item.unit}]: LOW HIGH, LOW:HIGH or one value (default {default})"
         parser.group(group).add_argument(f"--{name}", nargs="+", metavar="X", help=text)
 
@@ -346,16 +346,17 @@ def _add_requirements(parser: Parser) -> None:
 def _chosen_requirements(options: argparse.Namespace) -> WallRequirements:
     ranges = _ranges(options, ("mass", "delay"))
     hands = _hands(options.hand or ["none"], options.held)
-    return chosen(options, _required(options.scene_class), hands=hands, **ranges)
+    device = chosen(options, DeviceParameters).device
+    return chosen(options, _required(options.scene_class, device), hands=hands, **ranges)
 
 
-def _required(cls: type[Scene] | None) -> WallRequirements:
+def _required(cls: type[Scene] | None, device: str) -> WallRequirements:
     """Return requirements with a scene's sample period, delay and moving mass."""
-    default = WallRequirements()
+    default = WallRequirements(device=device)
     if cls is None:
         return default
-    scene = cls()
-    mass = scene.plant_options().get("mass", default.mass[0])
+    scene = cls(device=device)
+    mass = float(scene.body.inertia[2])
     return default.replace(period=scene.period, delay=(scene.delay,) * 2, mass=(mass,) * 2)
 
 
@@ -370,6 +371,18 @@ def _hands(words: Sequence[str], held: bool) -> tuple[str, ...]:
     return tuple(dict.fromkeys(["none", *hands]))
 
 
+def _chosen_contact(options: argparse.Namespace) -> Contact:
+    """Return the contact, with sensor and force limit of the device unless set."""
+    device, default = chosen(options, DeviceParameters).hardware, Contact()
+    if not device.published:
+        own = {"quantize": device.sensor.resolution[2], "force_limit": float(device.force_limit[2])}
+        default = default.replace(**own)
+    return chosen(options, default)
+
+
+_Contact: TypeAlias = Annotated[
+    Contact, Shared(lambda parser: add_parameters(parser.group("simulated contact"), Contact), _chosen_contact)
+]
 _Requirements: TypeAlias = Annotated[WallRequirements, Shared(_add_requirements, _chosen_requirements)]
 _OfScene: TypeAlias = Annotated[
     type[Scene] | None, Shared(partial(add_scene, options=False, instead=lambda _: None), scene_class)
@@ -379,7 +392,7 @@ _OfScene: TypeAlias = Annotated[
 def design(
     *,
     requirements: _Requirements,
-    contact: Annotated[Contact, parameters(Contact, "simulated contact")],
+    contact: _Contact,
     json: Annotated[str | None, json_of("the design")] = None,
     pictures: Annotated[PictureFolder | None, pictures_to("output folder for the chart of the margin")],
     scene: _OfScene,

@@ -163,7 +163,7 @@ def _blank(look: type[Scene], parameters: TwinParameters) -> Snapshot:
     from maglev_mj.session import EMERGENCY_STOP, Snapshot
 
     # the host chooses what is rendered
-    off = {row.name: False for row in look.parameters() if row.kind is bool and row.live}
+    off: dict[str, Any] = {row.name: False for row in look.parameters() if row.kind is bool and row.live}
     scene = look(**off, period=parameters.period, delay=parameters.delay)
     return Snapshot(scene=scene, actions=(EMERGENCY_STOP,))
 

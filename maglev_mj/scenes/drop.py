@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 from maglev_mj.control import Law
+from maglev_mj.device import of_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.parameters import param
+from maglev_mj.parameters import number, param
 from maglev_mj.scenes.scene import Start
 from maglev_mj.scenes.wall_scene import WallScene, hold, others
-from maglev_mj.spec import ESCAPE, Spec
 from maglev_mj.theory.ideal import analog_wall
 
 
@@ -32,7 +32,7 @@ class Drop(WallScene):
     band_phases: ClassVar[int] = 100
 
     height: float = param(
-        "drop height above the wall", "m", default=Spec.translation_range.value, above=0.0, below=ESCAPE
+        "drop height above the wall", "m", default=None, derive=of_device(lambda device: device.reach[2]), above=0.0
     )
     carry: bool = param("carry impulse clipped by the force limit over to later samples", default=False)
     duration: float = param("simulated time from release", "s", default=0.4, above=0.0, at_most=1000.0)
@@ -40,6 +40,7 @@ class Drop(WallScene):
     def check(self) -> None:
         """See `Scene`."""
         super().check()
+        number("height", self.height, below=self.hardware.escape, unit="m")
         if self.carry and self.force_limit is None:
             raise ParameterError("carry needs a force_limit, which clips the pulse")
 
@@ -72,7 +73,7 @@ class Drop(WallScene):
         """Return a one-line description."""
         pulse = f"a braking pulse of {self.pulse:g} N s/m" if self.unpulsed() else "no pulse"
         wall = f"a wall of {self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
-        return f"a drop of {self.height * 1e3:g} mm on {wall}, {pulse}"
+        return f"a drop of {self.height * 1e3:.4g} mm on {wall}, {pulse}"
 
     @property
     def rest(self) -> float:

@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from maglev_mj.control import Hold, Law
+from maglev_mj.device import of_device
 from maglev_mj.parameters import param
 from maglev_mj.plants import Timing
 from maglev_mj.scenes.scene import Scene, Start
-from maglev_mj.spec import INERTIA
 
 
 class _Body(Scene):
@@ -54,7 +54,14 @@ class LetGo(_Body):
     tolerance: ClassVar[float] = 1e-4
     tolerance_reason: ClassVar[str] = "well below the 0.5 mm compression of the stop"
 
-    duration: float = param("simulated time", "s", default=0.08, above=0.0, at_most=1e6)
+    duration: float = param(
+        "simulated time",
+        "s",
+        default=None,
+        derive=of_device(lambda device: 0.08 * math.sqrt(device.scale[2])),
+        above=0.0,
+        at_most=1e6,
+    )
 
     def describe(self) -> str:
         """Return a one-line description."""
@@ -65,7 +72,7 @@ def _soft(gain: str) -> Callable[[Any], float]:
     """Return a function that derives a gain of `Hold.critically_damped`."""
 
     def derived(scene: SixAxes) -> float:
-        soft = Hold.critically_damped("x", inertia=INERTIA[0], period=scene.period, delay=scene.delay)
+        soft = Hold.critically_damped("x", inertia=scene.hardware.mass, period=scene.period, delay=scene.delay)
         return float(np.asarray(getattr(soft, gain)))
 
     return derived
@@ -90,14 +97,16 @@ class SixAxes(_Body):
 
     def laws(self) -> list[Law]:
         """Return the hold."""
-        share = np.array(INERTIA) / INERTIA[0]
+        share = self.hardware.inertia / self.hardware.mass
         return [Hold(stiffness=self.stiffness * share, damping=self.damping * share)]
 
     def start(self) -> Start:
         """Return a flotor displaced on all six axes, its weight compensated."""
-        return Start(pose=(0.003, -0.002, 0.003, 0.06, -0.04, 0.05), gravity=0.0)
+        pose = np.array([0.003, -0.002, 0.003, 0.06, -0.04, 0.05]) * self.hardware.scale
+        return Start(pose=pose.tolist(), gravity=0.0)
 
     def describe(self) -> str:
         """Return a one-line description."""
         gains = f"{self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
-        return f"PD centring from 3 mm and 3.4 degrees on all six axes, {gains}"
+        reach = f"{3.0 * self.hardware.scale[0]:.3g} mm and {3.4 * self.hardware.scale[3]:.3g} degrees"
+        return f"PD centring from {reach} on all six axes, {gains}"

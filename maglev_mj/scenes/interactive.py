@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj import spec
 from maglev_mj.control import Bias, Hold, Law, StickSlip, Wall
+from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError, check_one_of, named
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import Turn, axis_indices, number, param
@@ -18,7 +20,7 @@ from maglev_mj.plants.hand import SpringHand, Trajectory
 from maglev_mj.plants.model import body_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import hold
-from maglev_mj.spec import GRAVITY, RANGE, Spec
+from maglev_mj.spec import GRAVITY, Spec
 
 MASS = Spec.moving_mass.value
 """Moving mass [kg]."""
@@ -37,9 +39,9 @@ _PULSE_SHARE = 0.6
 _GATE = 0.02
 
 
-def _share(axes: str | Sequence[str]) -> Array:
+def _share(axes: str | Sequence[str], inertia: Array) -> Array:
     """Return inertia over mass per axis: gains scaled by it give rotations the response of translations."""
-    return np.asarray(INERTIA[list(axis_indices(axes))] / MASS)
+    return np.asarray(inertia[list(axis_indices(axes))] / inertia[0])
 
 
 def shared(scene: InteractiveScene) -> InteractiveScene:
@@ -67,7 +69,7 @@ def wall(
         lower: See `Wall` [m, rad].
         upper: See `Wall` [m, rad].
     """
-    share = _share(axes)
+    share = _share(axes, scene.hardware.inertia)
     width = _PULSE_SHARE * scene.period
     pulse = max(float(scene.body.inertia[0]) / width - scene.damping, 0.0) if scene.pulse else 0.0
     return Wall(
@@ -110,7 +112,7 @@ def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupl
         axes: Names from AXES.
         coupled: See `StickSlip`.
     """
-    share = np.ones(()) if coupled else _share(axes)
+    share = np.ones(()) if coupled else _share(axes, scene.hardware.inertia)
     radius = np.sqrt(share)
     return StickSlip(
         axes=axes,
@@ -122,9 +124,16 @@ def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupl
     )
 
 
-def spring(axes: str | Sequence[str], *, stiffness: float, damping: float, target: ArrayLike = 0.0) -> Hold:
-    """Return a soft spring and damper; translational gains [N/m, N s/m] are scaled by inertia."""
-    share = _share(axes)
+def spring(
+    axes: str | Sequence[str],
+    *,
+    stiffness: float,
+    damping: float,
+    target: ArrayLike = 0.0,
+    inertia: Array = INERTIA,
+) -> Hold:
+    """Return a soft spring and damper; translational gains [N/m, N s/m] are scaled by inertia [kg, kg m²], (6,)."""
+    share = _share(axes, inertia)
     return Hold(axes=axes, stiffness=stiffness * share, damping=damping * share, target=target)
 
 
@@ -140,6 +149,11 @@ _UNSCRIPTED, _TAIL = 0.6, 0.4
 _PROGRAMS_ONLY = Turn()
 
 
+def _scaled(trajectory: Trajectory, device: Device) -> Trajectory:
+    """Return a trajectory scaled by the range of a device."""
+    return replace(trajectory, poses=np.asarray(trajectory.poses) * device.scale)
+
+
 def _faces(walls: Any) -> tuple[Face, ...]:
     if isinstance(walls, str) or not isinstance(walls, Sequence):
         raise ParameterError(f"walls must be a list of [axis, normal, edge] (got {walls!r})")
@@ -153,8 +167,7 @@ def _faces(walls: Any) -> tuple[Face, ...]:
             raise ParameterError(f"a wall's normal must be 1 or -1 (got {normal!r})")
         if (axis, normal) in faces:
             raise ParameterError(f"walls must have different axes or normals (got two of normal {normal} on {axis})")
-        reach = RANGE[AXES.index(axis)]
-        edge = number(f"a wall's edge on {axis}", edge, at_least=-reach, at_most=reach)
+        edge = number(f"a wall's edge on {axis}", edge)
         faces[axis, int(normal)] = axis, int(normal), edge
     for axis in AXES:
         lower, upper = faces.get((axis, 1)), faces.get((axis, -1))
@@ -211,6 +224,12 @@ class InteractiveScene(Scene):
         live=True,
     )
 
+    def check(self) -> None:
+        """See `Scene`."""
+        for axis, _, edge in self.walls or ():
+            reach = self.hardware.reach[AXES.index(axis)]
+            number(f"a wall's edge on {axis}", edge, at_least=-reach, at_most=reach)
+
     def own_laws(self) -> list[Law]:
         """Return the laws with the scene's own walls."""
         raise ParameterError(f"{named(type(self))} must define own_laws()")
@@ -227,15 +246,16 @@ class InteractiveScene(Scene):
     @property
     def lift(self) -> tuple[float, ...]:
         """Wrench that compensates the weight of the device in use [N, N m]."""
-        return tuple((0.0 - body_of(self.plant_options()).load).tolist())
+        return tuple((0.0 - body_of(self.device_options()).load).tolist())
 
     def start(self) -> Start:
         """Return a flotor at rest, its weight compensated if `weightless`."""
-        return Start(pose=self.pose, wrench=self.lift if self.weightless else ZERO)
+        pose = (np.array(self.pose) * self.hardware.scale).tolist()
+        return Start(pose=pose, wrench=self.lift if self.weightless else ZERO)
 
     def scripted_hand(self, phase: float = 0.0) -> SpringHand | None:
         """Return a hand that follows the script, if there is one."""
-        return None if self.script is None else SpringHand(target=self.script)
+        return None if self.script is None else SpringHand(target=_scaled(self.script, self.hardware))
 
     def describe(self) -> str:
         """Return a one-line description."""
@@ -280,8 +300,9 @@ class Joystick(InteractiveScene):
 
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
-        soft = spring(AXES, stiffness=CENTRING, damping=_DAMPING)
-        return [*weight(self), soft, *contacts(self, AXES, lower=[-edge for edge in _EDGES], upper=_EDGES)]
+        edges = np.array(_EDGES) * self.hardware.scale
+        soft = spring(AXES, stiffness=CENTRING, damping=_DAMPING, inertia=self.hardware.inertia)
+        return [*weight(self), soft, *contacts(self, AXES, lower=-edges, upper=edges)]
 
 
 class Table(InteractiveScene):
@@ -337,8 +358,9 @@ class Box(InteractiveScene):
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
         # slight damping, as by air: the flotor comes to rest within a minute
-        soft = spring(AXES, stiffness=0.0, damping=_AIR)
-        return [*weight(self), soft, *contacts(self, AXES, lower=[-edge for edge in BOX_WALLS], upper=BOX_WALLS)]
+        edges = np.array(BOX_WALLS) * self.hardware.scale
+        soft = spring(AXES, stiffness=0.0, damping=_AIR, inertia=self.hardware.inertia)
+        return [*weight(self), soft, *contacts(self, AXES, lower=-edges, upper=edges)]
 
 
 _INTO = ("x", "z", "ry")
@@ -361,6 +383,6 @@ class Corner(InteractiveScene):
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
         # presses the walls with 0.4 N, and the stop with the same acceleration
-        target = np.isin(AXES, _INTO) * -2e-3
-        soft = spring(AXES, stiffness=200.0, damping=4.0, target=target)
+        target = np.isin(AXES, _INTO) * -2e-3 * self.hardware.scale
+        soft = spring(AXES, stiffness=200.0, damping=4.0, target=target, inertia=self.hardware.inertia)
         return [*weight(self), soft, *contacts(self, _INTO, lower=0.0)]

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from maglev_mj.control import Law
+from maglev_mj.device import of_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import number, param
@@ -17,7 +18,6 @@ from maglev_mj.scenes.figures import PressSummary, press_name
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Start
 from maglev_mj.scenes.wall_scene import WallScene, hold, others
-from maglev_mj.spec import ESCAPE
 
 # fractions of an interval: wait before the first stroke, and duration of a stroke down or up
 _WAIT, _WAY = 0.5, 0.25
@@ -44,7 +44,13 @@ class Press(WallScene):
     hand: str = param("arm, stylus, fingertip or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]", default="arm")
     hits: int = param("number of hits", default=4, at_least=1, at_most=1000)
     interval: float = param("interval between hits", "s", default=0.4, at_most=100.0)
-    height: float = param("start height of a hit above the wall", "m", default=0.003, above=0.0, below=ESCAPE)
+    height: float = param(
+        "start height of a hit above the wall",
+        "m",
+        default=None,
+        derive=of_device(lambda device: 0.003 * device.scale[2]),
+        above=0.0,
+    )
     press: float = param("force of the final press", "N", default=5.0, above=0.0, at_most=1e6)
     # an eighth of the speed of a hit, and 20 times the apparent speed of one step of the device's sensor (5 µm): hits
     # trigger a pulse, and a light press with noise at the edge does not rattle
@@ -66,6 +72,7 @@ class Press(WallScene):
             raise ParameterError(f"hand must have a stiffness above 0, in order to press (got {self.hand!r})")
         number("stiffness", self.stiffness, above=0.0, at_most=1e8)
         super().check()
+        number("height", self.height, below=self.hardware.escape, unit="m")
         if self.force_limit is not None and not self.press < self.force_limit:
             raise ParameterError(
                 f"press must be below the force_limit of {self.force_limit:g} N, or it penetrates the wall "
@@ -107,7 +114,7 @@ class Press(WallScene):
     def describe(self) -> str:
         """Return a one-line description."""
         wall = f"a wall of {self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
-        hits = f"a hand ({self.hand}) hits {wall} from {self.height * 1e3:g} mm"
+        hits = f"a hand ({self.hand}) hits {wall} from {self.height * 1e3:.4g} mm"
         return f"{hits}, then presses with {self.press:g} N"
 
     @property

@@ -557,6 +557,9 @@ def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:
         value = float(scene.body.inertia[2]) if name == "mass" else value  # of the device in use
         if name in ("period", "delay", *without) or parameter.kind in (object, bool) or value is None:
             continue
+        if name == "device" and hasattr(scene, "hardware"):
+            texts += [] if scene.hardware.published else [f"device {scene.hardware.name}"]
+            continue
         text = f"{value:.6g}" if parameter.kind in (int, float) else str(value)
         texts.append(f"{name.replace('_', ' ')} {text} {unit_of(parameter.unit, scene.axis, parameter.along)}".rstrip())
     return texts

@@ -21,7 +21,6 @@ from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.results import Phases, RunResult, Variants
 from maglev_mj.scenes.scene import PLANTS, Scene
-from maglev_mj.spec import ESCAPE, RESOLUTION
 
 _MOST_PHASES = 10_000
 _CHUNK = 64
@@ -80,7 +79,7 @@ def run(
             drive(device, controller, ticks, observe=signals.observe, record=record)
         except DivergenceError as error:
             trace = device.trace()
-            if not _escaped_later(trace, scene.end):
+            if not _escaped_later(trace, scene.end, scene.hardware.escape):
                 if single:
                     error.partial = signals.result(scene, plant, at, trace)
                 raise
@@ -191,11 +190,11 @@ def sensitivity(result: RunResult) -> float:
     scene: Scene = result.scene
     if not (scene.has_pulses and scene.takes_phase):
         return 0.0
-    step = getattr(scene, "quantize", 0.0) or RESOLUTION[scene.axis_index]
+    step = getattr(scene, "quantize", 0.0) or scene.hardware.sensor.resolution[scene.axis_index]
     try:
         moved = _deviation(result, result.plant, abs(result.phase - _NUDGE))
     except DivergenceError:
-        moved = ESCAPE
+        moved = scene.hardware.escape
     return moved if moved > step else 0.0
 
 
@@ -288,8 +287,8 @@ class _SignalLog:
         return RunResult(scene, plant, phase, trace, time[within], columns)
 
 
-def _escaped_later(trace: Trace, end: float) -> bool:
+def _escaped_later(trace: Trace, end: float, escape: float) -> bool:
     """Return True if a run diverged after its end [s], because escape is detected at the sample after it."""
     if float(trace.time[-1].min()) < end:
         return False
-    return bool((np.linalg.norm(trace.until(end).pose[..., :3], axis=-1) < ESCAPE).all())
+    return bool((np.linalg.norm(trace.until(end).pose[..., :3], axis=-1) < escape).all())

@@ -13,15 +13,16 @@ import numpy as np
 
 from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
+from maglev_mj.device import OnDevice, of_device
 from maglev_mj.errors import ParameterError, check_instance, named, one_line
 from maglev_mj.frames import AXES, ZERO, Array, Component
-from maglev_mj.parameters import Parameters, Turn, axis_indices, param, transport_delay
+from maglev_mj.parameters import Turn, axis_indices, param, transport_delay
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.hand import HandForce
 from maglev_mj.plants.model import Body, body_of
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.scenes.results import RunResult
-from maglev_mj.spec import ESCAPE, MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD, Spec
+from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
 
 if TYPE_CHECKING:  # which loads MuJoCo
     from maglev_mj.plants.shapes import Shape
@@ -73,7 +74,7 @@ class Start:
                 raise ParameterError(f"start {name} must have shape (6,) (got {one_line(values)})")
 
 
-class Scene(Parameters):
+class Scene(OnDevice):
     """Base class of scenes, which are simulated experiments with the flotor.
 
     Subclass it, declare parameters with `param`, and define `laws`.
@@ -132,12 +133,19 @@ class Scene(Parameters):
     model: ClassVar[str | Path] = "scenes/joystick"
 
     period: float = param(
-        "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=MIN_PERIOD, at_most=MAX_PERIOD, live=RATE
+        "sample period",
+        "s",
+        default=None,
+        derive=of_device(lambda device: device.period),
+        at_least=MIN_PERIOD,
+        at_most=MAX_PERIOD,
+        live=RATE,
     )
     delay: float = param(
         "delay from a sample to the effect of its command",
         "s",
-        default=Spec.transport_delay.value,
+        default=None,
+        derive=of_device(lambda device: device.delay),
         at_least=0.0,
         at_most=MAX_DELAY_PERIODS * MAX_PERIOD,
         live=DELAY,
@@ -219,7 +227,16 @@ class Scene(Parameters):
     @property
     def body(self) -> Body:
         """Flotor and limits of the device in use."""
-        return body_of({"gravity": self.start().gravity} | self.plant_options())
+        return body_of({"gravity": self.start().gravity} | self.device_options())
+
+    def device_options(self) -> dict[str, Any]:
+        """Return keywords of the plant that make it the scene's device, and `plant_options`, which override them."""
+        own, device = self.plant_options(), self.hardware
+        options = device.keywords | own
+        if device.coils is None and options.get("model") is device:  # it exerts no torque
+            limit = math.inf if own.get("wrench_limit") is None else own["wrench_limit"]
+            options["wrench_limit"] = np.minimum(limit, [math.inf] * 3 + [0.0] * 3)
+        return options
 
     @property
     def has_pulses(self) -> bool:
@@ -296,14 +313,18 @@ class Scene(Parameters):
         """
         start = self.start()
         check_instance(f"start() of {named(type(self))}", start, Start, "a Start")
-        options: dict[str, Any] = {"pose": list(start.pose), "gravity": start.gravity, "escape": (ESCAPE, 1.0)}
+        options: dict[str, Any] = {
+            "pose": list(start.pose),
+            "gravity": start.gravity,
+            "escape": (self.hardware.escape, 1.0),
+        }
         if any(start.twist):
             options["twist"] = start.twist
         if any(start.wrench):
             options["wrench"] = start.wrench
         if (impedance := getattr(hand, "hand", None)) is not None:
             options["hand"] = impedance
-        options |= self.plant_options()
+        options |= self.device_options()
         if callable(step := options.get("longest_step")):
             options["longest_step"] = step(plant)
         return options

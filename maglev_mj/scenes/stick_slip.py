@@ -15,7 +15,6 @@ from maglev_mj.scenes.figures import changes
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, hold, others, stepped
-from maglev_mj.spec import INERTIA
 from maglev_mj.theory.ideal import FrictionEvent, KarnoppMotion, karnopp
 
 LAWS: Mapping[str, Callable[..., control.Friction]] = {
@@ -50,8 +49,9 @@ def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> 
     """Declare a parameter along the axis; on a rotation its default scales by a power of the radius of gyration."""
 
     def derived(scene: StickSlip) -> float:
-        radius = 1.0 if AXES.index(scene.axis) < 3 else math.sqrt(INERTIA[AXES.index(scene.axis)] / INERTIA[0])
-        return value * radius**power
+        index, inertia = AXES.index(scene.axis), scene.hardware.inertia
+        radius = 1.0 if index < 3 else math.sqrt(inertia[index] / inertia[0])
+        return float(value * radius**power * (scene.hardware.scale[index] if unit in ("m", "N") else 1.0))
 
     return param(help, unit, default=None, derive=derived, along=True, **keywords)
 

@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control import Hold, Law, VelocityEstimator, Wall
 from maglev_mj.control.controller import Controller
+from maglev_mj.device import of_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, param
 from maglev_mj.plants import Sensor, Timing
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_PERIOD, MIN_PERIOD, Spec
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_PERIOD, MIN_PERIOD
 
 
 def others(axis: str) -> list[str]:
@@ -96,9 +97,11 @@ class WallScene(Scene):
         "damping added by the braking pulse; 0 for none", "N s/m", default=220.0, at_least=0.0, at_most=1e6, live=True
     )
     pulse_width: float = param("duration of the braking pulse", "s", default=0.003, at_least=0.0, at_most=1.0)
-    mass: float = param("moving mass", "kg", default=Spec.moving_mass.value, at_least=1e-3, at_most=1e3)
+    mass: float = param(
+        "moving mass", "kg", default=None, derive=of_device(lambda device: device.mass), at_least=1e-3, at_most=1e3
+    )
     force_limit: float | None = param(
-        f"force limit along z; the device's is {Spec.largest_vertical_force.value:g}",
+        "force limit along z",
         "N",
         default=None,
         above=0.0,

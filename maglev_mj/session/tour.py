@@ -258,7 +258,7 @@ def _reversals(force: Array, least: float) -> int:
     return int(np.count_nonzero(np.diff(side[side != 0.0])))
 
 
-_DEFAULTS = {name: Joystick.parameter(name).default for name in (*settable_parameters(Joystick), *DEVICE_PARAMETERS)}
+_DEFAULTS = {name: getattr(Joystick(), name) for name in (*settable_parameters(Joystick), *DEVICE_PARAMETERS)}
 _SOFT_WALL = {**_DEFAULTS, "stiffness": 4200.0, "damping": 12.0}
 
 STEPS = (

@@ -20,7 +20,6 @@ from maglev_mj.result import Result, Table, with_unit
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.spec import Spec
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, rigid_note, stiffest_of
 from maglev_mj.theory.closed_loop import Design, SampledLoop, bisect, is_stable
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters
@@ -124,7 +123,7 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     """
     scene = get_scene(scene)
     k, b, quantum = (getattr(scene, name, 0.0) for name in ("stiffness", "damping", "quantize"))
-    k, b, quantum = k or Drop().stiffness, b or Drop().damping, quantum or Spec.translation_resolution.value
+    k, b, quantum = k or Drop().stiffness, b or Drop().damping, quantum or scene.hardware.sensor.resolution[2]
     period, mass = scene.period, float(scene.body.inertia[0])
     own = device or DeviceParameters()
     around: Any = {"period": period, "delay": scene.delay, "mass": mass, **own.around}
@@ -144,7 +143,8 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     flown = fly_impedance(scene, mass, k, b, cycles) if stable and own.plain else np.full(omega.shape, np.nan)
     impedance = np.array([frequency, target, rendered, flown])
     masses = np.array([mass_range(loop, k, b) for loop in loops])
-    attenuated = lambda f: np.sinc(f * period) < _LOSS * np.hypot(1.0, f / Spec.driver_bandwidth.value)  # noqa: E731
+    lag = 2.0 * np.pi * scene.hardware.driver.time_constant
+    attenuated = lambda f: np.sinc(f * period) < _LOSS * np.hypot(1.0, f * lag)  # noqa: E731
     bandwidth = float(bisect(attenuated, np.zeros(()), np.array(0.5 / period), 50))
     title = (
         f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg; target wall {k:g} N/m, {b:g} N s/m"

@@ -26,7 +26,7 @@ from maglev_mj.scenes.results import Figure, Variants, figure_head
 from maglev_mj.scenes.run import run_phases, run_variants
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.wall_scene import WallScene, along
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.cells import Study, local_workers
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.studies.record import Cell, Record
@@ -396,7 +396,7 @@ def _margins(scene: WallScene) -> dict[str, float]:
     margin = margin if 0.0 < margin < math.inf else math.nan
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
-    around |= {"hand": at_rest.hand, "quantum": scene.quantize or Spec.translation_resolution.value}
+    around |= {"hand": at_rest.hand, "quantum": scene.quantize or scene.hardware.sensor.resolution[2]}
     rest = stiffness if 1.0 < stiffness < 1e9 else scene.stiffness
     swing, force = hum(0.0, law=scene.controller(), stiffness=rest, duration=_TICKS * scene.period, **around)
     gain = margin * float(getattr(law, "stiffness", math.nan))

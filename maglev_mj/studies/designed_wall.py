@@ -26,7 +26,7 @@ from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
-from maglev_mj.spec import GRAVITY, RANGE, Spec
+from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.theory.boundary import rigid_note
 from maglev_mj.theory.design import Case, DesignedWall
 
@@ -114,7 +114,7 @@ class DesignResult(Result):
     @property
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
-        grows, body = int(self.grows.sum()), body_of({})
+        grows, body = int(self.grows.sum()), body_of(self.wall.requirements.hardware.keywords)
         excess = excess_of(np.array([self.peak, 0.0, 0.0, self.depth, 0.0, 0.0, 0.0]), body)
         unstable = [f"unstable in simulation: {grows} of {len(self.cases)} cases do not settle"] * (grows > 0)
         return [*unstable, *(limit.warning(excess, body) for limit in LIMITS if excess[limit.part].any())]
@@ -122,7 +122,8 @@ class DesignResult(Result):
     def table(self) -> Table:
         """Return gains, margins, contact and simulated check of the wall."""
         wall, contact, needs = self.wall, self.contact, self.wall.requirements
-        far = "outside the range of motion" if self.depth > RANGE[2] else "largest over mass, delay, hands, phases"
+        outside = self.depth > needs.hardware.reach[2]
+        far = "outside the range of motion" if outside else "largest over mass, delay, hands, phases"
         limit = "at the force limit" if contact.force_limit is not None and self.peak >= contact.force_limit else ""
         rows: list[tuple[str, float, str, str]] = [
             ("stiffness", wall.stiffness, "N/m", ""),

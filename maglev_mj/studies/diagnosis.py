@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.control import FiniteDifference, LinearController, LowPass
+from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import with_period
+from maglev_mj.lazy import loaded
 from maglev_mj.parameters import param, transport_delay
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.result import Result, Table, number_text
@@ -124,7 +126,7 @@ class DiagnosedLoop(DeviceParameters):
     @property
     def sampled(self) -> SampledLoop:
         """Loop without the gains of the law in question; the other law is its device law."""
-        other = self.device
+        other = self.device_law
         if not self.on_host:
             other = DeviceLaw(0.0, self.damping, self.period, self.delay, self.cutoff) if self.damping else None
         design = None if self.law is None else partial(_scaled, self.law, *self.gains)
@@ -324,6 +326,14 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     if wrong := [name for name in values if name not in accepted]:
         raise KeywordError(choice_message("argument of diagnose", ("scene", *accepted), wrong[0]))
     assumptions: list[str] = []
+    if "device" in values:
+        hardware = Device.load(values["device"])
+        if scene is None:
+            values = {name: getattr(hardware, name) for name in ("period", "delay", "mass")} | values
+            if values.get("inertia") is not None:
+                values.pop("mass")
+        elif not (isinstance(scene, str | Path) and Path(scene).suffix in _MOTIONS):
+            scene = loaded("maglev_mj.scenes.find:get_scene")(scene).replace(device=values["device"])
     measured: Oscillation | None = None
     if isinstance(scene, str | Path) and Path(scene).suffix in _MOTIONS:
         measured, values = _of_recording(Path(scene), values, assumptions)
@@ -342,7 +352,7 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     loop = DiagnosedLoop(**values)
     if not loop.gains[0]:
         raise ParameterError(f"stiffness must be above 0 (got {loop.stiffness:g})")
-    if loop.device is not None and len(rates_of(loop.period, loop.device).phases) > 1:
+    if loop.device_law is not None and len(rates_of(loop.period, loop.device_law).phases) > 1:
         assumptions.append("clocks of host and device are not commensurate: the worst of ten phases between them")
     return _diagnosed(loop, tuple(assumptions), measured)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import maglev_mj.theory as theory
 from maglev_mj.control.loop import drive
+from maglev_mj.device import of_device
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import param
@@ -21,7 +22,6 @@ from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.result import Table
 from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
-from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, gain_axes
@@ -61,7 +61,8 @@ class DropMapParameters(StabilityParameters):
     height: float = param(
         "drop height above the wall; 0 to release the flotor at the edge",
         "m",
-        default=Spec.translation_range.value,
+        default=None,
+        derive=of_device(lambda device: device.reach[2]),
         at_least=0.0,
         at_most=1.0,
     )
@@ -84,7 +85,7 @@ class DropMapParameters(StabilityParameters):
     @property
     def band(self) -> float:
         """Largest swing of a flotor at rest [m]."""
-        return max(_STEPS * self.quantize, _SHARE * Spec.translation_range.value)
+        return max(_STEPS * self.quantize, _SHARE * float(self.hardware.reach[2]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,6 @@ from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import checked_phase
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stability_check import stability_warning
-from maglev_mj.spec import Spec
 from maglev_mj.studies.levels import (
     LEVELS,
     Case,
@@ -355,7 +354,7 @@ class FidelityResult(Result):
         if self.level is None or self.cheapest is None or not self.screened:
             return None
         most = MARGIN * max(self.cheapest.missing or 0.0, self.level.worst, self.jump)
-        return most if most <= Spec.translation_range.value else None
+        return most if most <= float(self.preset.scene.hardware.reach[:3].max()) else None
 
     def as_json(self) -> dict[str, Any]:
         """Return every field, the margin and the furthest distance, ready for JSON."""

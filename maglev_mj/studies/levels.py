@@ -12,7 +12,7 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from timeit import timeit
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -22,6 +22,7 @@ import numpy as np
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.control.timeline import split_delay
+from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError, PlantError, SensingError, check_one_of
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.parameters import number, whole
@@ -37,7 +38,7 @@ from maglev_mj.plants import (
 )
 from maglev_mj.plants.engine import longest_step as step_needed
 from maglev_mj.plants.hand import Hand
-from maglev_mj.plants.model import load_model
+from maglev_mj.plants.model import body_of, load_model
 from maglev_mj.scenes.batch import stacked_scenes
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
@@ -47,7 +48,7 @@ from maglev_mj.theory.closed_loop import SampledLoop
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT
 _SHORTEN = ("driver_lag", "stops", "force_falloff", "flexible")  # options that need shorter steps
-_STEPS, _SPOTS = Sensor(quantum=RESOLUTION), SpotSensor(quantum=Spec.spot_resolution.value)
+_SPOTS = SpotSensor(quantum=Spec.spot_resolution.value)
 _SHORT, _LONG = 2e-3, 0.1
 _MOST_PHASES = 1000
 _POINTS, _SEEDS = 256, 16
@@ -84,7 +85,7 @@ LEVELS: tuple[Level, ...] = (
     Level("turning", "coils that turn with the flotor", {"coils": True}),
     Level("lag", "2 kHz drivers, as 80 µs of added delay", {}, _LAG),
     Level("falloff", "10 % force loss at the end of the range", {"force_falloff": 0.1}, _LAG),
-    Level("steps", "sensor resolution of 5 µm and 10 µrad", {"sensor": _STEPS}, _LAG),
+    Level("steps", "sensor resolution of 5 µm and 10 µrad", {"sensor": Sensor(quantum=RESOLUTION)}, _LAG),
     Level("spots", "LED spots with 0.8 µm resolution, pose by Newton's method", {"sensor": _SPOTS}, _LAG),
     Level("jitter", "jitter of ±0.1 ms", {}, _LAG, _JITTER),
     Level("stops", "metal stops", {"stops": True}, _LAG, _JITTER),
@@ -123,8 +124,8 @@ def level_index(level: str) -> int:
     return names.index(level)
 
 
-def options_of(level: str) -> dict[str, Any]:
-    """Return the keywords of the plant on a level.
+def options_of(level: str, device: Device) -> dict[str, Any]:
+    """Return the keywords of a device's plant on a level, without what it does not have.
 
     Raises:
         ParameterError: If there is no such level.
@@ -132,10 +133,23 @@ def options_of(level: str) -> dict[str, Any]:
     options: dict[str, Any] = {}
     for each in LEVELS[: level_index(level) + 1]:
         options |= each.options
-    return options
+    if device.published:
+        return options
+    coils, own = device.coils, dict[str, Any](sensor=_sensor(device))
+    if coils is not None:
+        own |= {"current_limit": coils.current_limit, "force_falloff": options.get("force_falloff")}
+    own |= {"coils": options.get("coils") if coils is not None else False}
+    own |= {"driver_lag": True} if device.driver.time_constant else {}
+    own |= {"stops": True} if device.range.stops else {}
+    return {name: own[name] for name in options if name in own}
 
 
-def exact_options(level: str) -> dict[str, Any]:
+@cache  # levels are compared by it
+def _sensor(device: Device) -> Sensor:
+    return Sensor(quantum=device.sensor.resolution)
+
+
+def exact_options(level: str, device: Device) -> dict[str, Any]:
     """Return the exact plant's keywords nearest to a level.
 
     They cover the limit along z, the sensor's steps and the drivers' filter.
@@ -143,11 +157,11 @@ def exact_options(level: str) -> dict[str, Any]:
     Raises:
         ParameterError: If there is no such level.
     """
-    options, near = options_of(level), dict[str, Any]()
+    options, near = options_of(level, device), dict[str, Any]()
     if "current_limit" in options:
-        near["wrench_limit"] = [math.inf, math.inf, Spec.largest_vertical_force.value] + [math.inf] * 3
+        near["wrench_limit"] = [math.inf, math.inf, body_of(device.keywords).force_limit] + [math.inf] * 3
     if "sensor" in options:
-        near["sensor"] = _STEPS
+        near["sensor"] = _sensor(device)
     if "driver_lag" in options:
         near["driver_lag"] = True
     return near
@@ -160,8 +174,8 @@ def step_of(scene: Scene, level: str) -> float:
     """
     option = scene.plant_options().get("longest_step")
     limit = option("mujoco") if callable(option) else option
-    needs = {name: value for name, value in options_of(level).items() if name in _SHORTEN}
-    needed = step_needed(load_model("drop"), hand=_hand_of(scene), **needs)
+    needs = {name: value for name, value in options_of(level, scene.hardware).items() if name in _SHORTEN}
+    needed = step_needed(load_model(scene.hardware.keywords.get("model", "drop")), hand=_hand_of(scene), **needs)
     return min(bound for bound in (needed, limit, scene.period) if bound is not None)
 
 
@@ -180,22 +194,26 @@ def loop_of(scene: Scene, level: str) -> SampledLoop:
     Raises:
         ParameterError: If there is no such level, or the delay is more than 10 periods.
     """
-    lags = "driver_lag" in options_of(level)
+    device = scene.hardware
     return SampledLoop(
         period=scene.period,
-        delay=scene.delay + LEVELS[level_index(level)].more_delay,
+        delay=scene.delay + _more_delay(LEVELS[level_index(level)], device),
         mass=float(scene.body.inertia[2]),
         hand=_hand_of(scene),
-        driver_lag=_LAG if lags else 0.0,
+        driver_lag=device.driver.time_constant if "driver_lag" in options_of(level, device) else 0.0,
     )
 
 
-def timing_of(level: Level, timing: Timing, seed: int) -> Timing:
+def _more_delay(level: Level, device: Device) -> float:
+    return device.driver.time_constant if level.more_delay else 0.0
+
+
+def timing_of(level: Level, timing: Timing, seed: int, device: Device) -> Timing:
     """Return a scene's timing on a level.
 
     The jitter is reduced to fit within delay and period.
     """
-    delay = timing.delay + level.more_delay
+    delay = timing.delay + _more_delay(level, device)
     rest = Timing(period=timing.period, delay=delay).rest
     jitter = min(level.jitter, rest, timing.period - rest)
     return replace(timing, delay=delay, jitter=jitter, seed=seed)
@@ -225,7 +243,7 @@ def level_parts(
     Raises:
         ParameterError: If there is no such level.
     """
-    options, index = options_of(level), level_index(level)
+    options, index = options_of(level, scene.hardware), level_index(level)
 
     def make(timing: Timing, **options: Any) -> SampledPlant:
         bound = options.pop("longest_step", None)
@@ -239,7 +257,7 @@ def level_parts(
     plant = scene.plant(
         make,
         phase=phase,
-        timing=timing_of(LEVELS[index], timing, seed),
+        timing=timing_of(LEVELS[index], timing, seed, scene.hardware),
         **options | {"record": False} | keywords,
     )
     return plant, scene.controller(), scene.ticks(timing)
@@ -478,11 +496,11 @@ def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -
         ParameterError: If their laws differ in more than declared gains, or do not accept many devices at once.
     """
     stack = stacked_scenes(points)
-    near = exact_options(level) | {"longest_step": None, "escape": _FAR, "record": False}
+    near = exact_options(level, stack.hardware) | {"longest_step": None, "escape": _FAR, "record": False}
     if stack.plant_options().get("wrench_limit") is not None:  # of the scene
         near.pop("wrench_limit", None)
     ticks = min(scene.ticks(scene.timing(phase)) for scene, phase in points)
-    timing = timing_of(LEVELS[level_index(level)], stack.timing(), seed)
+    timing = timing_of(LEVELS[level_index(level)], stack.timing(), seed, stack.hardware)
     with np.errstate(all="ignore"), stack.plant("exact", timing=timing, **near) as plant:
         poses: list[Array] = []
         drive(plant, stack.controller(), ticks, observe=lambda *_: poses.append(plant.state()[0]))
@@ -517,8 +535,11 @@ def screen_levels(scene: Scene, around: float) -> Array:
 
 
 def _screen(points: Sequence[tuple[Scene, float]]) -> Array:
+    device = points[0][0].hardware
     # the lowest level that the exact plant does not distinguish from each
-    first = [next(index for index, below in enumerate(LEVELS) if _equal_on_exact(level, below)) for level in LEVELS]
+    first = [
+        next(index for index, below in enumerate(LEVELS) if _equal_on_exact(level, below, device)) for level in LEVELS
+    ]
     motions: dict[int, Array] = {}
     distances = []
     for seed in range(_SEEDS):
@@ -530,9 +551,9 @@ def _screen(points: Sequence[tuple[Scene, float]]) -> Array:
     return np.concatenate(distances, axis=1)
 
 
-def _equal_on_exact(one: Level, other: Level) -> bool:
+def _equal_on_exact(one: Level, other: Level, device: Device) -> bool:
     """Return True for two equal levels on the exact plant."""
-    return (exact_options(one.name), *one[3:]) == (exact_options(other.name), *other[3:])
+    return (exact_options(one.name, device), *one[3:]) == (exact_options(other.name, device), *other[3:])
 
 
 def _distances(motions: Sequence[Array]) -> Array:

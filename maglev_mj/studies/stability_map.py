@@ -113,7 +113,7 @@ class RestingWall(Scene):
         """Equilibrium of weight, wall and arm [m]."""
         hand = self.impedance
         arm = 0.0 if hand is None else float(hand.static_stiffness)
-        body = body_of(self.plant_options())
+        body = body_of(self.device_options())
         return float(body.inertia[2] * body.gravity[2]) / (self.stiffness + arm)
 
     @property
@@ -443,7 +443,7 @@ class StabilityMap(GainMap):
             )
         if p.mode:
             note.append(rigid_note(SampledLoop(**p.loop)))
-        if best and p.device is None:
+        if best and p.device_law is None:
             least = float(theory.least_passive_damping(best, damping, period=p.period, delay=p.delay))
             note.append(f"the stiffest wall is passive with {least:.4g} N s/m of the device's own damping")
         note += self._regions()

@@ -68,7 +68,7 @@ def _watched(wall: Wall, axes: str, inertia: float, period: float, delay: float,
 
 def _passive(scene: WallScene, plant: str) -> dict[str, float]:
     """Return the gains of the stiffest passive spring, without damping, on a device with damping of its own."""
-    model, damping = scene.plant_options().get("model"), 0.0
+    model, damping = scene.device_options().get("model"), 0.0
     if plant != "exact" and model is not None:
         device = load_model(model)
         damping = float(device.model.dof_damping[device.velocity_address + scene.axis_index])
@@ -164,7 +164,7 @@ def laws_of(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> list[L
     Raises:
         ParameterError: If the maker needs a number that the scene does not have.
     """
-    numbers = scene.independent_values() | {"axes": scene.axis, "lower": 0.0, "inertia": scene.mass, "wall": wall}
+    numbers = scene.as_json() | {"axes": scene.axis, "lower": 0.0, "inertia": scene.mass, "wall": wall}
     numbers["force_limit"] = math.inf if scene.force_limit is None else scene.force_limit
     takes, fixed = signature(maker).parameters, getattr(maker, "keywords", {})
     for name, one in takes.items():

@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from maglev_mj.device import of_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import param, param_range, transport_delay
 from maglev_mj.plants.hand import get_hand
-from maglev_mj.spec import DRIVER_TIME_CONSTANT, MAX_PERIOD, MIN_PERIOD, Spec
+from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
 from maglev_mj.theory.closed_loop import SampledLoop, least_dynamic_stiffness
 from maglev_mj.theory.two_rates import DeviceParameters
@@ -53,18 +54,24 @@ class WallRequirements(DeviceParameters):
     """
 
     period: float = param(
-        "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=MIN_PERIOD, at_most=MAX_PERIOD
+        "sample period",
+        "s",
+        default=None,
+        derive=of_device(lambda device: device.period),
+        at_least=MIN_PERIOD,
+        at_most=MAX_PERIOD,
     )
     mass: tuple[float, float] = param_range(
         "mass",
         "range of the moving mass",
         "kg",
-        default=(Spec.moving_mass.value,) * 2,
+        default=None,
+        derive=lambda needs: (needs.hardware.mass,) * 2,
         at_least=1e-3,
         at_most=1e3,
     )
     delay: tuple[float, float] = param_range(
-        "delay", "range of the transport delay", "s", default=(Spec.transport_delay.value,) * 2
+        "delay", "range of the transport delay", "s", default=None, derive=lambda needs: (needs.hardware.delay,) * 2
     )
     hands: Sequence[str] = param(
         'hands, as names or numbers (see `get_hand`); "none" for a free flotor',
@@ -141,7 +148,7 @@ class WallRequirements(DeviceParameters):
                 mass=[cases[row].mass for row in index],
                 delay=[cases[row].delay for row in index],
                 hand=get_hand(hand),
-                driver_lag=DRIVER_TIME_CONSTANT if self.driver_lag else 0.0,
+                driver_lag=self.hardware.driver.time_constant if self.driver_lag else 0.0,
                 **self.around,
             )
             result.append((index, loop))

@@ -15,10 +15,11 @@ import numpy as np
 from maglev_mj.control import FiniteDifference, LinearController, LowPass
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.timeline import split_delay
+from maglev_mj.device import OnDevice
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.keywords import with_hints
-from maglev_mj.parameters import SAMPLE_PERIOD, Parameters, number, param, transport_delay
+from maglev_mj.parameters import SAMPLE_PERIOD, number, param, transport_delay
 from maglev_mj.plants.hand import Mode, exponential, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, MAX_PERIOD, MIN_PERIOD
 
@@ -76,7 +77,7 @@ def laws_on_device(controller: Controller, device: tuple[float, float]) -> dict[
     return {wall.axis: DeviceLaw(wall.stiffness, wall.damping, *device, wall.cutoff) for wall in walls}
 
 
-class DeviceParameters(Parameters):
+class DeviceParameters(OnDevice):
     """Device of a loop besides its mass: own damping, first flexible mode, and a law at a second rate.
 
     Raises:
@@ -107,7 +108,7 @@ class DeviceParameters(Parameters):
         return get_mode(self.mode)
 
     @property
-    def device(self) -> DeviceLaw | None:
+    def device_law(self) -> DeviceLaw | None:
         """Law on the device; None for none."""
         if not (self.device_damping or self.device_stiffness):
             return None
@@ -116,7 +117,7 @@ class DeviceParameters(Parameters):
     @property
     def around(self) -> dict[str, Any]:
         """Keywords of `SampledLoop`."""
-        return {"own_damping": self.own_damping, "mode": self.flexible, "device": self.device}
+        return {"own_damping": self.own_damping, "mode": self.flexible, "device": self.device_law}
 
     @property
     def plain(self) -> bool:
@@ -128,7 +129,7 @@ class DeviceParameters(Parameters):
         """Those that are set, in words that follow others."""
         words = [f"own damping {self.own_damping:g} N s/m"] if self.own_damping else []
         words += [f"mode {self.mode}"] if self.mode else []
-        if self.device is not None:
+        if self.device_law is not None:
             gains, rate = f"{self.device_stiffness:g} N/m, {self.device_damping:g} N s/m", 1.0 / self.device_period
             words.append(f"on the device {gains} at {rate:g} Hz, {1e3 * self.device_delay:g} ms")
         return "".join(f", {word}" for word in words)

@@ -122,7 +122,7 @@ def test_json_gives_the_scene_back(name: str) -> None:
     cls = find_scene(name)
     scene = cls(period=0.002, delay=0.0005)
     values = scene.as_json()
-    assert list(values)[:2] == ["period", "delay"]
+    assert list(values)[:3] == ["device", "period", "delay"]
     assert cls.from_json(values) == scene
     assert cls.from_json({"delay": 0.001}) == cls(delay=0.001)
 
@@ -132,7 +132,7 @@ def test_an_unknown_name_is_refused_with_those_that_there_are(make: Any) -> None
     with pytest.raises(ParameterError) as refused:
         make({"stiffness": 1.0, "stifness": 2.0})
     said = str(refused.value)
-    assert said.startswith("parameter must be one of period, delay, stiffness, ")
+    assert said.startswith("parameter must be one of device, period, delay, stiffness, ")
     assert said.endswith(" (got 'stifness'); did you mean stiffness?")
     assert Drop.parameter("height").unit == "m" and Drop.parameter("stiffness").live
 

@@ -372,7 +372,10 @@ def test_laws_that_cannot_be_taken_are_refused_in_one_line(own: Path, capsys: py
     for words, said in (
         (["--law", f"{own}:Other"], "law of mine.py must be one of Mine, Needy (got 'Other')"),
         (["--law", str(own)], "mine.py defines several (Mine, Needy); choose one as mine.py:CLASS"),
-        (["--law", f"{own}:Needy"], "law Needy must have a default for temperature; drop has period, delay, stiffness"),
+        (
+            ["--law", f"{own}:Needy"],
+            "law Needy must have a default for temperature; drop has device, period, delay, stiffness",
+        ),
         ([], "laws must be at least one, without duplicates (got none)"),
     ):
         assert cli.main(["compare", "drop", *words]) == 2

@@ -206,7 +206,10 @@ def test_a_large_grid_is_refused_at_its_corners_at_once_and_inside_by_the_worker
 @pytest.mark.parametrize(
     ("vary", "words"),
     [
-        ({"phase": [0.1]}, r"parameter of twist must be one of plant, period, delay, duration, rate \(got 'phase'\)"),
+        (
+            {"phase": [0.1]},
+            r"parameter of twist must be one of plant, device, period, delay, duration, rate \(got 'phase'\)",
+        ),
         ({"plant": ["moon"]}, r"plant must be one of exact, mujoco \(got 'moon'\)"),
         ({"duration": [0.1, -1.0]}, "duration must be above 0"),
         ({"duration": [0.1] * 10010, "period": [0.005] * 10000}, "at most 100000000 cells [(]got 100100000"),

@@ -177,7 +177,8 @@ def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None
     scale, unit = (1e3, "ms") if item.unit == "s" else (1.0, unit)
     whole = unit.replace(" ", "\N{NO-BREAK SPACE}")  # no line break inside
     add = partial(gui.add_slider, f"{label} [{whole}]" if unit else label, hint=hint)
-    usual = abs(item.default) if isinstance(item.default, float | int) else 0.0
+    usual = item.default or value  # of a derived default
+    usual = abs(usual) if isinstance(usual, float | int) else 0.0
     lower = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf), keys.least)
     upper = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf), keys.most)
     return Slider(item.name, add, value, (lower, upper), ask, scale, usual)
