@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -190,12 +190,14 @@ class Device:
 
     @classmethod
     def load(cls, path: str | Path) -> Device:
-        """Read a device file (.toml), or a device of the package by name: ubc, stage, arm.
+        """Read a device file (.toml), its text, or a device of the package by name: ubc, stage, arm.
 
         Raises:
             ParameterError: If it cannot be read, or a value is missing, unknown, of another type or out of bounds; one
                 line with file and section.key.
         """
+        if isinstance(path, str) and "\n" in path:
+            return cls.parse(path)
         if not (isinstance(path, Path) or str(path).endswith(".toml")):
             check_one_of("device", devices(), path, ", or a file .toml")
             path = _FOLDER / f"{path}.toml"
@@ -242,12 +244,16 @@ class Device:
         """Return the device with other values in a section."""
         return replace(self, **{section: getattr(self, section).replace(**values)})
 
+    def as_json(self) -> dict[str, Any]:
+        """Return all values but the name by section, with their defaults."""
+        sections = {name: section.as_json() for name in _SECTIONS if (section := getattr(self, name)) is not None}
+        return {"axes": list(self.axes), **sections}
+
     @cached_property
     def digest(self) -> bytes:
         """BLAKE2s digest of all values but the name, 16 bytes."""
-        values = [getattr(self, item.name) for item in fields(self) if item.name != "name"]
-        rows = [value.as_json() if isinstance(value, Parameters) else value for value in values]
-        return hashlib.blake2s(json.dumps(rows, separators=(",", ":")).encode(), digest_size=16).digest()
+        text = json.dumps(self.as_json(), sort_keys=True, separators=(",", ":"))
+        return hashlib.blake2s(text.encode(), digest_size=16).digest()
 
     @cached_property
     def published(self) -> bool:
@@ -287,6 +293,12 @@ class Device:
         """Distance from the centre at which a simulation counts as diverged [m]: ten ranges, or 1 m without one."""
         largest = max(self.range.translation)
         return 10.0 * largest if math.isfinite(largest) else 1.0
+
+    @cached_property
+    def reference(self) -> str:
+        """Value for `load` that needs no file: the name of a device of the package, or the text."""
+        own = (name for name in devices() if Device.load(name) == self)
+        return next(own, None) or self.toml()
 
     @property
     def keywords(self) -> dict[str, Any]:

@@ -131,3 +131,16 @@ def test_points_are_from_the_centre_of_mass() -> None:
     points = [(x, y, z - 0.002) for x, y, z in stage.coils.points]
     np.testing.assert_allclose(shifted.change("coils", points=points).force_limit, stage.force_limit, rtol=1e-12)
     assert math.isclose(stage.force_limit[2], 33.0) and stage.rest[2] == -0.002
+
+
+def test_the_page_names_every_key() -> None:
+    page = (Path(__file__).parents[1] / "docs/howto/describe_your_device.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(\w+\.\w+)`", "".join(line for line in page.splitlines() if line.startswith("| `"))))
+    every = {
+        f"{section}.{key}"
+        for device in DEVICES.values()
+        for section, part in device.as_json().items()
+        for key in part
+        if section != "axes"
+    }
+    assert named - {"ubc.toml", "stage.toml", "arm.toml"} == every

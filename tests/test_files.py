@@ -22,6 +22,7 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.cli import main
 from maglev_mj.cli.output import write_json
+from maglev_mj.device import Device
 from maglev_mj.pictures import FORMATS, save
 from maglev_mj.plants.model import load_model
 from maglev_mj.scenes.drop import Drop
@@ -35,7 +36,7 @@ WRITERS: dict[str, Callable[[Path], Any]] = {
     "live.maglev": lambda path: write_run(path, Drop(duration=0.05), plant="exact"),
     **{f"x.{kind}": lambda path, kind=kind: export(RUN(), kind, path) for kind in EXPORTS},  # type: ignore[misc]
     **{f"chart.{kind}": partial(save, Figure()) for kind in FORMATS},
-    "x.json": Calibration.nominal().save,
+    "x.toml": Calibration.nominal().save,
     "result.json": lambda path: write_json(str(path), {}),
 }
 MAKERS: dict[str, Callable[[Path], Any]] = {
@@ -106,7 +107,7 @@ def test_files_are_renamed_in_one_place() -> None:
 
 
 READERS: dict[str, tuple[Callable[[str], Any], bytes]] = {
-    "x.json": (Calibration.load, json.dumps(Calibration.nominal().as_json()).encode()),
+    "x.toml": (Device.load, Device.load("ubc").toml().encode()),
     "profile.json": (HostLimits.load, b'{"max_current": 5.0, "envelope": 0.003}'),
     "x.xml": (load_model, (MODELS / "maglev.xml").read_bytes()),
     "x.maglev": (Recording.load, b""),
@@ -137,14 +138,14 @@ def test_a_foreign_file_is_refused_in_one_line_that_names_it(
     assert name != "x.key" or read(str(path)) == 2
 
 
-@pytest.mark.parametrize("name", ["x.json", "profile.json", "x.xml", "x.py"])
+@pytest.mark.parametrize("name", ["x.toml", "profile.json", "x.xml", "x.py"])
 def test_a_byte_order_mark_is_skipped(name: str, tmp_path: Path) -> None:
     (read, valid), path = READERS[name], tmp_path / name
     path.write_bytes(b"\xef\xbb\xbf" + valid.replace(b"\n", b"\r\n"))
     read(str(path))
 
 
-@pytest.mark.parametrize("name", ["x.json", "profile.json"])
+@pytest.mark.parametrize("name", ["profile.json"])
 def test_each_entry_of_json_is_checked(name: str, tmp_path: Path) -> None:
     (read, valid), path = READERS[name], tmp_path / name
     for key in [*json.loads(valid), "other"]:

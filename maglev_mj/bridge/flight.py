@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections import deque
@@ -117,7 +116,7 @@ class Flight:
         self.reason, self._judge = "", judge
         self._name = ", ".join(filter(None, (f"{scene.name} on a device", rendered)))
         if file is not None:
-            file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
+            file.attach("device.toml", "application/toml", plant.calibration.device.toml().encode())
 
     def run(self, duration: float | None = None) -> FlightReport:
         """Take off, render the scene, and land.

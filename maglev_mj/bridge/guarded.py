@@ -22,7 +22,7 @@ from maglev_mj.bridge.wire import CUT, MOST_WALLS, Fault, Flag, Frame, Operation
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import AXES, ZERO, Command, DeviceWall, Sample, unit_of
-from maglev_mj.plants.sensor import PoseTracker
+from maglev_mj.plants.sensor import tracker_of
 
 _INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
 _STOPPING = Flag.STOPPING.value
@@ -81,8 +81,9 @@ class GuardedPlant:
         patience: float = 1.0,
         folder: Path | str = Path(),
     ) -> None:
-        host, link = limits or HostLimits(), open_link(link, key)
+        link = open_link(link, key)
         self.calibration = calibration = calibration or Calibration.nominal()
+        host = (limits or HostLimits()).scaled(calibration.base.scale)
         self._hover: list[float] = calibration.hover.tolist()
         weight = calibration.mass * math.hypot(*calibration.gravity)
         if problem := safety.weight_fault(weight, self._hover, host, host.narrowed(_LARGEST)):
@@ -101,7 +102,7 @@ class GuardedPlant:
             self.samples = self._connection.samples
             self.guards = device_guards(self.limits, host, self.period)
             self.cycles = LastCycles(Path(folder))
-            self._track = PoseTracker(calibration.beams)
+            self._track = tracker_of(calibration.beams)
             self._offsets: list[float] | None = (
                 calibration.spot_offsets.tolist() if calibration.spot_offsets.any() else None
             )

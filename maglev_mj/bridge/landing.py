@@ -32,6 +32,7 @@ _DROP_SPEED, _FAST_TIME = 0.3, 0.1
 """Speed of a dropped flotor [m/s], and total time above it that cuts an early landing [s]."""
 
 _DISTANCE, _ANGLE = 0.002, math.radians(3.0)
+"""Largest distance and angle from the path of a takeoff, for the range of the published joystick."""
 
 _SLOW, _SLOW_SPIN = 5e-3, 0.1
 """Largest speed [m/s] and angular speed [rad/s] at rest.
@@ -146,7 +147,8 @@ class Leader:
 
     def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
         self.period = period
-        body = calibration.body
+        body, scale = calibration.body, calibration.base.scale
+        self._bounds = _DISTANCE * min(scale[:3]), _ANGLE * min(scale[3:])
         hold = Hold.critically_damped(inertia=body.inertia, period=period, delay=delay)
         self._controller = Controller([Bias(0.0 - body.load), hold], period=period)
         self.aim(straight(ZERO, ZERO, 1.0))
@@ -170,7 +172,8 @@ class Leader:
         self.motion.add(sample)
         goal = self._path.at((sample.tick - self._first) * self.period)
         error = [actual - target for actual, target in zip(sample.position, goal)]
-        if self._astray is not None and (math.hypot(*error[:3]) > _DISTANCE or math.hypot(*error[3:]) > _ANGLE):
+        distance, angle = self._bounds
+        if self._astray is not None and (math.hypot(*error[:3]) > distance or math.hypot(*error[3:]) > angle):
             self._astray(sample.position)
         return self._controller.step(Sample(sample.tick, sample.time, error))
 

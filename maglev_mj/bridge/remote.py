@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NoReturn, TypeAlias
 
+import numpy as np
+
 from maglev_mj.bridge.flight_guards import shown
 from maglev_mj.bridge.guarded import GuardedPlant
 from maglev_mj.bridge.landing import LANDING_DELAY, LandingReport, Leader, Motion, Swing, straight
@@ -16,13 +18,16 @@ from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import Trajectory
-from maglev_mj.spec import Spec
 
-_ON_STOP = 0.6 * Spec.translation_range.value
+_ON_STOP = 0.6
+"""Share of the range beyond which the flotor lies on its lower stop."""
 
 _TRY = 0.15
 _TRIES = [7e-4, 0.0, 0.0, 0.0, 0.0, 0.007], [-3.5e-4, 6e-4, 0.0, 0.0, 0.0, -0.007], ZERO
-"""Time to each pose [s], and poses around the centre that together load every coil [m, rad]."""
+"""Time to each pose [s], and poses around the centre that together load every coil [m, rad].
+
+For the range of the published joystick.
+"""
 
 _SETTLING, _OBSERVATION = 0.3, 0.2
 """Longest wait for rest before disarming, and observation time after it [s]."""
@@ -75,7 +80,7 @@ class RemotePlant(GuardedPlant):
         Args:
             duration: Duration of the motion [s].
             watch: Called after each sample of the motion; True ends it early.
-            check_coils: True to check each coil: moves by 0.7 mm and 7 mrad around the centre, 0.45 s longer.
+            check_coils: True to check each coil: moves by 0.7 mm and 7 mrad times the range, 0.45 s longer.
 
         Raises:
             DeviceFault: If the flotor does not follow, or another fault occurs.
@@ -92,9 +97,9 @@ class RemotePlant(GuardedPlant):
         rest = motion.pose
         if not motion.at_rest:
             raise PlantError(f"no takeoff: the flotor moves at {motion}; it must be at rest")
-        gravity = self.calibration.gravity.tolist()
+        gravity, base = self.calibration.gravity.tolist(), self.calibration.base
         # along gravity; without gravity every pose counts as on the lower stop
-        if sum(x * g for x, g in zip(rest, gravity)) < _ON_STOP * math.hypot(*gravity):
+        if sum(x * g for x, g in zip(rest, gravity)) < _ON_STOP * base.reach[2] * math.hypot(*gravity):
             raise PlantError(f"no takeoff: the flotor is at {shown(rest)}; it must lie on its lower stop")
 
         def off_path(pose: Sequence[float]) -> NoReturn:
@@ -103,7 +108,7 @@ class RemotePlant(GuardedPlant):
 
         leader.aim(straight(rest, rest, duration))
         loop.cycle(2)  # warm-up of slow first calls; the device ignores these answers
-        poses = [rest, ZERO, *(_TRIES if check_coils else ())]
+        poses = [rest, ZERO, *((np.array(_TRIES) * base.scale).tolist() if check_coils else ())]
         times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
         leader.aim(Trajectory(times, poses, "minimum-jerk"), off_path)
         self.arm()

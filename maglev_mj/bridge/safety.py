@@ -10,8 +10,9 @@ from typing import Any, NamedTuple, Self
 
 from maglev_mj.bridge.wire import VERSION, Fault, HelloAck, Wall
 from maglev_mj.control.timeline import Timeline, Timing
+from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.frames import AXES, ZERO, Command, clipped, unit_of
+from maglev_mj.frames import AXES, ZERO, Array, Command, clipped, unit_of
 from maglev_mj.parameters import Parameters, flag, number, param, read_json, store
 from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
@@ -56,6 +57,16 @@ class Limits(Parameters):
     stiffness_limit: float = param("stiffness limit of a wall", "N/m", default=1e5, at_least=0.0, at_most=1e8)
     damping_limit: float = param("damping limit of a wall", "N s/m", default=400.0, at_least=0.0, at_most=1e6)
     edge_speed: float = param("speed limit of a wall's edge", "m/s", default=0.1, at_least=0.0, at_most=10.0)
+
+
+def limits_of(device: Device) -> Limits:
+    """Return the limits of a device with coils."""
+    coils = device.coils
+    if coils is None or device.published:
+        return Limits()
+    steady = coils.continuous_current
+    own = Limits(current_limit=coils.current_limit, continuous_current=steady, hover_limit=steady)
+    return own.replace(thermal_time=coils.thermal_time)
 
 
 _OWN = "period", "delay", "calibration", "wall_period", "wall_delay"
@@ -179,8 +190,20 @@ class HostLimits(Parameters):
     continuous_current: float | None = param("continuous current limit", "A", default=None, optional=True, above=0.0)
     force_limit: float | None = param("force limit per axis, with weight", "N", default=None, optional=True, above=0.0)
     torque_limit: float | None = param("torque limit per axis", "N m", default=None, optional=True, above=0.0)
-    envelope: float = param("position limit in flight; just outside the stops", "m", default=0.0055, above=0.0)
-    envelope_angle: float = param("rotation limit in flight", "rad", default=math.radians(7.5), above=0.0)
+    envelope: float = param(
+        "position limit in flight; just outside the stops, scaled by the range",
+        "m",
+        default=None,
+        derive=lambda _: 0.0055,
+        above=0.0,
+    )
+    envelope_angle: float = param(
+        "rotation limit in flight, scaled by the range",
+        "rad",
+        default=None,
+        derive=lambda _: math.radians(7.5),
+        above=0.0,
+    )
     speed_limit: float = param("flotor speed limit", "m/s", default=0.6, above=0.0)
     spin_limit: float = param("flotor angular speed limit", "rad/s", default=15.0, above=0.0)
 
@@ -199,6 +222,12 @@ class HostLimits(Parameters):
         if self.force_limit is None and self.torque_limit is None:
             return None
         return [self.force_limit or math.inf] * 3 + [self.torque_limit or math.inf] * 3
+
+    def scaled(self, scale: Array) -> Self:
+        """Return limits with an envelope scaled by that of a device, (6,), unless it was set."""
+        factors = {"envelope": scale[:3].max(), "envelope_angle": scale[3:].max()}
+        own = {name: float(factors[name] * getattr(self, name)) for name in factors if name in self._derived}
+        return self.replace(**own)
 
     def narrowed(self, limits: Limits) -> Limits:
         """Return the smaller of the device's and the host's limits."""

@@ -35,7 +35,6 @@ from maglev_mj.bridge.wire import Fault, fault_names
 from maglev_mj.cli.declare import Parser, Shared, option
 from maglev_mj.cli.options import (
     Address,
-    CalibrationFile,
     Key,
     Realtime,
     Record,
@@ -47,6 +46,7 @@ from maglev_mj.cli.options import (
 )
 from maglev_mj.cli.output import Progress, print_written
 from maglev_mj.cli.peripherals import PageOptions
+from maglev_mj.device import PUBLISHED
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingFile, open_recording
@@ -103,7 +103,9 @@ _Limits: TypeAlias = Annotated[HostLimits, Shared(_add_limits, _chosen_limits)]
 
 def _ends_of(options: argparse.Namespace) -> list[str]:
     """Return the options that a command needs to reach the same device."""
-    return [f"--{name}={value}" for name in ("key", "calibration") if (value := getattr(options, name)) is not None]
+    device = chosen_scene(options).device
+    key = [] if options.key is None else [f"--key={options.key}"]
+    return key + ([] if device == PUBLISHED else [f"--device={device}"])
 
 
 _Reconnect: TypeAlias = Annotated[list[str], Shared(None, _ends_of)]
@@ -130,7 +132,6 @@ def bridge(
     ] = False,
     view: Annotated[bool, option("3D window; keys change settings, the mouse does nothing")] = False,
     page: PageOptions,
-    calibration: CalibrationFile,
     key: Key = None,
     seconds: Seconds = None,
     realtime: Realtime = "ignore",
@@ -139,7 +140,7 @@ def bridge(
     out: Annotated[Path, option("folder for the fault recording", "output", "DIR")] = Path(),
     identify: Annotated[
         Path | None,
-        option(f"identify the device by small motions, {_IDENTIFYING:g} s; write a calibration", _IDENTIFICATION),
+        option(f"identify the device by small motions, {_IDENTIFYING:g} s; write the device file", _IDENTIFICATION),
     ] = None,
     mass: Annotated[float | None, option("moving mass [kg]", _IDENTIFICATION, above=0.0)] = None,
     reconnect: _Reconnect,
@@ -160,6 +161,7 @@ def bridge(
                 raise PlantError(f"no flight: {result.problem}")
             return _fly_arm(arm, scene, result, seconds, record)
     flying = {"record": record is not None, "view": view, "web": page.web, "seconds": seconds is not None}
+    calibration = Calibration.of(scene.hardware)
     modes = {"reset": reset, "check": check, "identify": identify is not None}
     _check(modes, mass is not None, [name for name, chosen in flying.items() if chosen])
     front = page.front(view, out, watch=True)

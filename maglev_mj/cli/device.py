@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from maglev_mj.cli.declare import option
-from maglev_mj.cli.options import Address, CalibrationFile, Json, Key, Realtime, Seconds
+from maglev_mj.cli.options import Address, DeviceFile, Json, Key, Realtime, Seconds
 from maglev_mj.cli.output import Progress, write_result
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.terminal import say, wrapped
@@ -62,7 +62,7 @@ def estop(*, address: Address, key: Key = None) -> int:
 def conform(
     *,
     address: Address,
-    calibration: CalibrationFile,
+    calibration: DeviceFile,
     key: Key = None,
     no_flight: Annotated[bool, option("skip the checks that fly")] = False,
     json: Annotated[Path | None, option("report file", "output")] = None,
@@ -133,8 +133,8 @@ def commission(
         int | None, option("coil index, 0 to 5 (default: all; for step, 0)", "test", "K", at_least=0, at_most=5)
     ] = None,
     current: Annotated[float, option("test current [A]", "test", above=0.0)] = 0.2,
-    write: Annotated[Path | None, option("calibration file written by offsets", "output")] = None,
-    calibration: CalibrationFile,
+    write: Annotated[Path | None, option("device file written by offsets", "output")] = None,
+    calibration: DeviceFile,
     key: Key = None,
     seconds: Seconds = None,
     realtime: Realtime = "ignore",

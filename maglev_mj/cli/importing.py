@@ -40,13 +40,15 @@ def import_log(
         list[str], option("SI units per count of a column, or -1 to mirror it", _TABLE, "COLUMN=FACTOR", several=True)
     ],
     face: Annotated[list[str], option("wall plane and free side, such as z:0:above", _DEVICE, "PLANE", several=True)],
-    mass: Annotated[float | None, option("moving mass [kg] (default: of --calibration)", _DEVICE, above=0.0)] = None,
+    mass: Annotated[float | None, option("moving mass [kg] (default: of --device)", _DEVICE, above=0.0)] = None,
     inertia: Annotated[str | None, option("moments of inertia [kg m²], required for torques", _DEVICE, "X,Y,Z")] = None,
     gravity: Annotated[float | None, option("gravity along -z [m/s²], 0 if compensated", _DEVICE, at_least=0.0)] = None,
     delay: Annotated[
         float | None, option("delay from sample to force [s] (default: one period)", _DEVICE, at_least=0.0)
     ] = None,
-    calibration: Annotated[Path | None, option("mass, inertia, gravity and coils of a device", _DEVICE)] = None,
+    device: Annotated[
+        str | None, option("device file (.toml) or name, for mass, inertia, gravity, delay, coils", _DEVICE, "FILE")
+    ] = None,
     rate: Annotated[float | None, option("sample rate [Hz]", _TABLE, inverse="period", above=0.0)] = None,
     join: Annotated[
         Literal["none", "hold"], option("hold: hold a wrench until its next row, for rows of pose or wrench", _TABLE)
@@ -57,22 +59,29 @@ def import_log(
     ] = None,
 ) -> int:
     """Import a text table of another program as a recording, for analyse, diagnose, export and replay."""
-    from maglev_mj.bridge.commissioning.calibration import Calibration
+    import numpy as np
+
+    from maglev_mj.device import Device
     from maglev_mj.parameters import parsed_number
+    from maglev_mj.plants.coils import CoilMap
     from maglev_mj.recording.export import EXPORTS, export
     from maglev_mj.recording.table import import_table
 
     path = out or file.with_suffix(".maglev")
     check_files({"out": path}, file)
     check_one_of("suffix of out", (".maglev", *(f".{kind}" for kind in EXPORTS)), path.suffix)
-    device = None if calibration is None else Calibration.load(calibration)
-    body = {name: getattr(device, name) for name in ("mass", "inertia", "gravity", "coils") if device is not None}
+    body: dict[str, Any] = {}
+    if device is not None:
+        known = Device.load(device)
+        body = {"mass": known.mass, "inertia": known.inertia[3:], "gravity": np.array(known.body.gravity)}
+        body |= {} if known.coils is None else {"coils": CoilMap.of(known)}
+        delay = known.delay if delay is None else delay
     body |= {} if mass is None else {"mass": mass}
     body |= {} if gravity is None else {"gravity": (0.0, 0.0, -gravity)}
     if inertia is not None:
         body["inertia"] = [parsed_number("inertia", part) for part in inertia.split(",")]
     if "mass" not in body:
-        raise ParameterError("mass or calibration must be given; analyse compares the mass with the motion")
+        raise ParameterError("mass or device must be given; analyse compares the mass with the motion")
     table: dict[str, Any] = {"rate": rate, "hold": join == "hold", "resample": resample, "delay": delay}
     table["scale"] = {name: parsed_number("scale", text) for name, text in assignments("scale", scale).items()}
     table["faces"] = [*map(_face, face)]

@@ -178,7 +178,7 @@ def pictures_to(help: str = "output folder for charts") -> Shared:
 def _calibration(options: argparse.Namespace) -> Calibration:
     from maglev_mj.bridge.commissioning.calibration import Calibration
 
-    return Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
+    return Calibration.load(options.calibration)
 
 
 def _key(options: argparse.Namespace) -> bytes | None:
@@ -213,14 +213,16 @@ Recorded: TypeAlias = Annotated[Path, option("recording written by run, view or 
 Seconds: TypeAlias = Annotated[float | None, option("duration [s] (default: until stopped)", above=0.0)]
 Shown: TypeAlias = Annotated[float | None, option("duration [s] (default: no limit)", above=0.0)]
 Address: TypeAlias = Annotated[str, option("device: udp://HOST:PORT or serial:///PATH?baud=RATE", "", "ADDRESS")]
-CalibrationFile: TypeAlias = Annotated[
+DeviceFile: TypeAlias = Annotated[
     "Calibration",
     option(
-        "device calibration (default: nominal values of the model)",
+        "device file (.toml), or a device of the package by name (default ubc)",
         "device",
         "FILE",
-        kind=Path,
+        name="device",
+        kind=str,
         take=_calibration,
+        default=lambda: "ubc",
     ),
 ]
 Key: TypeAlias = Annotated[

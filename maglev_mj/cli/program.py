@@ -145,7 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 _WITHOUT = {
-    "mujoco": "; without it, use `--plant exact` for scenes, `--calibration FILE` for devices",
+    "mujoco": "; without it, use `--plant exact` for scenes, `twin --plant exact` for devices",
     "multiprocessing": "; without it, use `--workers 0` for sweeps",
     "glfw": "",
 }

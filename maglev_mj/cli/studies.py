@@ -411,14 +411,8 @@ def design(
 
 
 def _card_scene(text: str) -> Scene | type[Scene]:
-    """Return a scene; for a calibration file, `drop` with its mass."""
-    if not text.endswith(".json"):
-        return find_scene(text)
-    from maglev_mj.bridge.commissioning.calibration import (
-        Calibration,
-    )  # slow import
-
-    return Drop(mass=Calibration.load(text).mass)
+    """Return a scene; for a device file, `drop` on it."""
+    return Drop(device=text) if text.endswith(".toml") else find_scene(text)
 
 
 _CardScene: TypeAlias = Annotated[Scene, Shared(partial(add_scene, default="drop", find=_card_scene), chosen_scene)]
@@ -430,7 +424,7 @@ _Device: TypeAlias = Annotated[DeviceParameters, Shared(add_device, lambda optio
 def card(*, scene: _CardScene, device: _Device, json: Json = None, pictures: Picture) -> int:
     """Compute the Z-width, transparency, virtual masses and forces of a device.
 
-    SCENE may also be a calibration file, CALIBRATION.json.
+    SCENE may also be a device file, FILE.toml.
     """
     write_result(json, device_card(scene, device), pictures, "card")
     return 0

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS
 from maglev_mj.cli.declare import option
-from maglev_mj.cli.options import CalibrationFile, Key, Realtime, Seconds
+from maglev_mj.cli.options import DeviceFile, Key, Realtime, Seconds
 from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.errors import ParameterError
-from maglev_mj.spec import Spec
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.links import Server
@@ -43,19 +42,29 @@ def twin(
     ] = None,
     rate: Annotated[
         float | None,
-        option("sample rate [Hz] (default 200; arm 1000)", _DEVICE, inverse="period", at_least=10.0, at_most=20_000.0),
+        option(
+            "sample rate [Hz] (default: the device's; arm 1000)",
+            _DEVICE,
+            inverse="period",
+            at_least=10.0,
+            at_most=20_000.0,
+        ),
     ] = None,
     delay: Annotated[
         float | None,
-        option("delay from a command's arrival to its effect [s] (default 0.0015; arm 0.001)", _DEVICE, at_least=0.0),
+        option(
+            "delay from a command's arrival to its effect [s] (default: the device's; arm 0.001)",
+            _DEVICE,
+            at_least=0.0,
+        ),
     ] = None,
     watchdog: Annotated[float, option("watchdog timeout [s]", _DEVICE)] = 0.05,
-    noise: Annotated[float, option("standard deviation of the spot noise [m]", _DEVICE)] = 4e-7,
+    noise: Annotated[
+        float | None, option("standard deviation of the spot noise [m] (default: 4e-7, or the device's)", _DEVICE)
+    ] = None,
     seed: Annotated[int, option("seed of the noise", _DEVICE)] = 0,
     lockstep: Annotated[bool, option("wait for each command instead of running in real time", _DEVICE)] = False,
-    plant: Annotated[
-        str, option("mujoco or exact; exact with --calibration runs without MuJoCo", _DEVICE, "NAME")
-    ] = "mujoco",
+    plant: Annotated[str, option("mujoco or exact; exact runs without MuJoCo", _DEVICE, "NAME")] = "mujoco",
     fault: Annotated[list[str], option(f"injected fault and its start: {_FAULTS}", _HANDS, "NAME:K@SECONDS")],
     push: Annotated[
         list[str],
@@ -69,8 +78,8 @@ def twin(
         float | None,
         option("stiffness of foam around the flotor, for `commission` [N/m]", _HANDS, above=0.0, at_most=20_000.0),
     ] = None,
-    truth: Annotated[Path | None, option("true calibration, if the host's is wrong", _DEVICE)] = None,
-    calibration: CalibrationFile,
+    truth: Annotated[Path | None, option("file of the true device, if the host's is wrong", _DEVICE)] = None,
+    calibration: DeviceFile,
     key: Key = None,
     seconds: Seconds = None,
     realtime: Realtime = "ignore",
@@ -82,7 +91,7 @@ def twin(
     from maglev_mj.bridge.commissioning.calibration import Calibration
     from maglev_mj.bridge.realtime import realtime as realtime_policy
     from maglev_mj.bridge.realtime import stopping
-    from maglev_mj.bridge.safety import Limits
+    from maglev_mj.bridge.safety import limits_of
     from maglev_mj.bridge.twin.fault_injection import InjectedFault
     from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
     from maglev_mj.plants import engine_warnings_silenced
@@ -105,19 +114,18 @@ def twin(
         arm = {"numbers": numbers, "lockstep": lockstep, "hand_force": _hand(push, None)}
         return _serve_arm(haply, seconds, arm, {"key": key, "origins": page.allow_origin})
     look = find_scene(scene or "joystick")
+    own = {"period": rate and 1.0 / rate, "delay": delay, "noise": noise}
     parameters = TwinParameters(
-        period=1.0 / (Spec.control_rate.value if rate is None else rate),
-        delay=Spec.transport_delay.value if delay is None else delay,
+        **{name: value for name, value in own.items() if value is not None},
         lockstep=lockstep,
         calibration=calibration,
         truth=None if truth is None else Calibration.load(truth),
-        noise=noise,
         seed=seed,
-        limits=Limits(watchdog=watchdog),
+        limits=limits_of(calibration.base).replace(watchdog=watchdog),
         faults=[InjectedFault.parse(text) for text in fault],
         plant=plant,
     )
-    support = None if block is None else foam(block)
+    support = None if block is None else foam(block, calibration.mass)
     _hand(push, None)  # report invalid pushes before a window opens
     with ExitStack() as last:
         viewer, blank = None, _blank(look, parameters)
@@ -164,17 +172,17 @@ def _blank(look: type[Scene], parameters: TwinParameters) -> Snapshot:
 
     # the host chooses what is rendered
     off: dict[str, Any] = {row.name: False for row in look.parameters() if row.kind is bool and row.live}
-    scene = look(**off, period=parameters.period, delay=parameters.delay)
+    device = parameters.calibration.base.reference
+    scene = look(**off, device=device, period=parameters.period, delay=parameters.delay)
     return Snapshot(scene=scene, actions=(EMERGENCY_STOP,))
 
 
-def foam(stiffness: float) -> SpringHand:
+def foam(stiffness: float, mass: float) -> SpringHand:
     """Return an elastic support of the flotor at the centre, critically damped in translation."""
     from maglev_mj.frames import ZERO
     from maglev_mj.plants.hand import SpringHand
-    from maglev_mj.spec import INERTIA
 
-    mass, lever = INERTIA[0], 0.02  # [m]
+    lever = 0.02  # [m]
     damping = 2.0 * math.sqrt(stiffness * mass)
     return SpringHand(
         stiffness=stiffness,

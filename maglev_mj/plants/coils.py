@@ -7,11 +7,12 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import cast
+from typing import Self, cast
 
 import numpy as np
 
-from maglev_mj.errors import ModelError
+from maglev_mj.device import Device
+from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, Command
 from maglev_mj.parameters import number, numbers, store
 
@@ -70,6 +71,18 @@ class CoilMap:
         store(self, _blocks=blocks, _spread=spread)
         for array in (self.points, self.directions, self.force_constants, upright, self.current_per_wrench):
             array.setflags(write=False)  # shared by many plants
+
+    @classmethod
+    def of(cls, device: Device) -> Self:
+        """Return the coils of a device.
+
+        Raises:
+            ParameterError: If it has none.
+        """
+        if (coils := device.coils) is None:
+            raise ParameterError(f"device {device.name!r} has no coils, which flights and their twin need")
+        points = np.array(coils.points) - device.body.centre_of_mass
+        return cls(points, np.array(coils.directions), np.array(coils.force_constants))
 
     def inverse_at(self, rotation: Array) -> Array:
         """Return the inverse coil map [A/N, A/(N m)], (6, 6) or (N, 6, 6), at rotation matrices (9,) or (N, 9)."""

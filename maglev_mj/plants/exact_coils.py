@@ -29,7 +29,7 @@ class ExactCoilPlant(ExactPlant):
 
     Stops are inelastic: at the end of an interval, an axis outside its range is set to its stop, with zero velocity, so
     energy never increases. As in `MuJoCoPlant` with `stop_damping`, a stop in contact also slows motion along it. Each
-    axis has its own stops at `RANGE`; MuJoCo limits the rotation angle instead of each rotation.
+    axis has its own stops; MuJoCo limits the rotation angle instead of each rotation.
 
     Args:
         timing: Sample period and delay.
@@ -39,6 +39,7 @@ class ExactCoilPlant(ExactPlant):
         gravity: Gravitational acceleration along -z, or in stator axes (3,) [m/s²].
         pose: Pose at release [m, rad], (6,).
         hand_force: Force of a hand on the flotor; see `SampledPlant`.
+        reach: Range of motion to either side [m, rad], (6,).
 
     Attributes:
         stop_wrench: Mean wrench of the stops over the last interval [N, N m], (6,).
@@ -57,7 +58,9 @@ class ExactCoilPlant(ExactPlant):
         gravity: ArrayLike,
         pose: ArrayLike,
         hand_force: HandForce | None = None,
+        reach: ArrayLike = RANGE,
     ) -> None:
+        self._reach = np.array(reach)
         self._coils, self._constants = coils, coils.force_constants.copy()
         super().__init__(timing, mass=mass, inertia=inertia, gravity=0.0, pose=pose, hand_force=hand_force)
         self.load, self.stop_wrench = np.append(mass * acceleration(gravity), np.zeros(3)), np.zeros(6)
@@ -110,12 +113,12 @@ class ExactCoilPlant(ExactPlant):
         super()._advance(duration, super()._prepare((self._wrench(drive, 0.5 * duration) + self.load).tolist()))
         self.stop_wrench = np.zeros(6)
         pose, velocity = np.array(self._pose), np.array(self._velocity)
-        outside = np.abs(pose) > RANGE
+        outside = np.abs(pose) > self._reach
         if not outside.any():
             return
         slowed = np.where(outside, 0.0, math.exp(-duration / STOP_TIME) * velocity)
         self.stop_wrench = self.inertia * (slowed - velocity) / duration
-        self._pose, self._velocity = np.clip(pose, np.negative(RANGE), RANGE).tolist(), slowed.tolist()
+        self._pose, self._velocity = np.clip(pose, -self._reach, self._reach).tolist(), slowed.tolist()
 
     def _snapshot(self, drive: Any) -> Any:
         return self._pose, self._velocity, self._wrench(drive).tolist()

@@ -17,6 +17,7 @@ from typing import Any, Protocol, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from maglev_mj.device import Device
 from maglev_mj.errors import ModelError, ParameterError, SensingError
 from maglev_mj.frames import Array, Component, Six, components, join, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.lazy import mujoco
@@ -115,6 +116,56 @@ class Beams:
         turned = np.cross((arm + length * beam)[..., None, :], projection)
         jacobian = np.concatenate([projection, turned], axis=-1)
         return spots.reshape(*pose.shape[:-1], 6), jacobian.reshape(*pose.shape[:-1], 6, 6)
+
+
+@dataclass(frozen=True)
+class PoseScale:
+    """Sensor whose device computes the pose; in place of `Beams`, `FastBeams` and `PoseTracker`.
+
+    Its six "spots" are the translations and the rotation vector times a lever.
+
+    Args:
+        lever: Lever of the rotations [m].
+    """
+
+    lever: float
+
+    @property
+    def _scale(self) -> Array:
+        return np.array([1.0] * 3 + [self.lever] * 3)
+
+    def spots(self, pose: Any) -> Any:
+        """Return the values on the wire [m] of poses [m, rad], (..., 6)."""
+        scaled = np.asarray(pose) * self._scale
+        return scaled.tolist() if isinstance(pose, list | tuple) else scaled
+
+    def __call__(self, spots: Sequence[float]) -> list[float]:
+        """Return the pose of the values on the wire, six components [m, rad].
+
+        Raises:
+            SensingError: If a value is not finite.
+        """
+        pose: list[float] = (np.asarray(spots) / self._scale).tolist()
+        if not math.isfinite(sum(pose)):
+            raise SensingError(f"no pose: {_formatted(spots)} m is not finite")
+        return pose
+
+    def reset(self) -> None:
+        """Do nothing: there is no search; see `PoseTracker`."""
+
+
+def geometry_of(device: Device) -> Beams | PoseScale:
+    """Return the geometry of a device's sensor."""
+    sensor, centre = device.sensor, device.body.centre_of_mass
+    if sensor.kind == "pose":
+        return PoseScale(sensor.lever)
+    directions, across = np.array(sensor.directions), np.array(sensor.across)
+    return Beams(np.array(sensor.leds) - centre, directions, np.array(sensor.diodes) - centre, across)
+
+
+def tracker_of(geometry: Beams | PoseScale) -> PoseTracker | PoseScale:
+    """Return the function from values on the wire to a pose."""
+    return geometry if isinstance(geometry, PoseScale) else PoseTracker(geometry)
 
 
 def moved(pose: Array, change: NDArray[Any]) -> Array:
@@ -527,7 +578,7 @@ class SpotReader:
 
     Args:
         beams: Geometry.
-        quantum: Resolution of a spot coordinate [m]; 0 for none.
+        quantum: Resolution of a spot coordinate [m], or of each, (6,); 0 for none.
         noise: Standard deviation of the white Gaussian noise on a spot coordinate, before quantization [m].
         seed: Seed of the noise; equal seeds give equal runs.
 
@@ -538,10 +589,12 @@ class SpotReader:
         ParameterError: If a value is negative.
     """
 
-    def __init__(self, beams: Beams, quantum: float = 0.0, noise: float = 0.0, seed: int = 0) -> None:
-        self._beams = FastBeams(beams)
-        checked = SpotSensor(quantum=quantum, noise=noise, seed=seed)
-        self.read = _electronics([checked.quantum] * 6, checked.noise, checked.seed)
+    def __init__(
+        self, beams: Beams | PoseScale, quantum: ArrayLike = 0.0, noise: ArrayLike = 0.0, seed: int = 0
+    ) -> None:
+        self._beams = beams if isinstance(beams, PoseScale) else FastBeams(beams)
+        steps, spread = (six(name, value, finite=True) for name, value in (("quantum", quantum), ("noise", noise)))
+        self.read = _electronics(steps.tolist(), spread if np.ndim(noise) else float(spread[0]), whole("seed", seed))
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
         """Return six measured spot coordinates [m] for a true pose, six floats [m, rad].

@@ -15,6 +15,7 @@ from maglev_mj import control as _laws
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.laws.base import FunctionLaw
 from maglev_mj.control.loop import Record
+from maglev_mj.device import Device
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing, engine_warnings_silenced
@@ -291,6 +292,8 @@ def _arguments(value: Any) -> Mapping[str, Any]:
 
 def _value(slot: str, value: Any) -> Any:
     """Return an argument as JSON values."""
+    if isinstance(value, Device):
+        return {"device": value.toml()}
     if slot == "model" and value not in (None, *model_names()):
         raise _NoJsonError
     if value is None or isinstance(value, bool | str):
@@ -325,6 +328,8 @@ def _object(slot: str, description: Any, own: CodeLoader | None, extra: Mapping[
         if len(description) > limit:
             raise ParameterError(f"{slot} must have at most {limit} entries (got {len(description)})")
         return [_object(slot, part, own) for part in description]
+    if slot == "model" and isinstance(description, dict):
+        return Device.parse(value_in(description, "device", str))
     if isinstance(description, dict):
         name = value_in(description, "class", str)
         cls = {allowed.__name__: allowed for allowed in _SLOTS.get(slot, ())}.get(name)

@@ -23,7 +23,6 @@ from maglev_mj.recording.setup import attach_model, attach_source
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of, source_of
 from maglev_mj.session.snapshot import SHOWN, History
-from maglev_mj.spec import Spec
 
 MAX_REWIND = 60.0
 """Longest rewind [s]."""
@@ -49,7 +48,12 @@ def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Contr
     cls = type(scene)
     attach_model(file, scene.model)
     attach_source(file, cls)
-    details |= {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json(), "axis": scene.axis}
+    details |= {
+        "scene": reference_of(cls),
+        "source": source_of(cls),
+        "parameters": scene.as_json() | {"device": scene.hardware.reference},
+        "axis": scene.axis,
+    }
     return file.begin(plant, controller, setup_of(plant, controller, **details))
 
 
@@ -173,8 +177,11 @@ def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) 
     """
 
     def make(timing: Timing, **options: Any) -> MuJoCoPlant:
-        limits: dict[str, Any] = {"current_limit": Spec.peak_current.value, "stops": True, "metered": True}
-        return MuJoCoPlant(timing, **limits | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)})
+        coils = scene.hardware.coils
+        limits: dict[str, Any] = {"current_limit": coils and coils.current_limit, "stops": scene.hardware.range.stops}
+        return MuJoCoPlant(
+            timing, **limits | {"metered": True} | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)}
+        )
 
     plant = scene.plant(make, **start)  # type: ignore[arg-type]
     assert isinstance(plant, MuJoCoPlant)

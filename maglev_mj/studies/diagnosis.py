@@ -17,7 +17,6 @@ from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import with_period
-from maglev_mj.lazy import loaded
 from maglev_mj.parameters import param, transport_delay
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.result import Result, Table, number_text
@@ -326,19 +325,15 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     if wrong := [name for name in values if name not in accepted]:
         raise KeywordError(choice_message("argument of diagnose", ("scene", *accepted), wrong[0]))
     assumptions: list[str] = []
-    if "device" in values:
+    if "device" in values and scene is None:
         hardware = Device.load(values["device"])
-        if scene is None:
-            values = {name: getattr(hardware, name) for name in ("period", "delay", "mass")} | values
-            if values.get("inertia") is not None:
-                values.pop("mass")
-        elif not (isinstance(scene, str | Path) and Path(scene).suffix in _MOTIONS):
-            scene = loaded("maglev_mj.scenes.find:get_scene")(scene).replace(device=values["device"])
+        own = {"period": hardware.period, "delay": hardware.delay, "mass": hardware.mass}
+        values = {name: own[name] for name in own if name != "mass" or not values.get("inertia")} | values
     measured: Oscillation | None = None
     if isinstance(scene, str | Path) and Path(scene).suffix in _MOTIONS:
         measured, values = _of_recording(Path(scene), values, assumptions)
     elif scene is not None:
-        values = {**_of_scene(scene, assumptions), **values}
+        values = {**_of_scene(scene, assumptions, values.get("device")), **values}
         if values.get("inertia") is not None:
             values.pop("mass", None)
     if values.get("device_stiffness"):  # alone, or beside that of the host
@@ -400,7 +395,7 @@ def _of_recording(path: Path, values: dict[str, Any], assumptions: list[str]) ->
     return found, known | {mass: best.mass, "delay": best.delay, "own_damping": best.own_damping}
 
 
-def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
+def _of_scene(scene: Any, assumptions: list[str], device: str | None) -> dict[str, Any]:
     """Return the values of a scene's worst axis."""
     from maglev_mj.frames import AXES  # slow
     from maglev_mj.scenes.find import get_scene
@@ -408,6 +403,7 @@ def _of_scene(scene: Any, assumptions: list[str]) -> dict[str, Any]:
     from maglev_mj.theory.verdict import axis_law, stability, stated_gains
 
     found = get_scene(scene)
+    found = found.replace(device=device) if device else found
     controller, body = found.controller(), found.body.inertia
     gains, law, velocity = stated_gains(controller), None, controller.velocity
     around: Any = {"period": found.period, "delay": found.delay}

@@ -28,7 +28,7 @@ def device(
 ) -> tuple[Twin, RemotePlant]:
     """Return a twin in foam, and its host."""
     parameters |= {"truth": truth, "pose": [0.0] * 6, "period": period}
-    twin = Twin(TwinParameters(**parameters), hand_force=foam(stiffness))
+    twin = Twin(TwinParameters(**parameters), hand_force=foam(stiffness, 0.7))
     plant = RemotePlant(VirtualLink(twin))
     for _ in range(round(0.5 / period)):
         plant.read()

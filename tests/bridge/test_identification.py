@@ -37,7 +37,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.plants.coils import CoilMap
-from maglev_mj.plants.sensor import PoseTracker
+from maglev_mj.plants.sensor import tracker_of
 from tests.sweeps import further
 
 NOMINAL = Calibration.nominal()
@@ -81,7 +81,7 @@ class Twin:
         self.last_delay = math.nan
         self._losses, self._draw = losses, draw
         self._spots = SpotReader(NOMINAL.beams, QUANTUM, NOISE, seed) if noisy else None
-        self._pose = PoseTracker(NOMINAL.beams)
+        self._pose = tracker_of(NOMINAL.beams)
 
     @property
     def acceleration_per_current(self) -> Array:

@@ -29,6 +29,7 @@ from maglev_mj.bridge.wire import (
     State,
     StateReport,
 )
+from maglev_mj.plants.sensor import beams
 from tests.bridge.firmware_core import FOLDER, SANITIZED, STRICT
 from tests.bridge.test_firmware import HOVER, ZERO
 from tests.bridge.test_wire import KEY, golden_bytes
@@ -37,7 +38,7 @@ from tests.processes import Program
 
 PROFILE = TwinParameters().profile
 NOMINAL = Calibration.nominal()
-SLOPES = NOMINAL.beams._spots(np.zeros(6))[1]
+SLOPES = beams()._spots(np.zeros(6))[1]
 MAPS = NOMINAL.wall_maps
 PERIOD = 5_000_000
 

@@ -32,6 +32,7 @@ FILES = {
     "garbage.npz": "PK garbage",
     "empty.json": "{}",
     "broken.json": "[1,",
+    "broken.toml": "[1,",
     "notes.jsonl": "hello\n",
     "syntax.py": "class (",
 }
@@ -107,7 +108,7 @@ stability --hand 0.2,0,0,1,0                        | grip_stiffness above 0 in 
 drop --out out.png | out must be a folder; try --out . --format png (got 'out.png')
 sweep drop                                          | a sweep needs --vary NAME=VALUES; for one run: maglev-mj run drop
 sweep joystick --vary stiffness=1000,2000 --out .   | out is not supported: joystick has no figures to draw
-card nothing.json | calibration 'nothing.json' cannot be read: No such file or directory
+card nothing.toml | device file 'nothing.toml' cannot be read: No such file or directory
 card drop --delay 0.06                              | delay must be at most 0.05 s, 10 periods (got 0.06)
 sweep moon.py                                       | scene file 'moon.py' does not exist
 sweep drop --vary height=0:inf:3                    | values of height must be LOW:HIGH:COUNT
@@ -161,7 +162,7 @@ compare drop --law pd --law colgate                 | colgate
 compare drop --law pd --vary stiffness=1000 --map   | vary and map are mutually exclusive (got vary stiffness=1000)
 compare drop --law pd --figure noise                | figure needs --vary NAME=VALUES (got noise)
 compare drop --law pd --vary rate=200 --figure glow | figure must be one of penetration
-compare drop --law pd --vary plant=exact            | parameter must be one of period
+compare drop --law pd --vary plant=exact            | parameter must be one of device
 compare drop --law colgate --map                    | law colgate sets its own gains
 card glue                                           | glue
 lessons notes.jsonl                                 | notes.jsonl
@@ -170,7 +171,7 @@ twin --fault dead-coil:9@1                          | K of dead-coil must be 0 t
 twin --push w:1@0-1                                 | w:1@0-1
 twin --listen nosuch                                | listen must be
 twin --listen udp://8.8.8.8:5678                    | 8.8.8.8
-twin --calibration broken.json                      | broken.json
+twin --device broken.toml                           | broken.toml
 twin --truth empty.json                             | empty.json
 twin --key nosuch.key                               | key must be a file of 32 to 64 hexadecimal digits
 twin --scene nosuch                                 | nosuch
@@ -187,7 +188,7 @@ twin --haply --web                                   | --web does not apply to -
 bridge DEVICE --mass 1                              | --mass requires --identify
 bridge DEVICE --identify a.json --view              | view
 bridge DEVICE --profile nosuch.json                 | profile 'nosuch.json' cannot be read
-bridge DEVICE --calibration run.maglev              | run.maglev
+bridge DEVICE --device run.maglev                   | run.maglev
 bridge DEVICE --reset --identify a                  | --reset and --identify cannot be combined
 bridge DEVICE --force-limit 7                       | force_limit must be above
 commission DEVICE coils --coil 9                    | 9

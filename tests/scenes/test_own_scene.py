@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from maglev_mj import Bias, Controller
-from maglev_mj.bridge import Calibration, RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge, main
+from maglev_mj.device import Device
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.versions import hash_of
@@ -110,8 +111,8 @@ def test_it_is_flown_on_a_twin_recorded_and_checked(served: str, folder: Path, s
     recording = Recording.load(folder / "fly.maglev")
     (segment,) = recording.segments
     source = f"source/{hash_of((folder / 'detents.py').read_text())}/detents.py"
-    assert {"calibration.json", "model/maglev.xml", source} <= recording.attachments.keys()
-    assert json.loads(recording.attachments["calibration.json"]) == Calibration.nominal().as_json()
+    assert {"device.toml", "model/maglev.xml", source} <= recording.attachments.keys()
+    assert Device.parse(recording.attachments["device.toml"].decode()) == Device.load("ubc")
     assert segment.setup["kind"] == "device" and segment.setup["parameters"]["stiffness"] == 3000.0
     status, said, wrong = say("replay", "fly.maglev", "--check", "--scene", "detents.py")
     assert (status, wrong) == (0, "") and "equal: " in said

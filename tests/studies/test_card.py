@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Calibration, Command, Controller, ExactPlant, Hold, Sample, Timing, cli, device_card, drive
+from maglev_mj import Command, Controller, ExactPlant, Hold, Sample, Timing, cli, device_card, drive
+from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Six
 from maglev_mj.plants.hand import HANDS, get_hand
@@ -128,7 +129,7 @@ def one_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.studies.card.HANDS", dict([*HANDS.items()][:1]))
 
 
-def test_the_command_takes_scenes_and_calibrations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_takes_scenes_and_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[Any] = []
 
     def keep(scene: Scene, _: Any) -> None:
@@ -136,8 +137,9 @@ def test_the_command_takes_scenes_and_calibrations(tmp_path: Path, monkeypatch: 
         raise ParameterError("scene must be kept")
 
     monkeypatch.setattr("maglev_mj.cli.studies.device_card", keep)
-    (tmp_path / "heavy.json").write_text(json.dumps({**Calibration.nominal().as_json(), "mass": 1.4}))
-    for words in ("drop --mass 1.4", str(tmp_path / "heavy.json")):
+    heavy = tmp_path / "heavy.toml"
+    heavy.write_text(Device.load("ubc").change("body", mass=1.4).toml())
+    for words in (f"drop --device {heavy}", str(heavy)):
         assert cli.main(["card", *words.split(), "--json", "-"]) == 2
     assert len(found) == 2 and found[0] == found[1]
 

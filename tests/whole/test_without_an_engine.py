@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from maglev_mj import Calibration
 from tests.processes import run
 from tests.sweeps import sweep
 
@@ -66,7 +65,7 @@ from maglev_mj.bridge.preflight import preflight
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import State
 
-known = Calibration.load("device.json")
+known = Calibration.nominal()
 twin = Twin(TwinParameters(calibration=known, plant="exact"), hand_force=hand)
 with RemotePlant(VirtualLink(twin), calibration=known) as plant:
     found = preflight(plant, find_scene(scene)().replace(period=plant.period, delay=plant.delay))
@@ -105,7 +104,6 @@ def test_what_a_file_of_one_s_own_lacks_is_told_as_any_error(answers: dict[str, 
 @pytest.mark.machine
 @pytest.mark.parametrize(("scene", "force"), sweep(["joystick", "drop"], [-3.0, 0.0], every=3))
 def test_a_twin_is_flown_without_an_engine(scene: str, force: float, tmp_path: Path) -> None:
-    Calibration.nominal().save(tmp_path / "device.json")
     hand = f"scene, hand = {scene!r}, lambda tick, time, state: [0, 0, {force} * (2.2 < time < 2.7), 0, 0, 0]\n"
     done = run(sys.executable, "-c", BLOCKED + hand + FLIGHT, cwd=tmp_path)
     assert done.status == 0, done
@@ -113,7 +111,6 @@ def test_a_twin_is_flown_without_an_engine(scene: str, force: float, tmp_path: P
 
 @pytest.mark.machine
 def test_the_command_of_a_twin_needs_no_engine(tmp_path: Path) -> None:
-    Calibration.nominal().save(tmp_path / "device.json")
-    words = "twin --plant exact --calibration device.json --listen udp://127.0.0.1:0 --seconds 0.2"
+    words = "twin --plant exact --listen udp://127.0.0.1:0 --seconds 0.2"
     done = run(sys.executable, "-c", COMMAND, *words.split(), cwd=tmp_path)
     assert done.status == 0 and "final state: inactive, no faults" in done.output, done

@@ -22,7 +22,7 @@ from maglev_mj.bridge.safety import OFF, OutputLimiter
 from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Sample
-from maglev_mj.plants.sensor import PoseTracker
+from maglev_mj.plants.sensor import tracker_of
 
 _PATIENCE = 2.0  # [s]
 _ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}
@@ -73,7 +73,7 @@ class Tester:
         self._sessions: set[int] = set()
         self._times: dict[int, int] = {}  # of the last frame from each address
         self._random, self._raw, self._idle = random.Random(1), b"", 0
-        self._track, self._offsets = PoseTracker(calibration.beams), calibration.spot_offsets.tolist()
+        self._track, self._offsets = tracker_of(calibration.beams), calibration.spot_offsets.tolist()
 
     def now(self) -> int:
         """Return the link's clock [ns]."""

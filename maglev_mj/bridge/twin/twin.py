@@ -16,25 +16,28 @@ from numpy.typing import ArrayLike
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import Address, Server
 from maglev_mj.bridge.realtime import LatencyHistogram
-from maglev_mj.bridge.safety import Limits, Profile
+from maglev_mj.bridge.safety import Limits, Profile, limits_of
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.twin.wall_clock import WallClock
 from maglev_mj.bridge.wire import WRAP, Codec, Fault, State, StateReport, fault_names
+from maglev_mj.device import PUBLISHED, Device
 from maglev_mj.errors import check_instance, check_one_of
 from maglev_mj.frames import ZERO, Array
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import number, numbers, store
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.plants.hand import HandForce
+from maglev_mj.plants.sensor import PoseScale
 from maglev_mj.scenes.scene import PLANTS
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, Spec
 from maglev_mj.terminal import wrapped
 
-REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
-"""Pose at rest on the lower stop [m, rad]."""
+REST = Device.load(PUBLISHED).rest
+"""Pose of the published joystick on its lower stop [m, rad]."""
 
 _ALL = 7
+_OF_DEVICE: Any = None  # default of the calibration's device
 _MARGIN = 1.25
 """Factor over the calibrated hover currents, for the hover limit."""
 
@@ -43,7 +46,7 @@ _MARGIN = 1.25
 class TwinParameters:
     """Parameters of a twin.
 
-    `plant="exact"` simulates in closed form, without MuJoCo if a calibration is loaded from a file; see
+    `plant="exact"` simulates in closed form, without MuJoCo; see
     `ExactCoilPlant` for the differences.
 
     Raises:
@@ -55,16 +58,16 @@ class TwinParameters:
         0.0015
     """
 
-    period: float = 1.0 / Spec.control_rate.value  # sample period [s]
-    delay: float = Spec.transport_delay.value  # from a command's arrival (lockstep: from the sample) to its effect [s]
+    period: float = _OF_DEVICE  # sample period [s]
+    delay: float = _OF_DEVICE  # from a command's arrival (lockstep: from the sample) to its effect [s]
     lockstep: bool = False  # simulated time waits for each command
     calibration: Calibration = field(default_factory=Calibration.nominal)  # a host needs the same digest
     truth: Calibration | None = None  # the true one; `calibration` by default
-    pose: ArrayLike = REST  # at the start [m, rad], (6,)
-    quantum: float = Spec.spot_resolution.value  # resolution of spots [m]
-    noise: float = 0.5 * Spec.spot_resolution.value  # standard deviation of spots [m], assumed
+    pose: ArrayLike = _OF_DEVICE  # at the start [m, rad], (6,): on the lower stop
+    quantum: ArrayLike = _OF_DEVICE  # resolution of spots [m], or of the values of a pose sensor, (6,)
+    noise: ArrayLike = _OF_DEVICE  # standard deviation of the same [m]; half the resolution of spots, assumed
     seed: int = 0  # of the noise
-    limits: Limits = field(default_factory=Limits)
+    limits: Limits = _OF_DEVICE
     faults: Sequence[InjectedFault] = ()
     plant: str = "mujoco"  # name from PLANTS
     wall_period: float = DEVICE_PERIOD  # sample period of walls [s], rounded to a divisor of `period`; 0 for no walls
@@ -74,15 +77,22 @@ class TwinParameters:
 
     def __post_init__(self) -> None:
         check_one_of("plant", PLANTS, self.plant)
+        device, spots = self.calibration.base, Spec.spot_resolution.value
+        usual: dict[str, Any] = {"quantum": spots, "noise": 0.5 * spots}
+        if isinstance(scale := self.calibration.beams, PoseScale):
+            usual = {"quantum": scale.spots(device.sensor.resolution), "noise": scale.spots(device.sensor.noise)}
+        usual |= {"period": device.period, "delay": device.delay, "pose": device.rest, "limits": limits_of(device)}
+        store(self, **{name: value for name, value in usual.items() if getattr(self, name) is None})
         numbers("pose", self.pose, shape="(6,)")
         # whole nanoseconds, the protocol's unit of time
         period, delay = (round(number(name, getattr(self, name)) * 1e9) for name in ("period", "delay"))
+        noise = np.asarray(self.noise)
         limits, most = self.limits, _MARGIN * np.abs(self.calibration.hover).max()
         limits = limits.replace(
             enable=min(max(limits.enable, 3.0 * self.period), limits.watchdog),
             hover_limit=min(limits.hover_limit, limits.continuous_current, most),
             # with noise of half a quantum no reading repeats for long
-            frozen=limits.frozen if self.noise > 0.0 and self.noise >= 0.5 * self.quantum else 0,
+            frozen=limits.frozen if np.all(noise > 0.0) and np.all(noise >= 0.5 * np.asarray(self.quantum)) else 0,
         )
         walls: dict[str, Any] = {}
         if number("wall_period", self.wall_period, at_least=0.0):
@@ -344,7 +354,11 @@ def _plant(
             gravity=truth.gravity,
             pose=parameters.pose,
             hand_force=hand_force,
+            reach=truth.base.reach,
         )
+    if not truth.base.published:
+        moving: Any = {"pose": parameters.pose, "hand_force": hand_force, "stop_damping": truth.base.range.stops}
+        return MuJoCoPlant(timing, model=truth.device, stops=truth.base.range.stops, **moving)
     nominal = Calibration.nominal()
     # keep the model's own numbers if they are true: setting them would round
     same = np.array_equal(truth.coils.wrench_per_current, nominal.coils.wrench_per_current)
