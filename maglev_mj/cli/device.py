@@ -30,11 +30,17 @@ _SHOWN = 0.25  # interval between printed lines of spots [s]
 _BLOCKED = "  block the flotor with soft foam; hands off: this test does not detect a hand"
 
 
-def info(*, json: Json = None) -> int:
-    """Compare the model with Table 1 of the paper."""
+def info(
+    *,
+    device: Annotated[str | None, option("figures of a device file (.toml), or of a name", "device", "FILE")] = None,
+    json: Json = None,
+) -> int:
+    """Compare the model with Table 1 of the paper, or print the figures of a device."""
+    from maglev_mj.device import Device
     from maglev_mj.plants.shapes import device_report
+    from maglev_mj.studies.card import DeviceFigures
 
-    write_result(json, device_report())
+    write_result(json, device_report() if device is None else DeviceFigures(Device.load(device)))
     return 0
 
 

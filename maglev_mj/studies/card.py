@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 from maglev_mj.control import Hold, LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
-from maglev_mj.frames import Array
+from maglev_mj.device import Device
+from maglev_mj.frames import AXES, Array
 from maglev_mj.plants import ExactPlant
+from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import HANDS, get_hand
+from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table, with_unit
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import SceneLike, get_scene
@@ -27,6 +30,52 @@ from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
 _WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10
 _LOSS = math.sqrt(0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceFigures(Result):
+    """Figures of a device file.
+
+    Attributes:
+        device: The device.
+    """
+
+    device: Device
+
+    units: ClassVar = {}
+    derived: ClassVar = ("inertia", "range", "force_limit", "hover", "critical_stiffness")
+    inertia = property(lambda self: self.device.inertia)
+    range = property(lambda self: self.device.reach)
+    force_limit = property(lambda self: self.device.force_limit)
+
+    @property
+    def hover(self) -> Array:
+        """Hover currents at the centre [A], (6,); none without coils, (0,)."""
+        if self.device.coils is None:
+            return np.zeros(0)
+        return CoilMap.of(self.device).currents(0.0 - body_of({"model": self.device}).load)
+
+    @property
+    def critical_stiffness(self) -> Array:
+        """Critical stiffness of a wall on each translation, at the best damping [N/m], (3,)."""
+        around: Any = {"period": self.device.period, "delay": self.device.delay, "mass": self.device.mass}
+        return np.full(3, float(stiffest_of(SampledLoop(**around)).stiffness))
+
+    def columns(self) -> dict[str, Array]:
+        """Return mass and moments of inertia, range and force limit of each axis, (6,) each."""
+        return {"inertia": self.inertia, "range": self.range, "force_limit": self.force_limit}
+
+    def table(self) -> Table:
+        """Return the figures of each axis; hover currents, condition number and critical stiffness below."""
+        device, notes = self.device, [f"critical stiffness without a hand: {self.critical_stiffness[0]:.4g} N/m"]
+        if device.coils is not None:
+            condition = CoilMap.of(device).condition_number(math.sqrt(device.inertia[3] / device.mass))
+            hover = ", ".join(f"{current:.3g}" for current in self.hover)
+            notes += [f"hover currents: {hover} A", f"condition number of the coil map: {condition:.3g}"]
+        rows = [(axis, *row) for axis, row in zip(AXES, np.transpose([*self.columns().values()]).tolist())]
+        title = f"{device.name}: {device.mass:g} kg, {device.loop.rate:g} Hz, delay {device.delay * 1e3:g} ms"
+        head = ("axis", "inertia [kg, kg m²]", "range [m, rad]", "force limit [N, N m]")
+        return Table(title, head, rows, "\n".join(notes))
 
 
 @dataclass(frozen=True, eq=False)
