@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -198,10 +198,7 @@ class Device:
         """
         if isinstance(path, str) and "\n" in path:
             return cls.parse(path)
-        if not (isinstance(path, Path) or str(path).endswith(".toml")):
-            check_one_of("device", devices(), path, ", or a file .toml")
-            path = _FOLDER / f"{path}.toml"
-        return read_file("device file", path, cls.parse)
+        return read_file("device file", path, cls.parse) if str(path).endswith(".toml") else _of_package(path)
 
     @classmethod
     @lru_cache(maxsize=32)
@@ -260,9 +257,20 @@ class Device:
         """True for the published joystick, under any name."""
         return self.digest == Device.load(PUBLISHED).digest
 
-    mass = property(lambda self: self.body.mass, doc="Moving mass [kg].")
-    period = property(lambda self: 1.0 / self.loop.rate, doc="Sample period [s].")
-    delay = property(lambda self: self.loop.delay + self.sensor.latency, doc="Delay from a pose to its command [s].")
+    @cached_property
+    def mass(self) -> float:
+        """Moving mass [kg]."""
+        return self.body.mass
+
+    @cached_property
+    def period(self) -> float:
+        """Sample period [s]."""
+        return 1.0 / self.loop.rate
+
+    @cached_property
+    def delay(self) -> float:
+        """Delay from a pose to the effect of its command [s]."""
+        return self.loop.delay + self.sensor.latency
 
     @cached_property
     def inertia(self) -> Array:
@@ -288,7 +296,7 @@ class Device:
         inverse = np.linalg.inv(self.coils.wrench_per_current(self.body.centre_of_mass))
         return _frozen(self.coils.current_limit / np.abs(inverse).max(axis=0))
 
-    @property
+    @cached_property
     def escape(self) -> float:
         """Distance from the centre at which a simulation counts as diverged [m]: ten ranges, or 1 m without one."""
         largest = max(self.range.translation)
@@ -300,15 +308,20 @@ class Device:
         own = (name for name in devices() if Device.load(name) == self)
         return next(own, None) or self.toml()
 
-    @property
+    @cached_property
     def keywords(self) -> dict[str, Any]:
         """Keywords that make a plant this device; none for the published joystick, as by default."""
         return {} if self.published else {"model": self}
 
+    @cached_property
+    def height(self) -> float:
+        """Height of the centre above the lower end of the range [m]."""
+        return float(self.range.translation[2])
+
     @property
     def rest(self) -> tuple[float, ...]:
         """Pose on the lower stop, or the centre without stops [m, rad], six."""
-        low = -self.range.translation[2] if self.range.stops and math.isfinite(self.range.translation[2]) else 0.0
+        low = -self.height if self.range.stops and math.isfinite(self.height) else 0.0
         return (0.0, 0.0, low, 0.0, 0.0, 0.0)
 
     def mjcf(self) -> str:
@@ -359,12 +372,13 @@ class OnDevice(Parameters):
     @cached_property
     def hardware(self) -> Device:
         """Description of the device."""
-        return Device.load(self.device)
+        return _of_package(PUBLISHED) if self.device == PUBLISHED else Device.load(self.device)
 
 
-def of_device(value: Callable[[Device], float]) -> Callable[[Any], float]:
-    """Return a function that derives a default of `OnDevice` from its device; see `param`."""
-    return lambda parameters: float(value(parameters.hardware))
+@cache
+def _of_package(name: str) -> Device:
+    check_one_of("device", devices(), name, ", or a file .toml")
+    return read_file("device file", _FOLDER / f"{name}.toml", Device.parse)
 
 
 def devices() -> tuple[str, ...]:

@@ -505,13 +505,15 @@ class Parameters:
 
     def __post_init__(self) -> None:
         values, derived = vars(self), []
-        checked = values.pop("_checked", ())  # set by `replace`: already checked in the original
+        checked, former = values.pop("_checked", ()), values.pop("_former", {})  # set by `replace`: of the original
         for name, parameter in self._declared.items():
             if name in checked:
                 continue
             if values[name] is None and parameter.derive is not None:
                 derived.append(name)
                 values[name] = parameter.derive(self)
+                if former.get(name) == values[name]:
+                    continue
             values[name] = parameter.checked(values[name])
         values["_derived"] = frozenset(derived)
         self.check()
@@ -558,6 +560,7 @@ class Parameters:
         copy = object.__new__(type(self))
         vars(copy).update(self.as_json() | dict.fromkeys(self._derived) | changes)
         vars(copy)["_checked"] = self._declared.keys() - self._derived - changes.keys()
+        vars(copy)["_former"] = self.as_json()
         copy.__post_init__()
         return copy
 

@@ -14,7 +14,7 @@ from maglev_mj.control import Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.control.timeline import Timing
-from maglev_mj.device import COILS
+from maglev_mj.device import COILS, Device
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import axis_indices
@@ -140,14 +140,16 @@ def coil_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, int]:
     return {geom: int(np.linalg.norm(places - data.geom_xpos[geom], axis=1).argmin()) for geom in windings}
 
 
-def coil_colour(copper: Sequence[float], current: float) -> tuple[float, float, float]:
-    """Return the colour of a coil: copper without current, yellow, red at the peak current.
+def coil_colour(copper: Sequence[float], current: float, device: Device) -> tuple[float, float, float]:
+    """Return the colour of a coil: copper without current, yellow, red at the current limit.
 
     Args:
         copper: Red, green and blue of the winding's material.
         current: Current [A]; NaN as 0.
+        device: Device, for its limit.
     """
-    share = round(abs(current) / Spec.peak_current.value, 2) if math.isfinite(current) else 0.0
+    limit = math.inf if device.coils is None else device.coils.current_limit
+    share = round(abs(current) / limit, 2) if math.isfinite(current) else 0.0
     cold = np.asarray(copper[:3])
     red, green, blue = (cold + share * (_WARM - cold)).tolist() if share < 1.0 else _LIMIT
     return red, green, blue

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 from maglev_mj.control import Law
-from maglev_mj.device import of_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, param
@@ -32,7 +32,7 @@ class Drop(WallScene):
     band_phases: ClassVar[int] = 100
 
     height: float = param(
-        "drop height above the wall", "m", default=None, derive=of_device(lambda device: device.reach[2]), above=0.0
+        "drop height above the wall", "m", default=None, derive=attrgetter("hardware.height"), above=0.0
     )
     carry: bool = param("carry impulse clipped by the force limit over to later samples", default=False)
     duration: float = param("simulated time from release", "s", default=0.4, above=0.0, at_most=1000.0)
@@ -40,7 +40,8 @@ class Drop(WallScene):
     def check(self) -> None:
         """See `Scene`."""
         super().check()
-        number("height", self.height, below=self.hardware.escape, unit="m")
+        if not self.height < self.hardware.escape:
+            number("height", self.height, below=self.hardware.escape, unit="m")
         if self.carry and self.force_limit is None:
             raise ParameterError("carry needs a force_limit, which clips the pulse")
 

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from maglev_mj.control import Hold, Law
-from maglev_mj.device import of_device
 from maglev_mj.parameters import param
 from maglev_mj.plants import Timing
 from maglev_mj.scenes.scene import Scene, Start
@@ -58,7 +57,7 @@ class LetGo(_Body):
         "simulated time",
         "s",
         default=None,
-        derive=of_device(lambda device: 0.08 * math.sqrt(device.scale[2])),
+        derive=lambda scene: 0.08 * math.sqrt(scene.hardware.scale[2]),
         above=0.0,
         at_most=1e6,
     )

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from maglev_mj.control import Law
-from maglev_mj.device import of_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import number, param
@@ -48,7 +47,7 @@ class Press(WallScene):
         "start height of a hit above the wall",
         "m",
         default=None,
-        derive=of_device(lambda device: 0.003 * device.scale[2]),
+        derive=lambda scene: float(0.003 * scene.hardware.scale[2]),
         above=0.0,
     )
     press: float = param("force of the final press", "N", default=5.0, above=0.0, at_most=1e6)
@@ -72,7 +71,8 @@ class Press(WallScene):
             raise ParameterError(f"hand must have a stiffness above 0, in order to press (got {self.hand!r})")
         number("stiffness", self.stiffness, above=0.0, at_most=1e8)
         super().check()
-        number("height", self.height, below=self.hardware.escape, unit="m")
+        if not self.height < self.hardware.escape:
+            number("height", self.height, below=self.hardware.escape, unit="m")
         if self.force_limit is not None and not self.press < self.force_limit:
             raise ParameterError(
                 f"press must be below the force_limit of {self.force_limit:g} N, or it penetrates the wall "

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
-from maglev_mj.device import OnDevice, of_device
+from maglev_mj.device import OnDevice
 from maglev_mj.errors import ParameterError, check_instance, named, one_line
 from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.parameters import Turn, axis_indices, param, transport_delay
@@ -136,7 +137,7 @@ class Scene(OnDevice):
         "sample period",
         "s",
         default=None,
-        derive=of_device(lambda device: device.period),
+        derive=attrgetter("hardware.period"),
         at_least=MIN_PERIOD,
         at_most=MAX_PERIOD,
         live=RATE,
@@ -145,7 +146,7 @@ class Scene(OnDevice):
         "delay from a sample to the effect of its command",
         "s",
         default=None,
-        derive=of_device(lambda device: device.delay),
+        derive=attrgetter("hardware.delay"),
         at_least=0.0,
         at_most=MAX_DELAY_PERIODS * MAX_PERIOD,
         live=DELAY,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any, Self
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control import Hold, Law, VelocityEstimator, Wall
 from maglev_mj.control.controller import Controller
-from maglev_mj.device import of_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, param
@@ -98,7 +98,7 @@ class WallScene(Scene):
     )
     pulse_width: float = param("duration of the braking pulse", "s", default=0.003, at_least=0.0, at_most=1.0)
     mass: float = param(
-        "moving mass", "kg", default=None, derive=of_device(lambda device: device.mass), at_least=1e-3, at_most=1e3
+        "moving mass", "kg", default=None, derive=attrgetter("hardware.mass"), at_least=1e-3, at_most=1e3
     )
     force_limit: float | None = param(
         "force limit along z",

@@ -15,13 +15,14 @@ import numpy as np
 from maglev_mj.control import Law
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record
+from maglev_mj.device import Device
 from maglev_mj.errors import MaglevError, ParameterError, choice_message
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array, Sample
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import SampledPlant
+from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import HandForce, SpringHand
-from maglev_mj.plants.model import load_model
 from maglev_mj.plants.trace import hand_work
 from maglev_mj.recording import (
     InvalidRecordingError,
@@ -475,7 +476,7 @@ class Replay:
             force=samples["applied"][row] - now.carried,
             hand=np.array(samples["hand"][row]),
             hand_estimated=now.segment.setup["kind"] == "device",
-            currents=_current_per_wrench() @ samples["applied"][row],
+            currents=_current_per_wrench(now.scene.hardware) @ samples["applied"][row],
             faces=now.faces,
             anchors=now.anchors(row),
             history=self._history(),
@@ -556,8 +557,6 @@ class _PlayedSegment:
 
 
 @cache
-def _current_per_wrench() -> Array:
-    """Return the coil currents per wrench [A/N, A/(N m)], (6, 6)."""
-    coils = load_model("drop").coils
-    assert coils is not None
-    return coils.current_per_wrench
+def _current_per_wrench(device: Device) -> Array:
+    """Return the coil currents per wrench [A/N, A/(N m)], (6, 6); zero without coils."""
+    return np.zeros((6, 6)) if device.coils is None else CoilMap.of(device).current_per_wrench

@@ -371,7 +371,7 @@ class Session:
             stops=segment.plant.stop_wrench,
             target=None if isinstance(target, Trajectory) else target,
             hand_stiffness=self.hand.stiffness,
-            currents=segment.plant.currents,
+            currents=np.zeros(6) if segment.plant.device.coils is None else segment.plant.currents,
             faces=segment.controller.faces,
             anchors=segment.controller.stick_positions,
             beside=segment.scene.beside_poses(segment.controller.states),

@@ -61,13 +61,17 @@ class DeviceFigures(Result):
         around: Any = {"period": self.device.period, "delay": self.device.delay, "mass": self.device.mass}
         return np.full(3, float(stiffest_of(SampledLoop(**around)).stiffness))
 
+    def _headline(self) -> str:
+        force, stiffness = self.force_limit[2], self.critical_stiffness[0]
+        return f"{self.device.name.capitalize()}: {force:.3g} N along z; walls up to {stiffness:.4g} N/m without a hand"
+
     def columns(self) -> dict[str, Array]:
         """Return mass and moments of inertia, range and force limit of each axis, (6,) each."""
         return {"inertia": self.inertia, "range": self.range, "force_limit": self.force_limit}
 
     def table(self) -> Table:
         """Return the figures of each axis; hover currents, condition number and critical stiffness below."""
-        device, notes = self.device, [f"critical stiffness without a hand: {self.critical_stiffness[0]:.4g} N/m"]
+        device, notes = self.device, list[str]()
         if device.coils is not None:
             condition = CoilMap.of(device).condition_number(math.sqrt(device.inertia[3] / device.mass))
             hover = ", ".join(f"{current:.3g}" for current in self.hover)

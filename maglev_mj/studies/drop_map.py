@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 
 import maglev_mj.theory as theory
 from maglev_mj.control.loop import drive
-from maglev_mj.device import of_device
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import param
@@ -62,7 +62,7 @@ class DropMapParameters(StabilityParameters):
         "drop height above the wall; 0 to release the flotor at the edge",
         "m",
         default=None,
-        derive=of_device(lambda device: device.reach[2]),
+        derive=attrgetter("hardware.height"),
         at_least=0.0,
         at_most=1.0,
     )

@@ -9,11 +9,11 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.device import of_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import param, param_range, transport_delay
@@ -57,7 +57,7 @@ class WallRequirements(DeviceParameters):
         "sample period",
         "s",
         default=None,
-        derive=of_device(lambda device: device.period),
+        derive=attrgetter("hardware.period"),
         at_least=MIN_PERIOD,
         at_most=MAX_PERIOD,
     )

@@ -15,6 +15,7 @@ import pytest
 from maglev_mj import Range, find_scene, linearise, measure_fidelity, run, run_phases, stability, sweep
 from maglev_mj.bridge.fault import _NAMES, FaultRecord
 from maglev_mj.bridge.preflight import LinkReport
+from maglev_mj.device import Device
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.plants.shapes import device_report
 from maglev_mj.result import Result, Table, number_text
@@ -23,7 +24,7 @@ from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Figure, Variants
 from maglev_mj.session.replay import record_run
 from maglev_mj.studies import levels
-from maglev_mj.studies.card import device_card
+from maglev_mj.studies.card import DeviceFigures, device_card
 from maglev_mj.studies.compare import Comparison, sweep_laws
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.diagnosis import diagnose
@@ -131,7 +132,8 @@ def test_every_kind_of_result_has_a_headline() -> None:
     }
     link = LinkReport(device_delay=1e-4, clock=1.0, lockstep=False, **numbers)
     laws = sweep_laws(Drop(duration=0.05), ["pd"], "stiffness", [2000.0, 4000.0], phases=2)
-    found = {type(one): one for one in [*results().values(), link, device_report(), laws]}
+    own = DeviceFigures(Device.load("stage"))
+    found = {type(one): one for one in [*results().values(), link, device_report(), laws, own]}
     kinds = [Result]
     for kind in kinds:
         kinds += kind.__subclasses__()

@@ -275,7 +275,7 @@ class Stage:
         for node, row in zip(self._beside, snapshot.beside):
             update(node, position=np.round(row[:3], 5), wxyz=np.round(row[3:], 5), visible=True)
         for coil, winding in self._coils.items():
-            update(winding, color=rgb(coil_colour(self._copper, snapshot.currents[coil])))
+            update(winding, color=rgb(coil_colour(self._copper, snapshot.currents[coil], snapshot.scene.hardware)))
         self._set_pose(self._flotor, snapshot.pose)
         arrows = force_arrows(snapshot)
         for name, (shaft, number) in self._forces.items():

@@ -70,7 +70,7 @@ class Scenery:
         """Set currents and pose of the flotor."""
         model, data, first = self.model, self.data, self._address
         for geom, coil in self._coils.items():
-            model.geom_rgba[geom] = *coil_colour(self._copper, snapshot.currents[coil]), 1.0
+            model.geom_rgba[geom] = *coil_colour(self._copper, snapshot.currents[coil], snapshot.scene.hardware), 1.0
         data.qpos[first : first + 7] = *snapshot.pose[:3], *quaternion(snapshot.pose[3:])
         for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
             update(model, data)
