@@ -8,7 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maglev_mj import HostLimits, RemotePlant, Sample, Twin, TwinParameters
 from maglev_mj.bridge.commissioning.calibration import Calibration
+from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.landing import Leader, straight
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.device import Device, devices
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
@@ -108,3 +112,28 @@ def test_hover_carries_the_weight() -> None:
         plant.read()
         _, twist = plant.state()
         assert np.abs(twist).max() < 1e-12 < 1e-3 * 9.81 * plant.period
+
+
+def test_a_stage_of_its_own_file_takes_off_and_lands() -> None:
+    known = Calibration.load("stage")
+    twin = Twin(TwinParameters(calibration=known, lockstep=True))
+    assert twin.pose[2] == pytest.approx(-0.002, abs=1e-5)
+    with RemotePlant(VirtualLink(twin), calibration=known) as device:
+        assert (device.period, device.delay) == (0.001, 0.0009) and device.stated.continuous_current == 2.0
+        device.takeoff(0.2)
+        assert np.abs(twin.pose[:3]).max() < 1e-4
+        assert device.land(0.2).at_rest
+    with pytest.raises(HandshakeError, match="calibration mismatch"):
+        RemotePlant(VirtualLink(Twin(TwinParameters(calibration=known))))
+
+
+def test_the_tolerances_of_a_flight_scale_with_the_range() -> None:
+    scale = Device.load("stage").scale
+    assert HostLimits().scaled(scale).envelope == pytest.approx(0.0055 * 0.002 / 0.0045)
+    assert HostLimits(envelope=0.003).scaled(scale).envelope == 0.003
+    astray: list[Any] = []
+    leader = Leader(Calibration.load("stage"), 1e-3, 9e-4)
+    leader.aim(straight([0.0] * 6, [0.0] * 6, 1.0), astray.append)
+    for tick, offset in enumerate((0.0008, 0.001)):
+        leader.step(Sample(tick, 1e-3 * tick, [0.0, 0.0, offset, 0.0, 0.0, 0.0]))
+    assert len(astray) == 1
