@@ -22,6 +22,7 @@ import numpy as np
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import BAUD
 from maglev_mj.bridge.twin.twin import REST, TwinParameters
+from maglev_mj.plants.sensor import beams
 
 BOARDS = Path(__file__).resolve().parent
 FIRMWARE = BOARDS.parent
@@ -40,7 +41,7 @@ def plant(hand: str) -> dict[str, object]:
         "wrench": calibration.coils.wrench_per_current,
         "inertia": [*[calibration.mass] * 3, *calibration.inertia],
         "gravity": [*calibration.gravity, 0.0, 0.0, 0.0],
-        "slopes": calibration.beams._spots(np.zeros(6))[1],
+        "slopes": beams()._spots(np.zeros(6))[1],
         "rest": REST,
         "hand": np.array([float(x) for x in wrench.split(",")]).reshape(6),
         "hand_from": round(float(start) * 1e9),
