@@ -149,10 +149,9 @@ def bridge(
     if address.startswith("haply:"):
         refused: dict[str, object] = {"reset": reset, "identify": identify, "mass": mass, "anyway": anyway}
         refused |= {"view": view, "web": page.web}
-        refused["calibration"] = any(text.startswith("--calibration") for text in reconnect)
         if others := [name for name, value in refused.items() if value]:
             raise ParameterError(f"--{others[0]} does not apply to haply://")
-        with _opened_arm(address, key, limits, realtime) as arm:
+        with _opened_arm(Arm.of(scene.hardware), address, key, limits, realtime) as arm:
             result = preflight_arm(arm, scene, as_written=as_written)
             if check:
                 return _print_check(result, arm.period, arm.arm.mass)
@@ -314,12 +313,12 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
 
 @contextmanager
 def _opened_arm(
-    address: str, key: bytes | None, limits: HostLimits, policy: Literal["enforce", "ignore"]
+    arm: Arm, address: str, key: bytes | None, limits: HostLimits, policy: Literal["enforce", "ignore"]
 ) -> Iterator[HaplyPlant]:
     """Open an arm in real time, with the smaller of its limits and the host's on force and speed."""
     if limits.replace(force_limit=None, speed_limit=HostLimits().speed_limit) != HostLimits():
         raise ParameterError("limits of the host for haply:// are --force-limit and --speed-limit")
-    arm, force = Arm(), limits.force_limit or math.inf
+    force = limits.force_limit or math.inf
     most: Any = {"force_limit": [min(force, part) for part in arm.force_limit]}
     arm = replace(arm, speed_limit=min(limits.speed_limit, arm.speed_limit), **most)
     with _punctual(policy), HaplyPlant(address, arm=arm, key=key) as plant:  # its thread receives in real time too

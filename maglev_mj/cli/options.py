@@ -16,6 +16,7 @@ from maglev_mj.errors import ParameterError
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.commissioning.calibration import Calibration
+    from maglev_mj.device import Device
     from maglev_mj.parameters import Parameter, Parameters
     from maglev_mj.pictures import PictureFolder
     from maglev_mj.scenes.scene import Scene
@@ -181,6 +182,12 @@ def _calibration(options: argparse.Namespace) -> Calibration:
     return Calibration.load(options.calibration)
 
 
+def _device(options: argparse.Namespace) -> Device:
+    from maglev_mj.device import Device
+
+    return Device.load(options.device)
+
+
 def _key(options: argparse.Namespace) -> bytes | None:
     """Return the key read from a file; None without one."""
     from maglev_mj.bridge.wire import LEAST_KEY, MOST_KEY
@@ -213,18 +220,18 @@ Recorded: TypeAlias = Annotated[Path, option("recording written by run, view or 
 Seconds: TypeAlias = Annotated[float | None, option("duration [s] (default: until stopped)", above=0.0)]
 Shown: TypeAlias = Annotated[float | None, option("duration [s] (default: no limit)", above=0.0)]
 Address: TypeAlias = Annotated[str, option("device: udp://HOST:PORT or serial:///PATH?baud=RATE", "", "ADDRESS")]
-DeviceFile: TypeAlias = Annotated[
-    "Calibration",
-    option(
-        "device file (.toml), or a device of the package by name (default ubc)",
-        "device",
-        "FILE",
-        name="device",
-        kind=str,
-        take=_calibration,
-        default=lambda: "ubc",
-    ),
-]
+_device_file = partial(
+    option,
+    "device file (.toml), or a device of the package by name (default ubc)",
+    "device",
+    "FILE",
+    name="device",
+    kind=str,
+    default=lambda: "ubc",
+)
+DeviceFile: TypeAlias = Annotated["Calibration", _device_file(take=_calibration)]
+AnyDevice: TypeAlias = Annotated["Device", _device_file(take=_device)]
+"""One with coils, and any."""
 Key: TypeAlias = Annotated[
     bytes | None,
     option(

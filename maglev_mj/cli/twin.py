@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS
 from maglev_mj.cli.declare import option
-from maglev_mj.cli.options import DeviceFile, Key, Realtime, Seconds
+from maglev_mj.cli.options import AnyDevice, Key, Realtime, Seconds
 from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.errors import ParameterError
 
@@ -28,6 +28,7 @@ _DEVICE, _HANDS = "device", "faults and hand"
 _ADDRESS = "udp://127.0.0.1:5678"
 
 
+_WATCHDOG = 0.05
 _FAULTS = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
 
 
@@ -58,7 +59,7 @@ def twin(
             at_least=0.0,
         ),
     ] = None,
-    watchdog: Annotated[float, option("watchdog timeout [s]", _DEVICE)] = 0.05,
+    watchdog: Annotated[float, option("watchdog timeout [s]", _DEVICE)] = _WATCHDOG,
     noise: Annotated[
         float | None, option("standard deviation of the spot noise [m] (default: 4e-7, or the device's)", _DEVICE)
     ] = None,
@@ -79,7 +80,7 @@ def twin(
         option("stiffness of foam around the flotor, for `commission` [N/m]", _HANDS, above=0.0, at_most=20_000.0),
     ] = None,
     truth: Annotated[Path | None, option("file of the true device, if the host's is wrong", _DEVICE)] = None,
-    calibration: DeviceFile,
+    device: AnyDevice,
     key: Key = None,
     seconds: Seconds = None,
     realtime: Realtime = "ignore",
@@ -89,6 +90,7 @@ def twin(
 ) -> int:
     """Run the twin: a simulated device behind the protocol of a real one."""
     from maglev_mj.bridge.commissioning.calibration import Calibration
+    from maglev_mj.bridge.haply.arm import Arm
     from maglev_mj.bridge.realtime import realtime as realtime_policy
     from maglev_mj.bridge.realtime import stopping
     from maglev_mj.bridge.safety import limits_of
@@ -107,13 +109,18 @@ def twin(
             "view": view,
             "web": page.web,
             "plant": plant != "mujoco",
+            "noise": noise is not None,
+            "seed": seed,
+            "watchdog": watchdog != _WATCHDOG,
         }
         if extra := [name for name, value in refused.items() if value]:
             raise ParameterError(f"--{extra[0]} does not apply to --haply")
-        numbers = {name: value for name, value in (("rate", rate), ("delay", delay)) if value is not None}
-        arm = {"numbers": numbers, "lockstep": lockstep, "hand_force": _hand(push, None)}
+        numbers: dict[str, Any] = {
+            name: value for name, value in (("rate", rate), ("delay", delay)) if value is not None
+        }
+        arm = {"arm": replace(Arm.of(device), **numbers), "lockstep": lockstep, "hand_force": _hand(push, None)}
         return _serve_arm(haply, seconds, arm, {"key": key, "origins": page.allow_origin})
-    look = find_scene(scene or "joystick")
+    look, calibration = find_scene(scene or "joystick"), Calibration.of(device)
     own = {"period": rate and 1.0 / rate, "delay": delay, "noise": noise}
     parameters = TwinParameters(
         **{name: value for name, value in own.items() if value is not None},
@@ -148,13 +155,12 @@ def twin(
 
 def _serve_arm(place: str, seconds: float | None, arm: dict[str, Any], server_options: dict[str, Any]) -> int:
     """Serve the twin of an arm at [HOST:]PORT; return the exit status."""
-    from maglev_mj.bridge.haply.arm import Arm
     from maglev_mj.bridge.haply.twin import HaplyServer, HaplyTwin
     from maglev_mj.bridge.realtime import stopping
 
     if not (match := re.fullmatch(r"(?:([\w.-]+):)?(\d{1,5})", place, re.ASCII)):
         raise ParameterError(f"haply must be PORT or HOST:PORT (got {place!r})")
-    twin = HaplyTwin(Arm(**arm.pop("numbers")), **arm)
+    twin = HaplyTwin(**arm)
     server = HaplyServer(twin, int(match[2]), match[1] or "127.0.0.1", **server_options)
     host, port = server.address
     pace = "in lockstep" if twin.lockstep else "in real time"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.control import FiniteDifference, LinearController, LowPass
+from maglev_mj.control import LinearController, LowPass
 from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import Array, Mask
@@ -30,7 +30,7 @@ from maglev_mj.theory.boundary import (
 )
 from maglev_mj.theory.closed_loop import SampledLoop, bisect, critical_delay, is_stable, pd
 from maglev_mj.theory.margin import Margin
-from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, laws_on_device, rates_of
+from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
 
 if TYPE_CHECKING:
     from maglev_mj.studies.oscillation import Oscillation
@@ -333,7 +333,9 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     if isinstance(scene, str | Path) and Path(scene).suffix in _MOTIONS:
         measured, values = _of_recording(Path(scene), values, assumptions)
     elif scene is not None:
-        values = {**_of_scene(scene, assumptions, values.get("device")), **values}
+        from maglev_mj.studies.scene_loop import scene_values  # slow
+
+        values = {**scene_values(scene, assumptions, values.get("device")), **values}
         if values.get("inertia") is not None:
             values.pop("mass", None)
     if values.get("device_stiffness"):  # alone, or beside that of the host
@@ -393,49 +395,6 @@ def _of_recording(path: Path, values: dict[str, Any], assumptions: list[str]) ->
     assumptions += [match.text for match in matches]
     best = matches[0]
     return found, known | {mass: best.mass, "delay": best.delay, "own_damping": best.own_damping}
-
-
-def _of_scene(scene: Any, assumptions: list[str], device: str | None) -> dict[str, Any]:
-    """Return the values of a scene's worst axis."""
-    from maglev_mj.frames import AXES  # slow
-    from maglev_mj.scenes.find import get_scene
-    from maglev_mj.theory.margin import worst_axis
-    from maglev_mj.theory.verdict import axis_law, stability, stated_gains
-
-    found = get_scene(scene)
-    found = found.replace(device=device) if device else found
-    controller, body = found.controller(), found.body.inertia
-    gains, law, velocity = stated_gains(controller), None, controller.velocity
-    around: Any = {"period": found.period, "delay": found.delay}
-    own, rendered, acting = laws_on_device(controller, found.timing().device), dict[str, Any](), tuple[str, ...]()
-    if own and gains is not None:  # the wall in question; the host's laws in contact are beside it
-        index, acting = max(own, key=lambda axis: (own[axis].stiffness, own[axis].damping)), ("contact",)
-        k, b = (float(part[index]) for part in gains[acting])
-        rendered = {f"device_{name}": getattr(own[index], name) for name in ("stiffness", "damping", "period", "delay")}
-        assumptions += [f"without the cutoff of {x.cutoff:g} Hz on the device" for x in [own[index]] if x.cutoff]
-    elif gains is None:
-        verdict = stability(found)
-        index, acting = AXES.index(verdict.axes[0]) if verdict.axes else found.axis_index, verdict.acting
-        k, b = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
-        if len(verdict.axes) == 1:
-            law = axis_law(controller, index, pose=verdict.pose, inertia=body)
-        memory = "coupling to other axes and memory left out"
-        if law is not None:
-            memory = "with its memory, which scales with the stiffness and keeps its length in samples"
-        assumptions.append(f"law linearised at the worst pose, {memory}")
-    else:
-        acting, index, _ = worst_axis(gains, **around, inertia=body, velocity=velocity)
-        k, b = (float(part[index]) for part in gains[acting])
-        if not isinstance(velocity, FiniteDifference | LowPass):
-            law = pd(velocity)(np.asarray(k), np.asarray(b), np.asarray(found.period))
-    if not k > 0.0 and not rendered.get("device_stiffness"):
-        raise ParameterError(f"scene {found.name} renders no stiffness on its worst axis, {AXES[index]}")
-    state = f" ({', '.join(acting)})" if acting else ""
-    reason = "stiffest wall on the device" if rendered else "the one with the smallest margin"
-    assumptions.append(f"axis {AXES[index]} of {found.name}{state}, {reason}")
-    values: dict[str, Any] = {"stiffness": k, "damping": max(b, 0.0), "law": law}
-    values |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) and law is None else {}
-    return {**values, **around, **rendered, "inertia" if index > 2 else "mass": float(body[index])}
 
 
 def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Oscillation | None) -> Diagnosis:

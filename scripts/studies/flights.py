@@ -355,7 +355,7 @@ def fly_good(delays: dict[str, list[int]], cell: Row) -> Row:
 
 # 4. the check of the coils in takeoff
 
-NOISES: tuple[float, ...] = (TwinParameters().noise, 5e-6)
+NOISES = (4e-7, 5e-6)
 GAINS = {0.9: "at 90 %", 1e-3: "dead", -1.0: "reversed"}
 
 

@@ -6,7 +6,9 @@ import json
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,6 +24,7 @@ from maglev_mj.cli import main
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop, drive
+from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.recording import Recording
@@ -392,3 +395,11 @@ def test_a_guard_ends_the_flight_with_a_landing(critical: float, stiffness: floa
     assert count < 1000 and reason in ended
     forces = [abs(force[2]) for _, force in link.sent[-5:] if force]
     assert forces == sorted(forces, reverse=True) and forces[-1] == 0.0
+
+
+def test_the_numbers_of_an_arm_are_those_of_its_device_file(tmp_path: Path) -> None:
+    assert Arm.of(Device.load("arm")) == Arm.of(Device.load("ubc")) == Arm()
+    heavy = Device.load("arm").change("body", mass=0.3).change("loop", rate=500.0)
+    assert Arm.of(heavy) == replace(Arm(), mass=0.3, rate=500.0)
+    (tmp_path / "heavy.toml").write_text(heavy.toml(), encoding="utf-8")
+    assert Arm.of(Device.load(tmp_path / "heavy.toml")) == Arm.of(heavy)

@@ -184,6 +184,9 @@ bridge haply://127.0.0.1:9 --max-current 5           | limits of the host for ha
 twin --haply nosuch                                  | haply must be PORT or HOST:PORT (got 'nosuch')
 twin --haply 8.8.8.8:10001                           | host must be a loopback address
 twin --haply --listen pty                            | --listen does not apply to --haply
+twin --haply --noise 1e-6                            | --noise does not apply to --haply
+twin --haply --device stage                          | device must take a force, [force] in its file (got 'stage'
+bridge haply://127.0.0.1:9 --device stage            | device must take a force, [force] in its file (got 'stage'
 twin --haply --web                                   | --web does not apply to --haply
 bridge DEVICE --mass 1                              | --mass requires --identify
 bridge DEVICE --identify a.json --view              | view

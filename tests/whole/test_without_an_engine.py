@@ -50,7 +50,6 @@ DONE = [
 ]
 LACKING = {
     "maglev-mj drop": "mujoco, which cannot be imported; without it, use `--plant exact`.*",
-    "maglev-mj twin --plant exact": "mujoco, .*`--calibration FILE` for devices",
     "maglev-mj sweep drop --vary height=1e-3:2e-3:2": "multiprocessing, .*`--workers 0`.*",
     "maglev-mj view --web": "multiprocessing, which cannot .*",
 }

@@ -9,8 +9,10 @@ import hmac
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
+from maglev_mj.device import Device
+from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import numbers
 
 
@@ -38,6 +40,20 @@ class Arm:
         for name in ("mass", "speed_limit", "rate", "force_limit", "range"):
             numbers(name, getattr(self, name), shape="(3,)" if name in ("force_limit", "range") else "()", above=0.0)
         numbers("delay", self.delay, shape="()", at_least=0.0)
+
+    @classmethod
+    def of(cls, device: Device) -> Self:
+        """Return the numbers that a device file states; the defaults for the published joystick, which is no arm.
+
+        Raises:
+            ParameterError: If the device has coils.
+        """
+        if device.published:
+            return cls()
+        if device.force is None:
+            raise ParameterError(f"device must take a force, [force] in its file (got {device.name!r}, with coils)")
+        force, reach = device.force.limit, device.range.translation
+        return cls(mass=device.mass, force_limit=force, range=reach, rate=1.0 / device.period, delay=device.delay)
 
     def limited(self, force: Sequence[float]) -> list[float]:
         """Return a force scaled to the limits, (3,) [N]."""

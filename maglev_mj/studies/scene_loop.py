@@ -1,0 +1,63 @@
+"""Loop of a scene to diagnose: its stiffest wall on the device, or the axis with the smallest margin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.control import FiniteDifference, LowPass
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES
+from maglev_mj.scenes.find import get_scene
+from maglev_mj.theory.closed_loop import pd
+from maglev_mj.theory.margin import worst_axis
+from maglev_mj.theory.two_rates import laws_on_device
+from maglev_mj.theory.verdict import axis_law, stability, stated_gains
+
+
+def scene_values(scene: Any, assumptions: list[str], device: str | None) -> dict[str, Any]:
+    """Return the values of the loop on a scene's worst axis, by the names of `DiagnosedLoop`.
+
+    Args:
+        scene: The scene, its class or its name.
+        assumptions: Receives what was assumed, in words.
+        device: Device in place of the scene's own; None to keep it.
+
+    Raises:
+        ParameterError: If the scene renders no stiffness there.
+    """
+    found = get_scene(scene)
+    found = found.replace(device=device) if device else found
+    controller, body = found.controller(), found.body.inertia
+    gains, law, velocity = stated_gains(controller), None, controller.velocity
+    around: Any = {"period": found.period, "delay": found.delay}
+    own, rendered, acting = laws_on_device(controller, found.timing().device), dict[str, Any](), tuple[str, ...]()
+    if own and gains is not None:  # the wall in question; the host's laws in contact are beside it
+        index, acting = max(own, key=lambda axis: (own[axis].stiffness, own[axis].damping)), ("contact",)
+        k, b = (float(part[index]) for part in gains[acting])
+        rendered = {f"device_{name}": getattr(own[index], name) for name in ("stiffness", "damping", "period", "delay")}
+        assumptions += [f"without the cutoff of {x.cutoff:g} Hz on the device" for x in [own[index]] if x.cutoff]
+    elif gains is None:
+        verdict = stability(found)
+        index, acting = AXES.index(verdict.axes[0]) if verdict.axes else found.axis_index, verdict.acting
+        k, b = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
+        if len(verdict.axes) == 1:
+            law = axis_law(controller, index, pose=verdict.pose, inertia=body)
+        memory = "coupling to other axes and memory left out"
+        if law is not None:
+            memory = "with its memory, which scales with the stiffness and keeps its length in samples"
+        assumptions.append(f"law linearised at the worst pose, {memory}")
+    else:
+        acting, index, _ = worst_axis(gains, **around, inertia=body, velocity=velocity)
+        k, b = (float(part[index]) for part in gains[acting])
+        if not isinstance(velocity, FiniteDifference | LowPass):
+            law = pd(velocity)(np.asarray(k), np.asarray(b), np.asarray(found.period))
+    if not k > 0.0 and not rendered.get("device_stiffness"):
+        raise ParameterError(f"scene {found.name} renders no stiffness on its worst axis, {AXES[index]}")
+    state = f" ({', '.join(acting)})" if acting else ""
+    reason = "stiffest wall on the device" if rendered else "the one with the smallest margin"
+    assumptions.append(f"axis {AXES[index]} of {found.name}{state}, {reason}")
+    values: dict[str, Any] = {"stiffness": k, "damping": max(b, 0.0), "law": law}
+    values |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) and law is None else {}
+    return {**values, **around, **rendered, "inertia" if index > 2 else "mass": float(body[index])}
