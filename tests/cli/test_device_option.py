@@ -55,7 +55,7 @@ def test_a_command_works_with_each_device(
         assert segment.metadata.inertia[0] == {"arm": 0.15, "stage": 0.3, "ubc": 0.7}[device]
 
 
-@pytest.mark.parametrize("command", COILS)
+@pytest.mark.parametrize("command", sorted(COILS))
 def test_a_command_for_coils_refuses_a_device_without_any(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([command, *NEEDED.get(command, "").split(), "--device", "arm"]) == 2
     out, error = capsys.readouterr()
