@@ -49,6 +49,7 @@ _LARGE, _MANY = 300_000, 1000  # SVG size [bytes] above which curves of this man
 _NOTEBOOK_DPI = 100.0
 _LEGEND_SIZE = 9.0  # [pt]
 _HEADLINE, _DETAIL = (11.0, 84), (9.0, 108)  # size [pt] and letters across a chart
+_SHRUNK = 1.3  # a headline longer than a line by this factor is wrapped
 _UNDER = 36.0  # gap between a panel and its legend, for ticks, tick labels and axis label [pt]
 
 
@@ -127,10 +128,15 @@ def new_figure(head: Sequence[str], rows: int, columns: int, height: float, **op
 
 
 def _add_head(figure: Any, headline: str, *details: str) -> None:
-    """Write the headline in bold, and the details below it; both are wrapped, and the figure grows by their height."""
+    """Write the headline in bold, and the details below it; both are wrapped, and the figure grows by their height.
+
+    A headline that is slightly too long for one line is written smaller instead.
+    """
     from matplotlib.text import Annotation
 
     (large, wide), (small, narrow) = _HEADLINE, _DETAIL
+    if wide < len(headline) <= _SHRUNK * wide:
+        large, wide = large * wide / len(headline), len(headline)
     lines = textwrap.wrap(headline, wide)
     below = [line for text in details for line in textwrap.wrap(_unbroken(text), narrow)]
     down = -1.2 * large * len(lines) - 2.0

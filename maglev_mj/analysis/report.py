@@ -172,7 +172,7 @@ class SegmentReport(Result):
     @property
     def warnings(self) -> list[str]:
         """See `Result`."""
-        return [f"wall: {self.wall}"] if self.wall is not None and self.wall.spectral_radius >= 1.0 else []
+        return [f"wall {self.wall}"] if self.wall is not None and self.wall.spectral_radius >= 1.0 else []
 
     def table(self) -> Table:
         """Return the tables of figures, comparison and identified quantities.

@@ -56,7 +56,7 @@ def _head(variants: Variants, *details: str) -> tuple[str, ...]:
     gains = [stated_gains(one.controller()) for one in scenes]
     alike = len(scenes) == 1 or all(one and str(one) == str(gains[0]) for one in gains)
     wall = wall_margin(scene, held=True) if alike else None
-    return variants.headline, common, *([] if wall is None else [f"wall: {wall}"]), *details
+    return variants.headline, common, *([] if wall is None else [f"wall {wall}"]), *details
 
 
 def _over_time(variants: Variants, named: Mapping[str, str], **options: Any) -> tuple[Any, dict[str, Any]]:

@@ -548,6 +548,10 @@ def _figures_table(
     return Table(title, ("figure", *figures, "unit", *(["meaning"] if meaning else [])), rows)
 
 
+_SCALED = "s", "m", "m/s", "rad", "rad/s"
+"""Units of parameters that are written with a prefix below 0.1."""
+
+
 def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:
     """Return rate, delay and parameters with their units, `without` some by name."""
     texts = [] if "period" in without else [f"{1.0 / scene.period:g} Hz"]
@@ -560,8 +564,11 @@ def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:
         if name == "device" and hasattr(scene, "hardware"):
             texts += [] if scene.hardware.published else [f"device {scene.hardware.name}"]
             continue
-        text = f"{value:.6g}" if parameter.kind in (int, float) else str(value)
-        texts.append(f"{name.replace('_', ' ')} {text} {unit_of(parameter.unit, scene.axis, parameter.along)}".rstrip())
+        unit = unit_of(parameter.unit, scene.axis, parameter.along)
+        if unit in _SCALED and 0.0 < abs(value) < 0.1:
+            value, unit = (1e3 * value, f"m{unit}") if abs(value) >= 1e-4 else (1e6 * value, f"µ{unit}")
+        text = f"{value:.5g}" if parameter.kind in (int, float) else str(value)
+        texts.append(f"{name.replace('_', ' ')} {text} {unit}".rstrip())
     return texts
 
 

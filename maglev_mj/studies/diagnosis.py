@@ -240,7 +240,7 @@ class Diagnosis(Result):
 
     def _headline(self) -> str:
         first = f"; {self.remedies[0].words} helps most" if self.remedies and not self.stable else ""
-        return f"{self.margin.verdict.capitalize()}, {self.critical_stiffness:.4g} {self.unit('N/m')}{first}"
+        return f"{self.margin.verdict.capitalize()}, {number_text(self.critical_stiffness)} {self.unit('N/m')}{first}"
 
     def unit(self, unit: str) -> str:
         """Return a unit of a translation, or that of a rotation for a rotary axis."""

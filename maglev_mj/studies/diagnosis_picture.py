@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from maglev_mj.pictures import TITLE, name_curves, new_figure
 from maglev_mj.studies.diagnosis import Diagnosis, short
 from maglev_mj.theory.boundary import boundary_of
 
-_POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS, _WIDE_BAR = 160, 8.0, 600, 30.0, 8, 20.0
+_POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS = 160, 8.0, 600, 30.0, 8
+_NAMES, _LETTERS = 0.45, 50
+"""Share of the bars' width for the names of the remedies, and letters in a line of it."""
 
 
 def diagnosis(result: Diagnosis) -> Any:
@@ -28,7 +31,7 @@ def diagnosis(result: Diagnosis) -> Any:
     timing = f"{rate:.4g} Hz, delay {delay:.4g} ms, {loop.body:g} {result.unit('kg')}"
     timing += loop.described if loop.on_host else ""
     figure, (region, response, bars, empty) = new_figure(
-        (result.headline, f"{gains}, {timing}", result.summary), 2, 2, 6.4
+        (result.headline, f"{gains}, {timing}", result.summary), 2, 2, 7.0
     )
     _region(region, result)
     _response(response, result)
@@ -85,23 +88,24 @@ def _bars(panel: Any, result: Diagnosis) -> None:
     loop = result.loop
     present = result.margin.ratio
     shown = result.remedies[:_BARS]
-    names = ["now", *(one.words for one in shown)]
+    names = ["now", *(f"{index}  {one.words}" for index, one in enumerate(shown, 1))]
     ratios = [max(present, 1e-3), *(one.ratio for one in shown)]
     colours = [on_white(GOOD if ratio >= 1.0 else BAD, 3.0) for ratio in ratios]
     places = np.arange(len(names))[::-1]
-    panel.barh(places, ratios, color=colours, height=0.6)
-    panel.set_yticks(places, ["now", *map(str, range(1, len(names)))])
+    start, end = 0.5 * min(0.5, *ratios), 2.0 * max(loop.target, *ratios)
+    panel.barh(places, np.array(ratios) - start, left=start, color=colours, height=0.6)
     panel.set_xscale("log")
-    panel.set_xlim(0.5 * min(0.5, *ratios), 300.0 * max(2.0, *ratios))  # room for the words
+    panel.set_xlim(start * (start / end) ** (_NAMES / (1.0 - _NAMES)), end)
+    panel.set_yticks(places, [textwrap.fill(name, _LETTERS) for name in names], fontsize=8.5)
+    panel.spines["left"].set_position(("data", start))  # the names are within the axes
+    panel.spines["bottom"].set_bounds(start, end)
+    ticks = [10.0**power for power in range(-3, 9) if start <= 10.0**power <= end]
+    panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    panel.minorticks_off()
     for level, name, side in ((1.0, "stable ", "right"), (loop.target, " target", "left")):
         panel.axvline(level, color=REFERENCE, linewidth=1.0, linestyle=":")
-        panel.annotate(name, (level, len(names) - 0.5), fontsize=8.5, ha=side, va="center", color=REFERENCE)
-    for place, ratio, name in zip(places, ratios, names):
-        inside = ratio > _WIDE_BAR * loop.target  # the words fit inside the bar, and not beside it
-        text = short(ratio) + f"  {name}" * (name != "now" and not inside)
-        style: Any = {"textcoords": "offset points", "va": "center", "fontsize": 8.5}
-        panel.annotate(text, (ratio, place), (4, 0), **style).set_in_layout(False)
-        if inside:
-            panel.annotate(name, (ratio, place), (-4, 0), color="white", ha="right", **style).set_in_layout(False)
+        panel.annotate(name, (level, len(names) - 0.45), fontsize=8.5, ha=side, va="center", color=REFERENCE)
+    for place, ratio in zip(places, ratios):
+        panel.annotate(short(ratio), (ratio, place), (4, 0), textcoords="offset points", va="center", fontsize=8.5)
     panel.grid(visible=False, axis="y")
     panel.set(xlabel="critical over requested stiffness", ylim=(-0.6, len(names) - 0.1))

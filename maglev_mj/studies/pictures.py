@@ -44,6 +44,7 @@ _STAR: dict[str, Any] = {
 _DECADES = [10.0**power for power in range(-6, 0)]
 _SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#43a2ca", "#0868ac"]
 _UNSTABLE = "#fbe3da"
+_LETTERS = 80  # of tick labels that fit across a chart
 _GAINS = {"xlabel": "damping (N s/m)", "ylabel": "stiffness (N/m)"}
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
@@ -275,7 +276,9 @@ def sweep(result: Sweep) -> Any:
             draw_limit(panel, result.cells.scene)
         if not numbers:
             panel.update_datalim([(0.0, 0.0)], updatex=False)
-            panel.set_xticks(range(len(along)), map(str, along), rotation=90)
+            crowded = len("  ".join(map(str, along))) * panel.get_gridspec().ncols > _LETTERS
+            panel.set_xticks(range(len(along)), map(str, along), rotation=90 if crowded else 0)
+            panel.margins(x=0.15)
             panel.locator_params(axis="y", integer=bool(np.all(found[name][0] % 1.0 == 0.0)))
     name_curves(figure, figure.axes)
     return figure

@@ -83,9 +83,10 @@ class Sweep(Result):
             least, most = (one.text(end.reduce(values)) for end in (np.fmin, np.fmax))
             if least != most:
                 cell = int(np.nanargmin(values))
+                equal = sum(one.text(value) == least for value in values) - 1
                 at = ", ".join(chosen_text(key, columns[key][cell], units.get(key, "")) for key in self.varied)
                 spread = f"{figure_head(name)} {least} to {most} {self.unit_along(one.unit, one.along)}".rstrip()
-                return f"{subject}: {spread}, least at {at}"
+                return f"{subject}: {spread}, least at {at}" + f" and {equal} more" * (equal > 0)
         return f"{subject}: all figures equal in {_count(len(self.results))}"
 
     def columns(self) -> dict[str, NDArray[Any]]:

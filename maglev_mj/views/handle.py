@@ -33,6 +33,8 @@ FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
 _MAX_LENGTH, _FULL_SIZE, _MIN_SIZE = 0.06, 0.014, 0.3
 _MIN_NUMBER, _GAP = 0.2, 0.009
 """Smallest force with a number [N]; distance from a tip to its number [m]."""
+_PARALLEL, _ASIDE = 0.9, np.array([0.0136, 0.0085, 0.0])
+"""Cosine between forces above which their arrows are stacked; to the right in the home view [m], (3,)."""
 
 
 class ForceArrow(NamedTuple):
@@ -61,10 +63,14 @@ def force_arrows(snapshot: Snapshot) -> dict[str, ForceArrow]:
         force, size = wrench[:3], float(np.linalg.norm(wrench[:3]))
         if not MIN_ARROW_FORCE <= size < math.inf:
             continue
-        start, along, device = arrow_start(knob, force), force / size, arrows.get("device")
-        if name == "stops" and device is not None:
-            # stacked on the device's, so that balanced forces have equal lengths
-            start = start + max(float((device.end - device.start) @ along), 0.0) * along
+        start, along = arrow_start(knob, force), force / size
+        for under, arrow in arrows.items():
+            if (reach := float((arrow.end - arrow.start) @ along)) > _PARALLEL * np.linalg.norm(
+                arrow.end - arrow.start
+            ):
+                # stacked, so that balanced forces have equal lengths; the number of the lower one moves aside
+                start = start + reach * along
+                arrows[under] = arrow._replace(place=0.5 * (arrow.start + arrow.end) + _ASIDE)
         length = min(ARROW * size, _MAX_LENGTH)
         text = f"{size:.1f} N" if size >= _MIN_NUMBER else ""
         end, head = start + length * along, round(min(max(length / _FULL_SIZE, _MIN_SIZE), 1.0), 1)

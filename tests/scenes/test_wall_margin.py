@@ -213,12 +213,12 @@ def test_each_question_of_a_viewer_is_answered_in_the_end(
 
 def test_charts_of_runs_and_recordings_say_it() -> None:
     figure = run(Press(stiffness=12_000.0, hits=1), plant="exact").plot()
-    assert "wall: stable: 78 % of critical stiffness, spectral radius 0.9563" in details(figure)
+    assert "wall stable: 78 % of critical stiffness, spectral radius 0.9563" in details(figure)
     runs = {f"{gain:g} N/m": run(Press(stiffness=gain, hits=1), plant="exact") for gain in (3000.0, 6000.0)}
-    assert "wall:" not in details(Variants(runs).plot())  # they differ
+    assert "wall stable" not in details(Variants(runs).plot())  # they differ
     segment = record_run(Press(hits=1), plant="exact").segments[0]
     report = analyse(segment, rebuild)
-    said = "press, 200 Hz, delay 1.5 ms, wall: stable: 39 % of critical stiffness, spectral radius 0.8525"
+    said = "press, 200 Hz, delay 1.5 ms, wall stable: 39 % of critical stiffness, spectral radius 0.8525"
     assert details(whole_run(report, 2)).startswith(said)
     for other in ({"kind": "device"}, {"scene": "unknown"}):
         assert analyse(replace(segment, setup={**segment.setup, **other})).wall is None

@@ -31,3 +31,14 @@ def test_a_force_arrow_is_to_scale_and_has_the_number_of_the_panel(name: str) ->
             assert name == "stops" or arrow.text in _gauge(shown)
     assert [arrow.text for arrow in drawn[:6]] == ["", "0.5 N", "1.0 N", "7.0 N", "20.0 N", "1000.0 N"]
     assert drawn[1].size < drawn[2].size < drawn[3].size == drawn[5].size == 1.0  # of the head
+
+
+def test_parallel_force_arrows_are_stacked_and_their_numbers_apart() -> None:
+    """A hand that lifts half of the weight: both arrows together are as long as that of the weight."""
+    up = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    for hand, device, stacked in ((3.4, 3.5, True), (3.4, -3.5, False), (0.5, 6.4, True)):
+        arrows = force_arrows(Snapshot(scene=Joystick(), hand=hand * up, force=device * up))
+        lower, upper = arrows["hand"], arrows["device"]
+        assert np.array_equal(lower.end, upper.start) is stacked
+        assert np.linalg.norm(lower.place - upper.place) > 0.01
+        assert stacked is not np.allclose(lower.place[:2], lower.end[:2])  # aside of the upper shaft
