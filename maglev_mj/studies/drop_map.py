@@ -72,8 +72,8 @@ class DropMapParameters(StabilityParameters):
     quantize: float = WallScene.like("quantize")
 
     @property
-    def described(self) -> str:
-        """Description of start and contact in a few words."""
+    def start(self) -> str:
+        """Start and contact of the drops in a few words."""
         start = f"released at {self.height * 1e3:g} mm" if self.height else "released at the edge"
         more = [
             f"pulse {self.pulse:g} N s/m for {self.pulse_width * 1e3:g} ms" if self.pulse else "",
@@ -162,7 +162,7 @@ class DropMap(GainMap):
             "unstable by theory settle"
         )
         head = "", "stiffness [N/m]", "damping [N s/m]", ""
-        return Table(f"Drops on PD walls, {p.loop_title}: {p.described}", head, rows, note, warnings=self.warnings)
+        return Table(f"Drops on PD walls, {p.loop_title}: {p.start}", head, rows, note, warnings=self.warnings)
 
 
 def run_drop_map(

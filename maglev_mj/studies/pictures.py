@@ -143,7 +143,7 @@ def drop_map(result: DropMap) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     p = result.parameters
-    figure, panels = new_figure((result.headline, p.loop_title, p.described), 1, 1, 5.3)
+    figure, panels = new_figure((result.headline, p.loop_title, p.start), 1, 1, 5.3)
     drop_panels(figure, panels, [result])
     return figure
 

@@ -13,6 +13,7 @@ from maglev_mj.studies.cells import local_workers
 from maglev_mj.studies.drop_map import SAMPLES, DropMapParameters, Ending, _Quarters, judge_drops, run_drop_map
 from maglev_mj.studies.record import Record
 from maglev_mj.theory import is_stable, spectral_radius
+from tests.studies.test_charts import details
 from tests.sweeps import sweep
 
 ALL: dict[str, Any] = {"pulse": 220.0, "force_limit": 60.0, "quantize": 5e-6}
@@ -28,6 +29,13 @@ def test_released_at_the_edge_a_wall_settles_where_theory_has_it_stable(delay: f
     assert (found.settles == is_stable(radius))[away].all()
     # what leaves the wall by itself has gained energy
     assert ((found.ending == Ending.RISES) | ~away | found.settles).mean() > 0.97
+
+
+def test_a_map_of_drops_states_loop_and_drop() -> None:
+    found = run_drop_map(DropMapParameters(grid=4, height=0.001, force_limit=60.0, hand="arm"))
+    loop = "200 Hz, delay 1.5 ms, mass 0.7 kg, hand arm"
+    assert found.table().title == f"Drops on PD walls, {loop}: released at 1 mm, 60 N"
+    assert details(found.plot()) == f"{loop} released at 1 mm, 60 N"
 
 
 def ending(stiffness: float, damping: float, **values: Any) -> tuple[float, Ending]:
