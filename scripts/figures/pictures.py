@@ -222,10 +222,7 @@ def _analysis(*command: str, **options: Any) -> Picture:
 
 
 PICTURES: Mapping[str, Picture] = {
-    **{
-        f"scene_{name}.png": Picture(partial(render, name))
-        for name in ("joystick", "drop", "table", "box", "corner")
-    },
+    **{f"scene_{name}.png": Picture(partial(render, name)) for name in ("joystick", "drop", "table", "box", "corner")},
     "scene_press.png": Picture(lambda path: render("press", path, "--size", "560x350", "--seconds", "2.5")),
     "device.png": Picture(
         lambda path: subprocess.run([sys.executable, ROOT / "scripts/figures/render_device.py", path], check=True)

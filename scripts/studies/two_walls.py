@@ -58,8 +58,9 @@ def draw(
     """
     rows, columns = axes
     deep = -(-len(maps) // 2)
-    most = max(share.max() for _, share, _ in maps)
-    head = f"Up to {100.0 * most:.0f} % of the starts rattle", "two walls of 6000 N/m and 80 N s/m, 200 Hz, 60 N"
+    least = [next((f"from {y:g} ms" for y, row in zip(rows, share) if row.any()), "never") for _, share, _ in maps]
+    found = ", ".join(f"{start} ({title})" for start, (title, *_) in zip(least, maps))
+    head = f"Two walls rattle with a delay {found}", "two walls of 6000 N/m and 80 N s/m, 200 Hz, 60 N"
     figure, panels = new_figure(head, deep, 2, deep * (0.25 * len(rows) + 0.8) + 0.4, sharex=True, sharey=True)
     for panel, (title, share, outside) in zip(panels, maps):
         panel.grid(visible=False)
