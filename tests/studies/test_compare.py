@@ -244,14 +244,14 @@ def alone(stiffness: float, damping: float) -> Any:
 
 
 def test_a_map_of_laws_without_gains_is_that_of_its_points_and_costs_the_calls_of_one() -> None:
-    dampings, found, calls = [20.0, 60.0, 80.0, 140.0, 250.0], np.zeros((0, 2)), list[int]()
-    for values in (dampings[:1], dampings):
+    dampings, found, calls = [40.0, 250.0, 60.0, 61.0, 62.0], np.zeros((0, 2)), list[int]()
+    for values in (dampings[:3], dampings):
         Sampled.calls = 0
         region = sweep_laws("drop", ["pd", Sampled], values=values, figure="critical_stiffness")
         found, calls = region.figure("critical_stiffness"), [*calls, Sampled.calls]
-    assert found[:, 1] == pytest.approx(found[:, 0], rel=1e-9) and found[-1, 1] == 0.0
-    assert calls[1] < 2.5 * calls[0]
-    single = sweep_laws("drop", [alone], values=dampings[:2], figure="critical_stiffness")
+    assert found[:, 1] == pytest.approx(found[:, 0], rel=1e-9) and found[1, 1] == 0.0
+    assert calls[1] == calls[0]
+    single = sweep_laws("drop", [alone], values=[40.0, 60.0], figure="critical_stiffness")
     assert single.figure("critical_stiffness")[:, 0] == pytest.approx([found[0, 0], np.nan], rel=1e-9, nan_ok=True)
 
 

@@ -278,7 +278,7 @@ def test_a_scene_takes_its_own_parameters_on_the_command_line(name: str, capsys:
     scene = scene(wall_on="device", stiffness=6e4, damping=200.0, device_period=1.0 / 8e3)
     found = diagnose(scene, friction=0.1, hand="arm")
     assert printed.keys() - {"versions"} and printed | plain(found.as_json()) == printed
-    assert (found.loop.device_stiffness, found.loop.stiffness, found.loop.friction) == (6e4, 0.0, 0.1)
+    assert (found.loop.device_stiffness, found.loop.friction, found.loop.hand) == (6e4, 0.1, "arm")
     same = diagnose(name, wall_on="device", stiffness=6e4, damping=200.0, device_rate=8e3, friction=0.1, hand="arm")
     assert repr(same.loop) == repr(found.loop)
 
@@ -288,6 +288,7 @@ def test_a_scene_is_diagnosed_on_its_worst_axis() -> None:
     assert found.loop.stiffness == 6000.0 and found.loop.mass == 0.7 and found.stable
     assert any("axis z of drop" in text for text in found.assumptions)
     assert not diagnose("drop", stiffness=20_000.0).stable
+    assert diagnose("joystick", friction=0.1).loop.friction == 0.1  # a switch in the scene
 
 
 @pytest.mark.parametrize(
