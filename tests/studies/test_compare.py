@@ -243,7 +243,11 @@ def alone(stiffness: float, damping: float) -> Any:
     return lambda x, v: [0.0, 0.0, -(stiffness * x[2] + damping * v[2]) * (x[2] <= 0.0), 0.0, 0.0, 0.0]
 
 
-def test_a_map_of_laws_without_gains_is_that_of_its_points_and_costs_the_calls_of_one() -> None:
+def test_a_map_of_laws_without_gains_is_that_of_its_points_and_costs_the_calls_of_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)  # in less time
+    monkeypatch.setattr("maglev_mj.studies.compare.ROUGH", (2.0, 8, 5))
     dampings, found, calls = [40.0, 250.0, 60.0, 61.0, 62.0], np.zeros((0, 2)), list[int]()
     for values in (dampings[:3], dampings):
         Sampled.calls = 0
