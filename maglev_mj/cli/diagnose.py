@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
+from functools import partial
 from typing import Annotated, Any, TypeAlias
 
 from maglev_mj.cli.declare import Parser, Shared, option
-from maglev_mj.cli.options import Json, Picture, add_device, add_parameters, chosen, set_names
+from maglev_mj.cli.options import Json, Picture, add_device, add_parameters, chosen, scene_word, stated
 from maglev_mj.cli.output import write_result
-from maglev_mj.studies.diagnosis import DiagnosedLoop
+from maglev_mj.errors import MaglevError
+from maglev_mj.scenes.names import scene_names
+from maglev_mj.studies.diagnosis import MOTIONS, DiagnosedLoop
 from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
 
 
@@ -16,11 +20,28 @@ def _add_loop(parser: Parser) -> None:
     group = parser.group("loop")
     add_device(parser)
     add_parameters(group, DiagnosedLoop)
+    parser.set_defaults(scene=None)
+    parser.later.append(partial(_add_scene, parser))
+
+
+def _add_scene(parser: Parser) -> None:
+    """Add the options of the named scene, if any, that the loop does not have."""
+    word = scene_word(parser, None, scene_names())
+    if word is None or word.endswith(MOTIONS):
+        return
+    from maglev_mj.scenes.find import get_scene  # slow
+
+    with suppress(MaglevError):  # reported by the diagnosis
+        scene = get_scene(word)
+        add_parameters(parser.group(f"parameters of {scene.name}"), scene)
+        parser.set_defaults(scene=scene)
 
 
 def _stated_values(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the values of the loop that are set on the command line."""
-    return {name: getattr(chosen(options, DiagnosedLoop), name) for name in set_names(options, DiagnosedLoop)}
+    """Return the values of scene and loop that are set on the command line."""
+    own = {} if options.scene is None else stated(options, options.scene)
+    loop = chosen(options, DiagnosedLoop)  # checks the values
+    return own | {name: getattr(loop, name) for name in stated(options, DiagnosedLoop)}
 
 
 _StatedLoop: TypeAlias = Annotated[dict[str, Any], Shared(_add_loop, _stated_values)]

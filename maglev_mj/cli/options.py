@@ -107,9 +107,10 @@ def chosen(options: argparse.Namespace, parameters: P | type[P], prefix: str = "
         raise ParameterError(f"{prefix}{error}") from None
 
 
-def set_names(options: argparse.Namespace, parameters: type[Parameters]) -> set[str]:
-    """Return the names of the parameters set on the command line."""
-    return {item.name for item in parameters.parameters() if hasattr(options, _DEST + item.name)}
+def stated(options: argparse.Namespace, parameters: Parameters | type[Parameters]) -> dict[str, Any]:
+    """Return the values of the parameters set on the command line, by name."""
+    values = vars(options)
+    return {item.name: values[_DEST + item.name] for item in parameters.parameters() if _DEST + item.name in values}
 
 
 def range_of(name: str, words: Sequence[str]) -> tuple[float, float]:
@@ -297,7 +298,7 @@ def add_scene(
     parser.set_defaults(scene_class=None)
 
     def add_chosen() -> None:
-        name = _scene_word(parser, option, known) or default
+        name = scene_word(parser, option, known) or default
         if name is None:
             if instead is not None:
                 instead(parser)
@@ -347,7 +348,7 @@ def scene_class(options: argparse.Namespace) -> Any:
     return options.scene_class
 
 
-def _scene_word(parser: Parser, option: str | None, names: Sequence[str]) -> str | None:
+def scene_word(parser: Parser, option: str | None, names: Sequence[str]) -> str | None:
     """Return the argument that names the scene; None without one."""
     arguments = parser.words
     if option is not None:

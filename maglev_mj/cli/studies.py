@@ -31,7 +31,7 @@ from maglev_mj.cli.options import (
     pictures_to,
     range_of,
     scene_class,
-    set_names,
+    stated,
 )
 from maglev_mj.cli.output import Progress, check_folder, write_result, write_results
 from maglev_mj.errors import MaglevError, ParameterError
@@ -269,7 +269,7 @@ def _add_map(parser: Parser) -> None:
 def _chosen_map(options: argparse.Namespace) -> StabilityParameters | DropMapParameters:
     """Return the parameters of a map of walls, or of drops if one of theirs is set."""
     ranges = _ranges(options, ("damping", "stiffness"))
-    drops = set_names(options, DropMapParameters) - set_names(options, StabilityParameters)
+    drops = stated(options, DropMapParameters).keys() - stated(options, StabilityParameters).keys()
     return chosen(options, DropMapParameters if drops else StabilityParameters, **ranges)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from time import thread_time as _clock
 from typing import Any
@@ -14,16 +14,15 @@ from numpy.typing import ArrayLike
 
 from maglev_mj import theory
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError, TooManyCallsError, check_instance, named
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, Six, components
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
-from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.margin import Margin, acting_words
-from maglev_mj.theory.verdict import axis_loop, stability, stated_gains, stated_spectral_radii
+from maglev_mj.theory.verdict import axis_loops, stability, stated_gains, stated_spectral_radii
 
 STEP_FORCE = 2.0
 """Default limit of force steps caused by other programs [N].
@@ -37,8 +36,8 @@ UNKNOWN = "stability not computed"
 _ARM = 0.05
 """Lever arm that converts a torque to a force [m], about the radius of the flotor."""
 
-_FACTOR, _MOST, _HALVINGS, _SEARCH = 1.2, 14, 13, 10.0
-"""Factor of a gain per step, most steps, bisections of the last one, and processor time for all [s]."""
+FINE, ROUGH, _SEARCH = (1.2, 14, 13), (2.0, 8, 10), 10.0
+"""Searches of a critical gain: factor per step, steps, bisections; and processor time of each [s]."""
 
 
 @contextmanager
@@ -118,30 +117,70 @@ def wall_margin(
         return None
     hand = getattr(scene.scripted_hand(), "hand", None) if held else None
 
+    around: Any = {"delay": delay, "inertia": body, "hand": hand, "device": scene.timing().device}
+
     def loop(factor: float, axis: int, normal: float, edge: float) -> tuple[float, float]:
         controller = (scene if factor == 1.0 else scene.replace(stiffness=factor * gain)).controller()
         pose = along(AXES[axis], edge - normal * float(body[0]) * GRAVITY / gain)
-        return axis_loop(
-            controller, axis, pose=pose, delay=delay, inertia=body, hand=hand, device=scene.timing().device
-        )
+        ((stiffness, spectral_radius),) = axis_loops([controller], axis, poses=[pose], **around)
+        return stiffness, spectral_radius
 
     loops = {face: loop(1.0, *face) for face in faces}
     worst = max(faces, key=lambda face: loops[face][1])
-    (stiffness, spectral_radius), factor = loops[worst], math.nan
-    begin = _clock()
-
-    def changed(factor: Any) -> Any:
-        if _clock() - begin > _SEARCH:
-            raise TooManyCallsError("margin not computed")
-        other = loop(float(factor), *worst)[1]
-        return other >= 1.0 if spectral_radius < 1.0 else other < 1.0  # NaN (not computed) is no change
-
-    factors = (_FACTOR if spectral_radius < 1.0 else 1.0 / _FACTOR) ** np.arange(_MOST)
-    if not math.isnan(spectral_radius):  # else also with any other stiffness
-        with suppress(StopIteration, ParameterError):  # no change up to tenfold, out of bounds, or too slow
-            last = next(index for index, factor in enumerate(factors[1:]) if changed(factor))
-            factor = float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
+    stiffness, spectral_radius = loops[worst]
+    factor = critical_ratios(lambda _, ratios: [loop(ratios[0], *worst)[1]], [spectral_radius], FINE)[0]
+    factor = factor if 0.0 < factor < math.inf else math.nan
     return Margin(stiffness, math.nan, spectral_radius, factor, AXES[worst[0]], "walls", scene.period, delay)
+
+
+def critical_ratios(
+    radii: Callable[[Sequence[int], Sequence[float]], Sequence[float]],
+    present: Sequence[float],
+    search: tuple[float, int, int],
+) -> list[float]:
+    """Return the ratio of critical to present gain of N loops, by steps of a factor and bisection.
+
+    Infinite if stiffer walls are stable up to the last step, 0 if softer ones are unstable, NaN if not computed.
+
+    Args:
+        radii: Function of indices and ratios of some loops that returns their spectral radii; NaN if not computed.
+        present: Spectral radius of each loop at its present gain, N.
+        search: FINE or ROUGH.
+    """
+    begin, most = _clock(), _SEARCH * len(present)
+    searches = {index: _search(radius < 1.0, *search) for index, radius in enumerate(present) if radius == radius}
+    result, ratios = [math.nan] * len(present), {index: next(one) for index, one in searches.items()}
+    with suppress(ParameterError):  # out of bounds
+        while ratios and _clock() - begin <= most:
+            asked, ratios = ratios, {}
+            for index, radius in zip(asked, radii([*asked], [*asked.values()]), strict=True):
+                try:
+                    ratios[index] = searches[index].send(radius)
+                except StopIteration as end:
+                    result[index] = end.value
+    return result
+
+
+def _search(stable: bool, factor: float, most: int, halvings: int) -> Generator[float, float, float]:
+    """Yield ratios to try, and return the critical one; see `critical_ratios`."""
+    same, other = 1.0, None
+    for step in range(1, most):
+        ratio = (factor if stable else 1.0 / factor) ** step
+        radius = yield ratio
+        if math.isnan(radius):
+            return math.nan
+        if (radius < 1.0) != stable:
+            other = ratio
+            break
+        same = ratio
+    if other is None:
+        return math.inf if stable else 0.0
+    for _ in range(halvings):
+        radius = yield (middle := 0.5 * (same + other))
+        if math.isnan(radius):
+            return math.nan
+        same, other = (same, middle) if (radius < 1.0) != stable else (middle, other)
+    return other
 
 
 def check_step(present: Controller, new: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:

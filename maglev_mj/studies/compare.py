@@ -10,14 +10,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
-from time import thread_time
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.control import Wall
+from maglev_mj.control import LinearController, Wall
+from maglev_mj.control.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError, TooManyCallsError, check_one_of
+from maglev_mj.frames import Array
 from maglev_mj.keywords import with_period
 from maglev_mj.parameters import number, param, whole
 from maglev_mj.result import Table, plain, with_unit
@@ -25,6 +26,7 @@ from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.results import Figure, Variants, figure_head
 from maglev_mj.scenes.run import run_phases, run_variants
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stability_check import FINE, ROUGH, critical_ratios
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.cells import Study, local_workers
@@ -34,18 +36,17 @@ from maglev_mj.studies.stability_map import stiffest_in
 from maglev_mj.studies.sweep import Grid, Sweep
 from maglev_mj.studies.wall_laws import LAWS, LawMaker, WallLaw, laws_of, wall_law
 from maglev_mj.theory import stated_gains
-from maglev_mj.theory.closed_loop import SampledLoop, bisect, rendered_stiffness
+from maglev_mj.theory.closed_loop import SampledLoop, rendered_stiffness
 from maglev_mj.theory.linearise import linearise
-from maglev_mj.theory.verdict import axis_loop
+from maglev_mj.theory.verdict import axis_loops
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
 """Figures not compared: they depend on hand, weight or sensor more than on the law."""
 _PICTURES = "maglev_mj.scenes.pictures"
+_TOGETHER = 120  # points of a map
 _TICKS = 800
 """Samples of a noise measurement."""
-_FINE, _ROUGH, _SEARCH = (1.2, 14, 13), (2.0, 8, 10), 10.0
-"""Search of a margin, and of each point of a map: factor per step, steps, bisections; and its processor time [s]."""
 _UNITS = {"stiffness": "N/m", "noise": "N", "limit_cycle": "µm", "critical_stiffness": "N/m"}
 _MAPPED = "critical_stiffness"
 _MARGINS: Mapping[str, Figure] = {
@@ -281,9 +282,7 @@ def sweep_laws(
         name, figures = base.name, {one: known[one] for one in (shown, "spectral_radius")}
         law: str = param("law", default=next(iter(named)), choices=tuple(named))
 
-    def value_of(variant: WallScene, at_rest: _AtRest, radius: float) -> float:
-        if shown == _MAPPED:
-            return variant.stiffness * at_rest.critical(radius < 1.0, *_ROUGH)
+    def value_of(variant: WallScene) -> float:
         if shown in _MARGINS:
             return _margins(variant)[shown]
         with suppress(DivergenceError):
@@ -292,13 +291,20 @@ def sweep_laws(
         return math.nan
 
     def figures_of(some: Sequence[Cell]) -> list[dict[str, Any]]:
-        rows = []
-        for cell in some:
-            one = chosen.replace(**{name: cell[name] for name in vary})
-            variant = _with_law(one, cell["law"], named[cell["law"]], plant)
-            at_rest = _AtRest(variant)
-            radius = at_rest.loop()[1]
-            rows.append(plain({shown: value_of(variant, at_rest, radius), "spectral_radius": radius}))
+        rows = [dict[str, Any]()] * len(some)
+        for label in dict.fromkeys(cell["law"] for cell in some):
+            indices = [index for index, cell in enumerate(some) if cell["law"] == label]
+            each = [chosen.replace(**{name: some[index][name] for name in vary}) for index in indices]
+            variants = [_with_law(one, label, named[label], plant) for one in each]
+            at_rest = _AtRest(variants)
+            radii = [radius for _, radius in at_rest.loops(range(len(each)), [1.0] * len(each))]
+            if shown == _MAPPED:
+                ratios = at_rest.critical(radii, ROUGH)
+                values = [ratio * one.stiffness for ratio, one in zip(ratios, variants, strict=True)]
+            else:
+                values = [*map(value_of, variants)]
+            for index, value, radius in zip(indices, values, radii, strict=True):
+                rows[index] = plain({shown: value, "spectral_radius": radius})
         return rows
 
     names = [one.name for one in chosen.parameters()]
@@ -306,7 +312,9 @@ def sweep_laws(
     check_one_of("parameter", names, next(iter(vary)))
     grid: dict[str, Any] = {**vary, "law": list(named)}
     cells = Grid(Swept(**chosen.independent_values()), grid, plant=plant)
-    results = Study(figures_of, cells, Record(None), local_workers(0), progress).run(1)
+    # loops that differ in gains alone are computed together
+    together = _TOGETHER if shown == _MAPPED and name in ("stiffness", "damping") else 1
+    results = Study(figures_of, cells, Record(None), local_workers(0), progress).run(together)
     return LawSweep(Swept, grid, cells, results, 0, None)
 
 
@@ -334,55 +342,67 @@ def _with_law(scene: WallScene, label: str, law: WallLaw, plant: str) -> WallSce
 
 
 class _AtRest:
-    """Loop of a scene's law at rest in the wall, and in free air if the law acts there.
+    """Loops of a law at rest in the wall, and in free air if it acts there, in scenes that differ in gains alone.
 
     A law with a method `linear`, see `ObserverWall`, or declared gains is exact. Others are linearised at the depth at
-    which the scene's wall carries the weight.
+    which the scene's wall carries the weight, all of them together if they can be stacked.
     """
 
-    def __init__(self, scene: WallScene) -> None:
-        self.scene, self.hand = scene, getattr(scene.scripted_hand(), "hand", None)
-        controller, depth = scene.controller(), float(scene.body.inertia[0]) * GRAVITY / scene.stiffness
-        inside, free = (along(scene.axis, place) for place in (-depth, depth))
-        self._around: Any = {"delay": scene.delay, "inertia": scene.body.inertia, "hand": self.hand}
-        self._poses = [inside]
+    def __init__(self, scenes: Sequence[WallScene]) -> None:
+        first, self.scenes = scenes[0], scenes
+        self.hand, weight = getattr(first.scripted_hand(), "hand", None), float(first.body.inertia[0]) * GRAVITY
+        self._around: Any = {"delay": first.delay, "inertia": first.body.inertia, "hand": self.hand}
+        self._poses = [[along(first.axis, -weight / scene.stiffness)] for scene in scenes]
+        controllers = {index: scene.controller() for index, scene in enumerate(scenes)}
+        some = {index: one for index, one in controllers.items() if stated_gains(one) is None and not _model(one)}
         with suppress(TooManyCallsError):
-            if stated_gains(controller) is None:
-                (near,) = linearise(controller, free, axes=scene.axis)
-                self._poses += [free] * bool(near.response.any() or not near.settled.all())
+            free = [-self._poses[index][0] for index in some]
+            for index, near in zip(some, linearise([*some.values()], free, axes=first.axis) if some else ()):
+                self._poses[index] += [-self._poses[index][0]] * bool(near.response.any() or not near.settled.all())
 
-    def loop(self, **gains: float) -> tuple[float, float]:
-        """Return static stiffness and spectral radius of the worst of the poses, with other gains of the scene."""
-        scene, controller = self.scene, self.scene.replace(**gains).controller()
-        law: Any = controller.laws[0]
-        if hasattr(law, "linear"):
-            model = law.linear(*(np.array(float(one)) for one in (law.stiffness, law.damping)))
-            around: Any = {"period": scene.period, "delay": scene.delay, "mass": scene.body.inertia[scene.axis_index]}
-            loop = SampledLoop(hand=self.hand, design=lambda *_: model, **around)
-            return float(rendered_stiffness(model)), float(loop.spectral_radius(law.stiffness, law.damping))
-        loops = [axis_loop(controller, scene.axis_index, pose=pose, **self._around) for pose in self._poses]
-        return loops[0][0], float(np.max([radius for _, radius in loops]))
+    def loops(self, indices: Sequence[int], ratios: Sequence[float]) -> list[tuple[float, float]]:
+        """Return static stiffness and spectral radius of the worst of the poses, at ratios of a scene's stiffness.
 
-    def critical(self, stable: bool, factor: float, most: int, halvings: int) -> float:
-        """Return the ratio to the scene's stiffness at which stability changes, from `stable` there; see `_FINE`.
-
-        Infinite if stiffer walls are stable up to the last step, 0 if softer ones are unstable, NaN if not computed.
+        NaN if not computed, or outside the scene's bounds.
         """
-        begin = thread_time()
+        first, result = self.scenes[0], [(math.nan, math.nan)] * len(ratios)
+        rows: list[tuple[int, Controller, Array]] = []
+        for row, (index, ratio) in enumerate(zip(indices, ratios, strict=True)):
+            scene = self.scenes[index]
+            with suppress(ParameterError):
+                controller = scene.replace(stiffness=ratio * scene.stiffness).controller()
+                if (own := _model(controller)) is not None:
+                    model, law = own
+                    around: Any = {"period": scene.period, "delay": scene.delay, "hand": self.hand}
+                    mass = first.body.inertia[first.axis_index]
+                    loop = SampledLoop(mass=mass, design=lambda *_, model=model: model, **around)
+                    radius = float(loop.spectral_radius(law.stiffness, law.damping))
+                    result[row] = float(rendered_stiffness(model)), radius
+                else:
+                    rows += [(row, controller, pose) for pose in self._poses[index]]
+        if rows:
+            order, controllers, poses = zip(*rows)
+            found = axis_loops(controllers, first.axis_index, poses=poses, **self._around)
+            for row in dict.fromkeys(order):
+                each = [loop for at, loop in zip(order, found) if at == row]
+                result[row] = each[0][0], float(np.max([radius for _, radius in each]))
+        return result
 
-        def changed(ratio: Any) -> Any:
-            radius = self.loop(stiffness=float(ratio) * self.scene.stiffness)[1]
-            if math.isnan(radius) or thread_time() - begin > _SEARCH:
-                raise TooManyCallsError("critical stiffness not computed")
-            return (radius < 1.0) != stable
+    def loop(self) -> tuple[float, float]:
+        """Return static stiffness and spectral radius of the first scene."""
+        return self.loops([0], [1.0])[0]
 
-        ratios = (factor if stable else 1.0 / factor) ** np.arange(most)
-        with suppress(ParameterError):  # outside the scene's bounds, or not computed
-            last = next((index for index, ratio in enumerate(ratios[1:]) if changed(ratio)), None)
-            if last is None:
-                return math.inf if stable else 0.0
-            return float(bisect(changed, ratios[last], ratios[last + 1], halvings))
-        return math.nan
+    def critical(self, present: Sequence[float], search: tuple[float, int, int]) -> list[float]:
+        """Return the ratio of critical to present stiffness of each scene; see `critical_ratios`."""
+        return critical_ratios(lambda *asked: [radius for _, radius in self.loops(*asked)], present, search)
+
+
+def _model(controller: Controller) -> tuple[LinearController, Any] | None:
+    """Return the model in contact of a law that defines one, and the law."""
+    law: Any = controller.laws[0]
+    if not hasattr(law, "linear"):
+        return None
+    return law.linear(*(np.array(float(one)) for one in (law.stiffness, law.damping))), law
 
 
 def _margins(scene: WallScene) -> dict[str, float]:
@@ -390,9 +410,9 @@ def _margins(scene: WallScene) -> dict[str, float]:
 
     Laws that state no gains rest at the depth at which the scene's own wall carries the weight.
     """
-    at_rest = _AtRest(scene)
+    at_rest = _AtRest([scene])
     stiffness, radius = at_rest.loop()
-    margin = math.nan if math.isnan(radius) else at_rest.critical(radius < 1.0, *_FINE)
+    margin = at_rest.critical([radius], FINE)[0]
     margin = margin if 0.0 < margin < math.inf else math.nan
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}

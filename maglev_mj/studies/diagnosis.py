@@ -50,7 +50,7 @@ _MODEST = 0.05
 """Relative gain in critical stiffness below which a change of a stable loop counts as without effect."""
 
 _LEAST, _SAMPLES = 1e-9, 4096
-_MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
+MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
 
 
 class DiagnosedLoop(DeviceParameters):
@@ -230,7 +230,12 @@ class Diagnosis(Result):
     @property
     def summary(self) -> str:
         """Verdict in one line."""
-        text = str(self.margin)
+        return f"{self.margin.verdict}, {self.motion}"
+
+    @property
+    def motion(self) -> str:
+        """Spectral radius, ringing frequency and growth in words."""
+        text = f"spectral radius {self.spectral_radius:.4f}"
         if self.frequency:
             text += f", rings at {self.frequency:.3g} Hz"
         word = "halves" if self.doubling_time < 0.0 else "doubles"
@@ -239,8 +244,10 @@ class Diagnosis(Result):
         return text
 
     def _headline(self) -> str:
-        first = f"; {self.remedies[0].words} helps most" if self.remedies and not self.stable else ""
-        return f"{self.margin.verdict.capitalize()}, {number_text(self.critical_stiffness)} {self.unit('N/m')}{first}"
+        unit, word = self.unit("N/m"), "Stable" if self.stable else "Unstable"
+        present, critical = number_text(self.loop.gains[0]), number_text(self.critical_stiffness)
+        first = f". Change first: {self.remedies[0].words}" if self.remedies and not self.stable else ""
+        return f"{word}: {present} {unit}, critical stiffness {critical} {unit}{first}"
 
     def unit(self, unit: str) -> str:
         """Return a unit of a translation, or that of a rotation for a rotary axis."""
@@ -259,17 +266,11 @@ class Diagnosis(Result):
 
     def table(self) -> Table:
         """Return margins, remedies and notes."""
-        k, b = self.unit("N/m"), self.unit("N s/m")
+        k, b, late = self.unit("N/m"), self.unit("N s/m"), self.critical_delay
         rows = [
-            (
-                "stiffness",
-                f"up to {self.critical_stiffness:.4g} {k} ({_ratio(self.critical_stiffness, self.loop.gains[0])})",
-            ),
+            ("stiffness", f"up to {number_text(self.critical_stiffness)} {k} (x {short(self.margin.ratio)})"),
             ("damping", _interval(self.damping_range, b)),
-            (
-                "delay",
-                "unstable without delay" if not self.critical_delay else f"up to {_milliseconds(self.critical_delay)}",
-            ),
+            ("delay", _interval((math.nan, 1e3 * late), "ms") if late else "unstable without delay"),
             ("rate, same delay", _interval(self.rate_range, "Hz")),
             ("rate, same periods of delay", _interval(self.rate_in_periods, "Hz")),
         ]
@@ -278,12 +279,12 @@ class Diagnosis(Result):
             for index, one in enumerate(self.remedies, 1)
         ]
         head = ("", "ratio", f"critical [{k}]", "cost", "remedy")
-        notes = [*(f"little or no effect: {text}" for text in self.ineffective), *self._notes()]
+        without = "no help" if self.stable else "not enough to end it"
+        notes = [f"{without}: {'; '.join(self.ineffective)}" if self.ineffective else "", *self._notes()]
         found = Table(
             "What helps, best first; ratio of critical to requested stiffness", head, remedies, "\n".join(notes)
         )
-        title = self.summary[0].upper() + self.summary[1:]
-        return Table(title, ("stable for", ""), rows, below=[found])
+        return Table(self.motion[0].upper() + self.motion[1:], ("stable for", ""), rows, below=[found])
 
     def _notes(self) -> Iterable[str]:
         if math.isfinite(self.amplitude_limit):
@@ -309,7 +310,8 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
 
     Args:
         scene: Scene, or name of one, for its worst axis; or path of a recording or CSV file; None for the values.
-        values: Parameters of `DiagnosedLoop`; `rate` [Hz] for `period`. They replace those of scene or recording.
+        values: Parameters of `DiagnosedLoop` or of the scene; `rate` [Hz] for `period`. They replace those of scene or
+            recording.
 
     Raises:
         ParameterError: If a value is missing or outside its bounds, or a recording contains no oscillation.
@@ -322,33 +324,37 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     """
     accepted = [item.name for item in DiagnosedLoop.parameters()]
     values = with_period(accepted, values)
+    assumptions: list[str] = []
+    recorded = isinstance(scene, str | Path) and str(scene).endswith(MOTIONS)
+    if scene is not None and not recorded:
+        from maglev_mj.studies.scene_loop import scene_values  # slow
+
+        values = scene_values(scene, values, DiagnosedLoop, assumptions)
     if wrong := [name for name in values if name not in accepted]:
         raise KeywordError(choice_message("argument of diagnose", ("scene", *accepted), wrong[0]))
-    assumptions: list[str] = []
     if "device" in values and scene is None:
         hardware = Device.load(values["device"])
         own = {"period": hardware.period, "delay": hardware.delay, "mass": hardware.mass}
         values = {name: own[name] for name in own if name != "mass" or not values.get("inertia")} | values
     measured: Oscillation | None = None
-    if isinstance(scene, str | Path) and Path(scene).suffix in _MOTIONS:
+    if recorded:
         measured, values = _of_recording(Path(scene), values, assumptions)
-    elif scene is not None:
-        from maglev_mj.studies.scene_loop import scene_values  # slow
-
-        values = {**scene_values(scene, assumptions, values.get("device")), **values}
-        if values.get("inertia") is not None:
-            values.pop("mass", None)
     if values.get("device_stiffness"):  # alone, or beside that of the host
         values = {"stiffness": 0.0, "damping": 0.0} | values
     for names in (("stiffness",), ("damping",), ("period", "rate"), ("mass", "inertia")):
         if all(values.get(name) is None for name in names):
             raise ParameterError(f"{' or '.join(names)} must be given, or a scene")
-    if values.get("delay") is None:
-        values["delay"] = values["period"]
-        assumptions.append(f"a delay of one period, {_milliseconds(values['period'])}; state the true one")
-    loop = DiagnosedLoop(**values)
+    stated: dict[str, Any] = {"delay": values["period"]}
+    loop = DiagnosedLoop(**stated | {name: value for name, value in values.items() if value is not None})
     if not loop.gains[0]:
         raise ParameterError(f"stiffness must be above 0 (got {loop.stiffness:g})")
+    if values.get("delay") is None:
+        others = [loop.replace(delay=share * loop.period) for share in (0.0, 0.5, 1.0, 2.0)]
+        verdicts = ["stable" if is_stable(x.sampled.spectral_radius(*x.gains)) else "unstable" for x in others]
+        assumptions.append(
+            f"a delay of one period, {_milliseconds(loop.period)}; state the true one: with a delay of 0, 1/2, 1 and 2 "
+            f"periods the loop is {', '.join(verdicts)}"
+        )
     if loop.device_law is not None and len(rates_of(loop.period, loop.device_law).phases) > 1:
         assumptions.append("clocks of host and device are not commensurate: the worst of ten phases between them")
     return _diagnosed(loop, tuple(assumptions), measured)
@@ -643,10 +649,6 @@ def short(value: float) -> str:
     return f"{value:.0f}" if value >= 100.0 else f"{value:.2g}"
 
 
-def _ratio(value: float, present: float) -> str:
-    return f"x {short(value / present)}"
-
-
 def _interval(ends: tuple[float, float] | None, unit: str) -> str:
     """Return a stable range in words."""
     if ends is None:
@@ -658,7 +660,7 @@ def _interval(ends: tuple[float, float] | None, unit: str) -> str:
 
 
 def _milliseconds(value: float) -> str:
-    return f"{1e3 * value:.4g} ms" if math.isfinite(value) else "any"
+    return f"{1e3 * value:.4g} ms"
 
 
 def _price(one: Remedy) -> str:

@@ -162,7 +162,7 @@ class DropMap(GainMap):
             "unstable by theory settle"
         )
         head = "", "stiffness [N/m]", "damping [N s/m]", ""
-        return Table(f"Drops on PD walls, {p.loop_title}: {p.start}", head, rows, note, warnings=self.warnings)
+        return Table(f"Drops on PD walls, {p.loop_title}: {p.start}", head, rows, note)
 
 
 def run_drop_map(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from maglev_mj.control import FiniteDifference, LowPass
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
+from maglev_mj.parameters import Parameters
 from maglev_mj.scenes.find import get_scene
 from maglev_mj.theory.closed_loop import pd
 from maglev_mj.theory.margin import worst_axis
@@ -16,19 +18,26 @@ from maglev_mj.theory.two_rates import laws_on_device
 from maglev_mj.theory.verdict import axis_law, stability, stated_gains
 
 
-def scene_values(scene: Any, assumptions: list[str], device: str | None) -> dict[str, Any]:
-    """Return the values of the loop on a scene's worst axis, by the names of `DiagnosedLoop`.
+def scene_values(
+    scene: Any, values: Mapping[str, Any], loop: type[Parameters], assumptions: list[str]
+) -> dict[str, Any]:
+    """Return the values of the loop on a scene's worst axis, replaced by stated ones.
 
     Args:
         scene: The scene, its class or its name.
+        values: Stated values. Those of parameters of the scene change it, unless a parameter of the loop with that name
+            is of another kind or unit, or the hand.
+        loop: Class whose parameters are returned.
         assumptions: Receives what was assumed, in words.
-        device: Device in place of the scene's own; None to keep it.
 
     Raises:
         ParameterError: If the scene renders no stiffness there.
     """
-    found = get_scene(scene)
-    found = found.replace(device=device) if device else found
+    found, kinds = get_scene(scene), {item.name: (item.kind, item.unit) for item in loop.parameters()}
+    named = [item for item in found.parameters() if item.name in values and item.name != "hand"]
+    same = [item.name for item in named if kinds.get(item.name, (item.kind, item.unit)) == (item.kind, item.unit)]
+    found = found.replace(**{name: values[name] for name in same})
+    stated = {name: value for name, value in values.items() if name not in same or name == "device"}
     controller, body = found.controller(), found.body.inertia
     gains, law, velocity = stated_gains(controller), None, controller.velocity
     around: Any = {"period": found.period, "delay": found.delay}
@@ -58,6 +67,8 @@ def scene_values(scene: Any, assumptions: list[str], device: str | None) -> dict
     state = f" ({', '.join(acting)})" if acting else ""
     reason = "stiffest wall on the device" if rendered else "the one with the smallest margin"
     assumptions.append(f"axis {AXES[index]} of {found.name}{state}, {reason}")
-    values: dict[str, Any] = {"stiffness": k, "damping": max(b, 0.0), "law": law}
-    values |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) and law is None else {}
-    return {**values, **around, **rendered, "inertia" if index > 2 else "mass": float(body[index])}
+    result: dict[str, Any] = {"stiffness": k, "damping": max(b, 0.0), "law": law}
+    result |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) and law is None else {}
+    if stated.get("inertia") is None:
+        result["inertia" if index > 2 else "mass"] = float(body[index])
+    return {**result, **around, **rendered, **stated}

@@ -344,13 +344,6 @@ class GainMap(Result):
     def _headline(self) -> str:
         return f"Stiffest stable wall: {self.maximum.describe()}"
 
-    @property
-    def warnings(self) -> Sequence[str]:
-        """See `Result`; for a single wall."""
-        if self.stiffness.size * self.damping.size > 1 or self.stiffness[0] < self.boundary[0]:
-            return []
-        return [f"wall is unstable: critical stiffness {self.boundary[0]:.4g} N/m"]
-
     def cells(self) -> Mapping[str, NDArray[Any]]:
         """Return the map's values by name, (K, B) each."""
         raise NotImplementedError
@@ -448,7 +441,7 @@ class StabilityMap(GainMap):
             note.append(f"the stiffest wall is passive with {least:.4g} N s/m of the device's own damping")
         note += self._regions()
         head = "", "stiffness [N/m]", ""
-        return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note), warnings=self.warnings)
+        return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note))
 
     def _regions(self) -> Iterator[str]:
         """Yield where walls are passive and quiet, if known."""
@@ -505,7 +498,7 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
 
     Dampings [N s/m], (B,), stiffnesses [N/m], (K,), and the stiffest wall by theory.
     """
-    if p.plant == "none" and all(ends and ends[0] == ends[1] for ends in (p.damping, p.stiffness)):
+    if all(ends and ends[0] == ends[1] for ends in (p.damping, p.stiffness)):
         raise ParameterError("damping or stiffness must be a range (got one wall): for one, maglev-mj diagnose")
     best = theory.stiffest_wall(**p.loop)
     # no stable wall: fall back to mass / period

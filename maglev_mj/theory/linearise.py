@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
+from maglev_mj.control.stack import stacked_controller
 from maglev_mj.errors import MaglevError, TooManyCallsError, named, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers
@@ -28,12 +29,12 @@ _LARGEST = np.array([1e-7] * 3 + [1e-6] * 3)
 _REST, _MEMORY, _LONGEST, _QUIET = 40, 64, 512, 8
 """Samples at rest before the displacement, recorded after it (initially and at most), and zero at the end."""
 _BUDGET, _WINDOW = 2.0, 8
-"""Largest time of the calls of one linearisation [s], and calls of which the fastest counts: a busy machine delays
+"""Largest time of the calls for one controller [s], and calls of which the fastest counts: a busy machine delays
 others."""
 _CUT, _BENT = 1e-9, 1e-2
 """Thresholds of zero and of nonlinearity, relative to the largest response."""
-_RANK, _FIT, _MOST, _INTEGRATES = 1e-7, 1e-6, 24, 1e-7
-"""Realisation: least singular value, largest error, most states, and distance of an integrator's pole from 1.
+_RANK, _FIT, _MOST, _ROWS, _INTEGRATES = 1e-7, 1e-6, 24, 64, 1e-7
+"""Realisation: least singular value, largest error, most states, rows, and distance of an integrator's pole from 1.
 
 Responses are accurate to 1e-9 of their largest value.
 """
@@ -233,7 +234,9 @@ class StateSpace(LinearController):
         return loop_matrix(body, before, after, whole, waiting, *self)
 
 
-def linearise(controller: Controller, poses: ArrayLike, *, axes: str | Sequence[str] = AXES) -> list[Linearised]:
+def linearise(
+    controller: Controller | Sequence[Controller], poses: ArrayLike, *, axes: str | Sequence[str] = AXES
+) -> list[Linearised]:
     """Return a controller's linearisation at each pose.
 
     Thirteen copies per pose, one undisturbed and two for each axis, rest there for 40 samples, so that friction sticks
@@ -242,7 +245,7 @@ def linearise(controller: Controller, poses: ArrayLike, *, axes: str | Sequence[
     Braking pulses are ignored, because they are of finite duration.
 
     Args:
-        controller: The controller, with laws for one device; it is not changed.
+        controller: The controller, with laws for one device, or one for each pose, of equal period; none is changed.
         poses: Poses [m, rad], (P, 6) or (6,).
         axes: Names of the displaced axes; the response to the others is zero.
 
@@ -260,19 +263,21 @@ def linearise(controller: Controller, poses: ArrayLike, *, axes: str | Sequence[
         (6000, 80)
     """
     rest = np.atleast_2d(numbers("poses", poses, shape="(6,) or (P, 6)"))
-    chosen = list(axis_indices(axes))
-    size, n = np.minimum(_LARGEST, _SPEED * controller.period), len(chosen)
+    each = [controller] * len(rest) if isinstance(controller, Controller) else controller
+    chosen, period = list(axis_indices(axes)), each[0].period
+    n = len(chosen)
+    size = np.minimum(_LARGEST, _SPEED * period)
     shift = np.concatenate([np.zeros((1, 6)), np.diag(size)[chosen], np.diag(-0.5 * size)[chosen]])
     still = np.repeat(rest[:, None], len(shift), axis=1)
     moved = still + shift
-    rows = _Responses(controller, still, moved).rows()
+    rows = _Responses(each, still, moved).rows()
     change, linearised = moved - still, []  # the actual change of a coordinate, rounding included
     for index, pose in enumerate(rest):
         difference = np.moveaxis(rows[:, index, 1:] - rows[:, index, :1], 1, 2)  # [j, to, from]
         up, down = np.zeros((2, len(rows), 6, 6))
         steps = change[index, 1 + np.arange(2 * n), chosen * 2]
         up[:, :, chosen], down[:, :, chosen] = np.split(difference / steps, 2, axis=2)
-        linearised.append(_near(pose, controller.period, up, down))
+        linearised.append(_near(pose, period, up, down))
     length = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
     return [replace(near, response=near.response[:length]) for near in linearised]
 
@@ -298,8 +303,9 @@ def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
 class _Responses:
     """Wrenches of D devices, the first one undisturbed, at each of P poses, (P, D, 6): at rest, and displaced."""
 
-    def __init__(self, controller: Controller, still: Array, moved: Array) -> None:
-        self._controller, self._still, self._moved = controller, still, moved
+    def __init__(self, controllers: Sequence[Controller], still: Array, moved: Array) -> None:
+        self._controllers, self._still, self._moved = controllers, still, moved
+        self._budget = _BUDGET * len({*map(id, controllers)})
         self._calls, self._needed, self._spent, self._fastest = 0, 0, 0.0, np.inf
 
     def rows(self) -> Array:
@@ -315,13 +321,16 @@ class _Responses:
         return self._one_by_one() if rows is None else rows
 
     def _batch(self, poses: slice, memory: int) -> Array | None:
-        """Return the wrenches computed as one batch; None if a law does not accept arrays."""
-        ends = [part[poses].reshape(-1, 6) for part in (self._still, self._moved)]
+        """Return the wrenches computed as one batch; None if a law does not accept arrays, or cannot be stacked."""
+        ends, each = [part[poses].reshape(-1, 6) for part in (self._still, self._moved)], self._controllers[poses]
         self._calls, self._needed = 0, 2 * (_REST + memory)
         try:
             (still, moved), (one, last) = map(components, ends), (end[-1].tolist() for end in ends)
-            rows = self._after(self._rest(still), still, moved, memory)
-            single = self._after(self._rest(one), one, last, memory)
+            together = stacked_controller(each, self._still.shape[1])
+            if together is None:
+                return None
+            rows = self._after(self._rest(together, still), still, moved, memory)
+            single = self._after(self._rest(each[-1], one), one, last, memory)
         except TooManyCallsError:
             raise
         except (MaglevError, TypeError, ValueError):  # a law that accepts floats only, as with math.sin or `if`
@@ -335,7 +344,7 @@ class _Responses:
         rows, memory, longest = np.zeros((_LONGEST, poses, devices, 6)), min(_MEMORY, _LONGEST), 0
         self._calls, self._needed = 0, poses * (_REST + 2 * _QUIET * devices)
         for index, (still, moved) in enumerate(zip(self._still.tolist(), self._moved.tolist(), strict=True)):
-            rested, part = self._rest(still[0]), rows[:, index : index + 1]
+            rested, part = self._rest(self._controllers[index], still[0]), rows[:, index : index + 1]
             for length in dict.fromkeys((memory, _LONGEST)):
                 for device, pose in enumerate(moved):
                     part[:length, 0, device] = self._after(rested, still[0], pose, length)[:, 0]
@@ -345,8 +354,8 @@ class _Responses:
             memory = min(max(memory if index else 2 * _QUIET, _support(part[:length]) + _QUIET), _LONGEST)
         return rows[:longest]
 
-    def _rest(self, still: Sequence[Any]) -> Controller:
-        rested = copy.copy(self._controller)
+    def _rest(self, controller: Controller, still: Sequence[Any]) -> Controller:
+        rested = copy.copy(controller)
         rested.reset()
         for tick in range(-_REST, 0):
             self._step(rested, tick, still)
@@ -368,10 +377,10 @@ class _Responses:
         self._calls, self._fastest = self._calls + 1, min(self._fastest, _clock() - begin)
         if self._calls % _WINDOW == 0:
             self._spent += _WINDOW * self._fastest
-            if self._spent + max(self._needed - self._calls, 0) * self._fastest > _BUDGET:
-                laws = [law for law in self._controller.laws if law.gains() is None] or self._controller.laws
+            if self._spent + max(self._needed - self._calls, 0) * self._fastest > self._budget:
+                laws = [law for law in controller.laws if law.gains() is None] or controller.laws
                 names = " and ".join(dict.fromkeys(getattr(law, "name", named(type(law))) for law in laws))
-                calls = f"{self._needed} calls, over {_BUDGET:g} s"
+                calls = f"{self._needed} calls, over {self._budget:g} s"
                 raise TooManyCallsError(f"stability not computed: law {names} needs {calls}; declare gains()")
             self._fastest = np.inf
         return force
@@ -398,8 +407,9 @@ def realise(response: Array) -> StateSpace | None:
     """
     direct, later = response[0], response[1:]
     half, n = len(later) // 2, response.shape[1]
-    hankel = np.block([[later[row + column] for column in range(half)] for row in range(half)])
-    to, sizes, source = np.linalg.svd(hankel)
+    rows = min(half, _ROWS)
+    blocks = later[np.add.outer(np.arange(rows), np.arange(len(later) - rows))]
+    to, sizes, source = np.linalg.svd(blocks.swapaxes(1, 2).reshape(rows * n, -1), full_matrices=False)
     states = int((sizes > _RANK * sizes[0]).sum())
     if states > _MOST:
         return None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import compress, product
@@ -517,35 +518,35 @@ def _grouped(loops: Sequence[_Loop]) -> Iterator[_Group]:
         yield different, systems, axes
 
 
-def axis_loop(
-    controller: Controller,
+def axis_loops(
+    controllers: Sequence[Controller],
     axis: int,
     *,
-    pose: ArrayLike,
+    poses: ArrayLike,
     delay: float,
     inertia: Array,
     hand: Hand | None = None,
     device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
-) -> tuple[float, float]:
-    """Return static stiffness and spectral radius of one axis with all of its laws active.
+) -> list[tuple[float, float]]:
+    """Return static stiffness and spectral radius of one axis with all of its laws active, for each controller.
 
-    Computed from the declared gains, or by linearisation at the pose if a law declares none.
+    Computed from the declared gains, or by linearisation at its pose if a law declares none.
 
     Args:
-        controller: The controller, of laws for one device; it is not changed.
+        controllers: Controllers of equal laws with other gains, for one device each; none is changed.
         axis: Index into AXES; coupling to the other axes is ignored.
-        pose: Pose [m, rad], (6,).
+        poses: Pose of each [m, rad], (N, 6).
         delay: Transport delay [s], up to 10 periods.
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         hand: The hand on the axis; None for a free flotor.
         device: See `judge`.
 
     Returns:
-        Stiffness [N/m, N m/rad], infinite for an integrator, and spectral radius, below 1 for a stable loop; NaN if
-        not computed.
+        Stiffness [N/m, N m/rad], infinite for an integrator, and spectral radius, below 1 for a stable loop, of each;
+        NaN if not computed.
 
     Raises:
-        MaglevError: If a law fails at the pose.
+        MaglevError: If a law fails at a pose.
 
     Example:
         >>> import numpy as np
@@ -553,38 +554,44 @@ def axis_loop(
         >>> from maglev_mj.spec import INERTIA
         >>> wall = Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=0.005)
         >>> inside, body = (0, 0, -1e-3, 0, 0, 0), np.array(INERTIA)
-        >>> stiffness, spectral_radius = axis_loop(wall, 2, pose=inside, delay=0.0015, inertia=body)
+        >>> ((stiffness, spectral_radius),) = axis_loops([wall], 2, poses=[inside], delay=0.0015, inertia=body)
         >>> round(stiffness), round(spectral_radius, 3)
         (6000, 0.877)
     """
     held = hand if hand is not None and axis in hand.indices else None
-    if (gains := stated_gains(controller)) is not None:
+    result = []
+    for controller in controllers:
+        if (gains := stated_gains(controller)) is None:
+            break
         stiffness, damping = (float(both[axis]) for both in list(gains.values())[-1])
-        around: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
         law = laws_on_device(controller, device).get(axis)
-        both = SampledLoop(mass=inertia[axis], hand=held, device=law, **around)
-        total = stiffness + (law.stiffness if law is not None else 0.0)
-        return total, float(both.spectral_radius(stiffness, damping))
-    loop = _axis(controller, axis, pose, inertia)
-    if loop is None:
-        return math.nan, math.nan
-    ((_, roots),) = _roots(_grouped([loop]), delay, inertia, hand)
-    return float(loop.gains(inertia)[0][axis, axis]), _own_spectral_radius(roots, loop.still)
+        around: Any = {"period": controller.period, "velocity": controller.velocity, "device": law, "hand": held}
+        both = SampledLoop(mass=inertia[axis], delay=delay, **around)
+        result.append((stiffness + (law.stiffness if law else 0.0), float(both.spectral_radius(stiffness, damping))))
+    else:
+        return result
+    result = [(math.nan, math.nan)] * len(controllers)
+    for index, loop in enumerate(_axis(controllers, axis, poses, inertia)):
+        if loop is not None:
+            ((_, roots),) = _roots(_grouped([loop]), delay, inertia, hand)
+            result[index] = float(loop.gains(inertia)[0][axis, axis]), _own_spectral_radius(roots, loop.still)
+    return result
 
 
-def _axis(controller: Controller, axis: int, pose: ArrayLike, inertia: Array) -> _Loop | None:
-    """Return the loop of one axis by linearisation; None if not computed."""
+def _axis(controllers: Sequence[Controller], axis: int, poses: ArrayLike, inertia: Array) -> list[_Loop | None]:
+    """Return the loop of one axis for each controller, by linearisation at its pose; None if not computed."""
     try:
-        (near,) = linearise(controller, pose, axes=AXES[axis])
+        linear = linearise(controllers, poses, axes=AXES[axis])
     except TooManyCallsError:
-        return None
-    loop = _loop(near, (axis,), near.scaled(inertia)[:, axis : axis + 1, axis : axis + 1], [])
-    return None if near.jumps[axis] or (loop.system is None and not loop.settles) else loop
+        return [None] * len(controllers)
+    one, known = slice(axis, axis + 1), list[_Loop]()
+    loops = (_loop(near, (axis,), near.scaled(inertia)[:, one, one], known) for near in linear)
+    return [None if loop.near.jumps[axis] or not (loop.system or loop.settles) else loop for loop in loops]
 
 
 def axis_law(controller: Controller, axis: int, *, pose: ArrayLike, inertia: Array) -> LinearController | None:
-    """Return the laws of one axis, linearised at a pose with their memory; None if not computed. See `axis_loop`."""
-    loop = _axis(controller, axis, pose, inertia)
+    """Return the laws of one axis, linearised at a pose with their memory; None if not computed. See `axis_loops`."""
+    (loop,) = _axis([controller], axis, np.atleast_2d(pose), inertia)
     if loop is None:
         return None
     system = loop.system or StateSpace.of(loop.scaled[: _memory(loop.scaled)])
@@ -629,14 +636,11 @@ def delay_margins(
     gains, period = stated_gains(controller), controller.period
     own, late = numbers("device", device, shape="(2,)").tolist()
     laws = laws_on_device(controller, (own, late))
-    if gains is None and laws:
-        return dict.fromkeys(hands, math.nan)
     if gains is None:
-        try:
-            linear = _linearised(controller, start, body)
-        except TooManyCallsError:
-            return dict.fromkeys(hands, math.nan)
-        if not linear.complete:
+        linear = None
+        with suppress(TooManyCallsError):
+            linear = None if laws else _linearised(controller, start, body)
+        if linear is None or not linear.complete:
             return dict.fromkeys(hands, math.nan)
         loops = [*_grouped(linear.loops)]
 

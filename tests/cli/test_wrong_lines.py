@@ -84,6 +84,8 @@ press --hits 0                                      | hits must be
 stick-slip --breakaway 0                            | breakaway must be
 twin --rate 0                                       | rate must be
 bridge DEVICE --max-current 0                       | max_current must be
+stability --damping 80 --stiffness 6000 --plant exact | must be a range (got one wall): for one, maglev-mj diagnose
+stability --damping 80 --stiffness 6000 --height 0  | must be a range (got one wall): for one, maglev-mj diagnose
 stability --damping 1 2 3                           | damping must be LOW HIGH, LOW:HIGH or one value (got '1 2 3')
 # rates beside periods
 drop --rate fast                                    | argument --rate: must be a

@@ -10,9 +10,9 @@ import pytest
 
 from maglev_mj import find_scene
 from maglev_mj.control import Bias, Hold, Law, StickSlip, Wall
+from maglev_mj.control.stack import law_kind, stacked
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes import batch
-from maglev_mj.scenes.batch import law_kind, stacked
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.sweep import Grid, run_scene_cells
 

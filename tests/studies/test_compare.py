@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -28,7 +28,7 @@ from maglev_mj.studies.wall_laws import LAWS
 from maglev_mj.theory import largest_stable_stiffness, least_passive_damping
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.closed_loop import SampledLoop, spectral_radius
-from maglev_mj.theory.verdict import axis_loop
+from maglev_mj.theory.verdict import axis_loops
 from tests.studies.test_charts import details
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -143,7 +143,7 @@ def test_page_and_help_state_equation_source_and_status_of_every_law(
 
 
 def loop_of(law: str, **options: Any) -> _AtRest:
-    return _AtRest(_with_law(Drop(**options), law, LAWS[law], "exact"))
+    return _AtRest([_with_law(Drop(**options), law, LAWS[law], "exact")])
 
 
 PD = float(spectral_radius(6000.0, 80.0, period=0.005, delay=0.0015, mass=0.7))
@@ -179,12 +179,12 @@ def test_a_virtual_coupling_in_free_air_is_linearised_with_its_virtual_mass(
 ) -> None:
     law = VirtualCoupling(axes="z", stiffness=stiffness, damping=damping, inertia=inertia, period=1e-3)
     free, body = [0.0, 0.0, 1e-3, 0.0, 0.0, 0.0], np.array([0.7, 0.7, 0.7, 1.0, 1.0, 1.0])
-    found = axis_loop(Controller([law], period=1e-3), 2, pose=free, delay=5e-4, inertia=body)[1]
+    found = axis_loops([Controller([law], period=1e-3)], 2, poses=[free], delay=5e-4, inertia=body)[0][1]
     assert found == pytest.approx(radius, abs=1e-5)
 
 
 def test_a_law_that_is_stable_in_the_wall_alone_is_not_stable() -> None:
-    unstable = _AtRest(_with_law(Drop(), "light", LAWS["virtual-coupling"]._replace(make=light), "exact"))
+    unstable = _AtRest([_with_law(Drop(), "light", LAWS["virtual-coupling"]._replace(make=light), "exact")])
     assert not unstable.loop()[1] < 1.0  # in free air, where the light mass is dragged
 
 
@@ -194,7 +194,7 @@ def light(stiffness: float, damping: float, axes: str, period: float) -> Virtual
 
 
 def test_the_pulse_removes_the_published_momentum() -> None:
-    (wall, *_) = loop_of("pulse").scene.laws()
+    (wall, *_) = loop_of("pulse").scenes[0].laws()
     controller = Controller([wall], period=0.005)
     controller.step(Sample(0, 0.0, [0.0, 0.0, 1e-3, 0.0, 0.0, 0.0]))
     command = controller.step(Sample(1, 0.005, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))  # at the edge, at -0.2 m/s
@@ -221,6 +221,42 @@ def test_a_sweep_of_laws_has_the_figures_of_their_comparisons(drops: Comparison)
         sweep_laws("drop", ["pd"], "delay", 5)
     with pytest.raises(ParameterError, match="law colgate sets its own gains"):
         sweep_laws("drop", ["colgate"], figure="critical_stiffness")
+
+
+class Sampled(AxisLaw):
+    """PD wall that declares no gains, and counts its calls."""
+
+    stiffness: float = gain("stiffness", "N/m")
+    damping: float = gain("damping", "N s/m")
+    calls: ClassVar[int] = 0
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        """See `AxisLaw`."""
+        Sampled.calls += 1
+        return (x <= 0.0) * -(gains.stiffness * x + gains.damping * v)
+
+
+def alone(stiffness: float, damping: float) -> Any:
+    """Return a wall that cannot be computed together with others, and refuses some gains."""
+    if damping > 50.0 and stiffness > 9000.0:
+        raise ParameterError("too stiff")
+    return lambda x, v: [0.0, 0.0, -(stiffness * x[2] + damping * v[2]) * (x[2] <= 0.0), 0.0, 0.0, 0.0]
+
+
+def test_a_map_of_laws_without_gains_is_that_of_its_points_and_costs_the_calls_of_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)  # in less time
+    monkeypatch.setattr("maglev_mj.studies.compare.ROUGH", (2.0, 8, 5))
+    dampings, found, calls = [40.0, 250.0, 60.0, 61.0, 62.0], np.zeros((0, 2)), list[int]()
+    for values in (dampings[:3], dampings):
+        Sampled.calls = 0
+        region = sweep_laws("drop", ["pd", Sampled], values=values, figure="critical_stiffness")
+        found, calls = region.figure("critical_stiffness"), [*calls, Sampled.calls]
+    assert found[:, 1] == pytest.approx(found[:, 0], rel=1e-9) and found[1, 1] == 0.0
+    assert calls[1] == calls[0]
+    single = sweep_laws("drop", [alone], values=[40.0, 60.0], figure="critical_stiffness")
+    assert single.figure("critical_stiffness")[:, 0] == pytest.approx([found[0, 0], np.nan], rel=1e-9, nan_ok=True)
 
 
 @pytest.mark.study

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, ObserverWall, ParameterError, Timing, Wall, diagnose, drive, stability
+from maglev_mj import Controller, ObserverWall, ParameterError, Timing, Wall, diagnose, drive, find_scene, stability
 from maglev_mj.cli import main
 from maglev_mj.plants import ExactPlant
+from maglev_mj.result import number_text, plain
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.names import scene_names
 from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import DeviceLaw, Mode, spectral_radius, stiffest_wall
@@ -71,6 +73,34 @@ def test_public_cases_have_their_known_answers(name: str) -> None:
     assert found.damping_range == (pytest.approx(dampings, rel=1e-3) if dampings else None)
     assert found.remedies[0].words.startswith(first)
     assert found.stable is (radius < 1.0)
+
+
+REMEDIED = {
+    "pen": (21670.0, 40045.0, 37458.0, 86682.0, 1.405),
+    "arm": (866.8, 1601.8, 1498.0, 3467.0, 6.36),
+    "pantograph": (1733.6, 3203.6, 2997.0, 6935.0, 24.406),
+    "wheel": (17.68, 32.68, 30.57, 70.73, 1.123),
+    "filtered": (59777.0, 103963.0, 81547.0, 161608.0, 16.83),
+    "paper": (10173.0, 13435.0, 26067.0, 40694.0, 11.70),
+}
+"""Critical stiffness at the best damping: now, at half the delay, at twice the rate, with both; and the damper on the
+device (1 kHz, 0.2 ms) that doubles the stiffness."""
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_remedies_of_public_cases_have_their_known_answers(name: str) -> None:
+    values, (best, *known, damper) = CASES[name][0], REMEDIED[name]
+    found = diagnose(**values, target=2.0)
+    assert found.best.stiffness == pytest.approx(best, rel=1e-3)
+    timed = [(values | dict(one.change), one) for one in found.remedies if one.cost == "timing"]
+    remedies = {(new["period"], new["delay"]): one.critical_stiffness for new, one in timed}
+    for (rate, delay), critical in zip(((1.0, 0.5), (0.5, 1.0), (0.5, 0.5)), known, strict=True):
+        assert remedies[rate * values["period"], delay * values["delay"]] == pytest.approx(critical, rel=2e-3)
+    (one,) = (one for one in found.remedies if one.words.startswith("damper of"))
+    assert 0.999 * damper < one.change["device_damping"] < 1.011 * damper  # three digits, rounded up
+    shown = " ".join(str(found).split())
+    assert f"critical stiffness {number_text(found.critical_stiffness)} N" in shown.partition("Spectral radius")[0]
+    assert (f"Change first: {found.remedies[0].words} Spectral radius" in shown) is not found.stable
 
 
 def random_loops(count: int, seed: int) -> list[dict[str, Any]]:
@@ -239,11 +269,26 @@ def test_friction_hides_small_oscillations_and_resolution_bounds_the_hum() -> No
     assert 1e6 * still.hum == pytest.approx(13.7, rel=5e-3) and math.isnan(still.amplitude_limit)
 
 
+@pytest.mark.parametrize("name", [x for x in scene_names() if "wall_on" in vars(find_scene(x)())])
+def test_a_scene_takes_its_own_parameters_on_the_command_line(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    options = "--wall-on device --stiffness 60000 --damping 200 --device-rate 8000 --friction 0.1 --hand arm --json -"
+    assert main(["diagnose", name, *options.split()]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    scene: Any = find_scene(name)
+    scene = scene(wall_on="device", stiffness=6e4, damping=200.0, device_period=1.0 / 8e3)
+    found = diagnose(scene, friction=0.1, hand="arm")
+    assert printed.keys() - {"versions"} and printed | plain(found.as_json()) == printed
+    assert (found.loop.device_stiffness, found.loop.friction, found.loop.hand) == (6e4, 0.1, "arm")
+    same = diagnose(name, wall_on="device", stiffness=6e4, damping=200.0, device_rate=8e3, friction=0.1, hand="arm")
+    assert repr(same.loop) == repr(found.loop)
+
+
 def test_a_scene_is_diagnosed_on_its_worst_axis() -> None:
     found = diagnose("drop", damping=80.0)
     assert found.loop.stiffness == 6000.0 and found.loop.mass == 0.7 and found.stable
     assert any("axis z of drop" in text for text in found.assumptions)
     assert not diagnose("drop", stiffness=20_000.0).stable
+    assert diagnose("joystick", friction=0.1).loop.friction == 0.1  # a switch in the scene
 
 
 @pytest.mark.parametrize(

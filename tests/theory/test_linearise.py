@@ -34,7 +34,7 @@ from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, spectral_radius, stability, stated_gains
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import ClosedLoop, Linearised, linearise
-from maglev_mj.theory.verdict import axis_loop, delay_margins
+from maglev_mj.theory.verdict import axis_loops, delay_margins
 from tests.sweeps import further, sweep
 
 T, DELAY = 0.005, 0.0015
@@ -515,4 +515,6 @@ def test_the_calls_of_a_slow_law_are_limited(cost: float, monkeypatch: pytest.Mo
         judge(controller, delay=DELAY)
     assert (calls - 8) * cost < 2.0
     assert all(map(math.isnan, delay_margins(controller, ["none"]).values()))
-    assert cost < 0.1 or math.isnan(axis_loop(controller, 0, pose=[0.0] * 6, delay=DELAY, inertia=np.array(INERTIA))[1])
+    assert cost < 0.1 or math.isnan(
+        axis_loops([controller], 0, poses=[[0.0] * 6], delay=DELAY, inertia=np.array(INERTIA))[0][1]
+    )
