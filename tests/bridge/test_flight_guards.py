@@ -299,9 +299,23 @@ def test_good_coils_are_not_refused(rate: int, seed: int, heavier: bool, tmp_pat
     assert fly("table", rate=rate, seed=seed, truth=truth, seconds=0.1, folder=tmp_path).outcome == "landed"
 
 
+@pytest.mark.parametrize(("rate", "jitter", "seed"), [(500, 0.45, 2), *studies(*product([1000], [0.15], range(9)))])
+def test_good_coils_are_not_refused_over_a_jittery_line(rate: int, jitter: float, seed: int, tmp_path: Path) -> None:
+    """0.3 periods each way and exponential jitter: of two answers within a period the device reports one."""
+    draw = random.Random(seed)
+    line = lambda time: (0.3 + draw.expovariate(1.0 / jitter)) / rate  # noqa: E731
+    assert fly("joystick", rate=rate, seed=seed, seconds=0.05, delay=line, folder=tmp_path).outcome == "landed"
+
+
+def test_a_coil_is_checked_across_lost_samples(tmp_path: Path) -> None:
+    lost = lambda time: 9.0 * (0.95 < time < 0.97)  # noqa: E731
+    flown = fly("joystick", truth=weakened(3, 0.9), delay=lost, seconds=0.05, folder=tmp_path)
+    assert "no flight: coil 3 gives 90 % of its" in flown.outcome
+
+
 def test_lost_frames_are_not_mistaken_for_a_coil_fault(tmp_path: Path) -> None:
     calibration = Calibration.nominal()
-    observer = HandObserver(calibration, 0.005)
+    observer = HandObserver(calibration, 0.005, 0.0015)
     observer.check_coils = True
     hover = Command([*(-calibration.mass * calibration.gravity), 0.0, 0.0, 0.0])
     for tick in [*range(40), *range(50, 90)]:
@@ -314,7 +328,7 @@ def test_lost_frames_are_not_mistaken_for_a_coil_fault(tmp_path: Path) -> None:
 
 def test_an_overflow_of_unread_samples_restarts_the_estimate() -> None:
     calibration = Calibration.nominal()
-    observer = HandObserver(calibration, 0.0001)  # low-pass memory longer than the buffer
+    observer = HandObserver(calibration, 0.0001, 0.00005)  # low-pass memory longer than the buffer
     for tick in range(120):
         observer.sampled(tick, 1, [1e-4 * (tick < 36) * (-1) ** tick] * 6, tick - 1, 0.00005)
         observer.answered(tick, Command([0.0] * 6), [0.0] * 6, None, 0.0)
