@@ -25,8 +25,14 @@ _FEWEST, _MOST = 8, 60
 _ARM = 0.03
 """Lever arm that converts angles to paths [m]."""
 
-_NOISE, _CERTAIN, _FAULTY, _RELATIVE = 3e-6, 0.02, 0.07, 0.2
-"""Pose noise [m]; largest standard error of a gain; gain error of a fault, absolute and relative to the largest."""
+_NOISE, _CERTAIN, _PROMPT = 3e-6, 0.02, 2e-4
+"""Pose noise [m]; largest standard errors of a gain and of the sensor's delay [s]."""
+
+LATE = 0.5
+"""Delay of a sensor that counts, in sample periods: above its uncertainty over a jittery line."""
+
+_FAULTY, _RELATIVE = 0.07, 0.2
+"""Gain error of a faulty coil, absolute and relative to the largest error."""
 
 _DRIFT = 0.2
 """Time per order of the polynomial that is not fitted [s]: integrated errors of the currents, at jitter, drift."""
@@ -188,7 +194,7 @@ def _mean(parts: Sequence[tuple[float, Sequence[float]]]) -> list[float]:
 
 
 class CoilEstimator:
-    """Estimator of each coil's gain from a motion without a hand.
+    """Estimator of each coil's gain and of the sensor's delay from a motion without a hand.
 
     Least squares: the path computed from the currents by double integration is fitted to the measured path, after
     liftoff. A gain is identifiable if the coil carried current.
@@ -196,7 +202,12 @@ class CoilEstimator:
     Args:
         calibration: Calibration of the device.
         period: Sample period [s].
+
+    Attributes:
+        sensor_delay: Delay of the sensor at the last call of `fault` [s]; NaN if not identifiable.
     """
+
+    sensor_delay = math.nan
 
     def __init__(self, calibration: Calibration, period: float) -> None:
         self._period = period
@@ -209,22 +220,24 @@ class CoilEstimator:
         self._rows.append((*position, *currents, 1.0))
 
     def _summed(self) -> Array:
-        """Return poses that were measured, twice-integrated currents and ones, and times [s], (N, 14)."""
+        """Return poses that were measured, currents and ones integrated twice, both once, and times [s], (N, 21)."""
         rows = np.array(self._rows).reshape(-1, 13)
-        rows[:, 6:] = rows[:, 6:].cumsum(axis=0).cumsum(axis=0)
-        rows = np.column_stack([rows, self._period * np.arange(len(rows))])
-        return rows[np.isfinite(rows[:, 0])]
+        once = rows[:, 6:].cumsum(axis=0)
+        rows = np.column_stack([rows[:, :6], once.cumsum(axis=0), once, self._period * np.arange(len(rows))])
+        measured: Array = rows[np.isfinite(rows[:, 0])]
+        return measured
 
-    def gains(self) -> Array:
-        """Return the coil gains relative to the calibration, (6,); NaN if not identifiable."""
+    def estimate(self) -> tuple[Array, float]:
+        """Return the coil gains relative to the calibration, (6,), and the sensor's delay [s]; NaN if uncertain."""
         rows = self._summed()
         lifted = np.flatnonzero(np.abs(rows[:, :3] - rows[:1, :3]).max(axis=1, initial=0.0) > _LIFTED)
         if not lifted.size or len(rows) - lifted[0] < _FEWEST:
-            return np.full(6, np.nan)
+            return np.full(6, np.nan), math.nan
         matrix, residual = self._fit(rows[lifted[0] :], range(6))
         changes = np.linalg.lstsq(matrix, residual, rcond=None)[0]
         errors = _NOISE * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix)))
-        return np.where(errors < _CERTAIN, 1.0 + changes, np.nan)
+        *gains, delay = np.where(errors < [_CERTAIN] * 6 + [_PROMPT], changes, np.nan)
+        return 1.0 + np.array(gains), float(delay)
 
     def fault(self, lost: bool = False) -> str:
         """Return a message about coils that are not as calibrated; "" if all are.
@@ -232,9 +245,9 @@ class CoilEstimator:
         A gain common to all coils is not a coil fault: a weight on the handle has the same effect.
 
         Args:
-            lost: True if the flotor does not follow: if no faulty gain is identified, name the most likely coil.
+            lost: True if the flotor does not follow: if no faulty gain is identified, name the most likely cause.
         """
-        gains = self.gains()
+        gains, self.sensor_delay = self.estimate()
         finite = gains[np.isfinite(gains)]
         changes = np.abs(gains - (np.median(finite) if finite.size else 1.0))
         bad = np.flatnonzero(changes > max(_FAULTY, _RELATIVE * np.nan_to_num(changes).max()))
@@ -242,21 +255,26 @@ class CoilEstimator:
             return ", ".join(f"coil {coil} gives {100.0 * gains[coil]:.0f} % of its calibrated force" for coil in bad)
         if not lost or len(self._rows) < 3:
             return ""
+        if self.sensor_delay > LATE * self._period:
+            return f"the sensor is {self.sensor_delay * 1e3:.1f} ms late"
         # on its stop the flotor can still rotate
         matrix, path = self._fit(self._summed(), range(3, 6))
+        matrix = matrix[:, :6]
         sizes = (matrix**2).sum(axis=0) + _NOISE**2
         return f"coil {int(np.argmax((matrix.T @ path) ** 2 / sizes))} is the most likely cause: weak, dead or reversed"
 
     def _fit(self, rows: Array, axes: Sequence[int]) -> tuple[Array, Array]:
-        """Return the Jacobian of the path on some axes with respect to the gains, and the residual path."""
+        """Return the Jacobian of the path on some axes to gains and delay, (N, 7), and the residual path."""
         rows = rows[:: max(len(rows) // _MOST, 1)]
-        time = rows[:, 13] - rows[:, 13].mean()
+        time = rows[:, 20] - rows[:, 20].mean()
         drift = np.vander(time, 2 + int(np.ptp(time) / _DRIFT))  # initial position and speed; integrated errors
         project = np.eye(len(rows)) - drift @ np.linalg.pinv(drift)
         parts, paths = [], []
         for axis in axes:
-            size = 1.0 if axis < 3 else _ARM
-            parts.append(size * project @ (rows[:, 6:12] * self._paths[axis]))
-            paths.append(size * project @ (rows[:, axis] - self._fall[axis] * rows[:, 12]))
+            scaled = (1.0 if axis < 3 else _ARM) * project
+            coils, fall = self._paths[axis], self._fall[axis]
+            speed = (rows[:, 13:19] @ coils + fall * rows[:, 19]) / self._period
+            parts.append(scaled @ np.column_stack([rows[:, 6:12] * coils, -speed]))
+            paths.append(scaled @ (rows[:, axis] - fall * rows[:, 12]))
         matrix = np.vstack(parts)
-        return matrix, np.concatenate(paths) - matrix.sum(axis=1)
+        return matrix, np.concatenate(paths) - matrix[:, :6].sum(axis=1)

@@ -21,6 +21,7 @@ from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
 from maglev_mj.bridge.landing import LANDING_DELAY, Leader, Swing
 from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.frames import Command
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
@@ -311,6 +312,28 @@ def test_a_coil_is_checked_across_lost_samples(tmp_path: Path) -> None:
     lost = lambda time: 9.0 * (0.95 < time < 0.97)  # noqa: E731
     flown = fly("joystick", truth=weakened(3, 0.9), delay=lost, seconds=0.05, folder=tmp_path)
     assert "no flight: coil 3 gives 90 % of its" in flown.outcome
+
+
+@pytest.mark.parametrize(
+    ("rate", "late", "said"),
+    [
+        (200, 5, r"the sensor is 5\.0 ms late, the loop delay limit 2\.\d\d ms"),
+        (200, 20, r".*NOT_FOLLOWING: .*; the sensor is 1\d\.\d ms late; .*"),
+        *studies((1000, 1, "landed"), (1000, 8, r"the sensor is 7\.\d ms late, the loop .*")),
+    ],
+)
+def test_a_sensor_that_is_late_is_found_in_takeoff(rate: int, late: int, said: str, tmp_path: Path) -> None:
+    faults = [InjectedFault(kind="late-sensor", which=late, at=0.0)]
+    flown = fly("joystick", rate=rate, faults=faults, seconds=0.2, folder=tmp_path)
+    assert re.fullmatch(said, flown.outcome) and ("FOLLOWING" in said or flown.speeds(0.0).max() < 0.05)
+
+
+def test_the_delay_guard_counts_the_sensors_delay(tmp_path: Path) -> None:
+    """At 200 Hz six-axes is stable up to 11.6 ms: 5 ms of the sensor and 6 ms of the line are too long."""
+    faults = [InjectedFault(kind="late-sensor", which=5, at=0.0)]
+    slow = lambda time: 0.002 * (time > 1.3)  # noqa: E731
+    flown = fly("six-axes", faults=faults, delay=slow, seconds=0.6, folder=tmp_path)
+    assert "delays above" in flown.outcome and flown.ended > 1.3
 
 
 def test_lost_frames_are_not_mistaken_for_a_coil_fault(tmp_path: Path) -> None:
