@@ -155,21 +155,37 @@ def test_weak_vibration_is_detected_and_a_ringing_tap_is_not() -> None:
     assert not any(blow.check([0.0] * 6, [0.0, 0.0, force, 0.0, 0.0, 0.0]) for force in ringing)
 
 
+def moved(guard: PowerGuard, force: float, start: float, end: float, period: float) -> list[str]:
+    """Return what the guard says of a constant force along a path of 0.1 s."""
+    path = np.linspace(start, end, round(0.1 / period) + 1)
+    return [guard.check([part, 0, 0, 0, 0, 0], [force, 0, 0, 0, 0, 0]) for part in path]
+
+
 @pytest.mark.parametrize("period", [0.005, 0.001])
-def test_energy_is_force_times_path_over_the_last_second(period: float) -> None:
-    """10 N along 4 mm are 40 mJ; twice within a second exceeds the limit."""
+def test_laws_may_give_back_what_a_hand_put_in(period: float) -> None:
+    """10 N along 0.7 mm are 7 mJ, and 8 mJ more than was put in exceed the limit."""
     guard = PowerGuard(period)
+    assert not any(moved(guard, 10.0, 0.0, 0.0007, period))
+    assert "the laws generate energy: 8" in next(filter(None, moved(guard, 10.0, 0.0007, 0.0014, period)))
+    spring = PowerGuard(period)
+    assert not any(moved(spring, -10.0, 0.0, 0.004, period) + moved(spring, -10.0, 0.004, 0.004, period) * 20)
+    assert not any(moved(spring, -10.0, 0.004, -0.0005, period))
+    assert any(moved(spring, -10.0, -0.0005, -0.002, period))
 
-    def push(sense: float, pause: float) -> list[str]:
-        path = np.linspace(0.0, 0.004, round(0.1 / period))
-        said = [guard.check([part, 0, 0, 0, 0, 0], [sense * 10.0, 0, 0, 0, 0, 0]) for part in path]
-        back = [guard.check([part, 0, 0, 0, 0, 0], [0.0] * 6) for part in path[::-1]]
-        return said + back + [guard.check([0.0] * 6, [0.0] * 6) for _ in range(round(pause / period))]
 
-    assert not any(push(1.0, 1.2) + push(1.0, 0.0))
-    assert "the laws generate energy: 4" in next(filter(None, push(1.0, 0.0)))
-    braked = PowerGuard(period)
-    assert not any(braked.check([1e-3 * tick, 0, 0, 0, 0, 0], [-20.0, 0, 0, 0, 0, 0]) for tick in range(9))
+@pytest.mark.parametrize("period", [0.005, 0.001])
+def test_energy_above_that_of_a_spring_is_forgotten_and_so_is_generated_energy(period: float) -> None:
+    """A tap brings 80 mJ and takes them back at once, but not after a second."""
+    for pause, said in ((0.0, False), (1.0, True)):
+        guard = PowerGuard(period)
+        moved(guard, -40.0, 0.0, 0.002, period)
+        [guard.check([0.002, 0, 0, 0, 0, 0], [0.0] * 6) for _ in range(round(pause / period))]
+        assert any(moved(guard, -40.0, 0.002, 0.0005, period)) is said
+    weak = PowerGuard(period)
+    for _ in range(20):  # 4 mJ each second
+        assert not any(moved(weak, 4.0, 0.0, 0.001, period))
+        assert not any(weak.check([0.001, 0, 0, 0, 0, 0], [0.0] * 6) for _ in range(round(1.0 / period)))
+        weak.check([0.0] * 6, [0.0] * 6)
 
 
 def test_a_swing_is_cut_after_a_tenth_of_a_second() -> None:
