@@ -14,6 +14,7 @@ import numpy as np
 from maglev_mj import session
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
 from maglev_mj.bridge.landing import LandingReport, StopSwitch
+from maglev_mj.bridge.observer import LATE
 from maglev_mj.bridge.preflight import LoopTiming
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.control.controller import Controller
@@ -99,6 +100,7 @@ class Flight:
         self._motion, self._note = SampledMotion(), _NOTE
         self.switch, self.timing = switch or StopSwitch(), LoopTiming()
         self._lost = self._skipped = 0
+        self._sensor_delay = 0.0  # beyond the stated one [s]
         self._request: ChangeRequest | None = None
         self._steps: Iterator[None] = iter(())
         self._pending: tuple[ChangeRequest, Controller] | None = None
@@ -148,6 +150,10 @@ class Flight:
         plant = self._plant
         plant.takeoff(watch=self._watch, check_coils=True)
         self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
+        if (late := plant.coils.sensor_delay) > LATE * plant.period:  # false for NaN
+            self._sensor_delay, limit = late, self._delay_guard.limit
+            if late + plant.answers.delay_bound > limit:
+                self.reason = f"the sensor is {late * 1e3:.1f} ms late, the loop delay limit {limit * 1e3:.2f} ms"
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
         while not self._is_over(last):
@@ -200,7 +206,7 @@ class Flight:
         def observe(sample: Sample, applied: Command) -> None:
             timing.add(plant)
             self._force = applied.force
-            delay = max(plant.answers.delay_bound, plant.delay + timing.newest_age)
+            delay = max(plant.answers.delay_bound, plant.delay + timing.newest_age) + self._sensor_delay
             laws = [total - weight for total, weight in zip(applied.force, carried)]
             self.reason = check_delay(delay) or check_power(sample.position, laws)
             if self._warn is not None and self._file is not None:

@@ -107,7 +107,7 @@ class GuardedPlant:
                 calibration.spot_offsets.tolist() if calibration.spot_offsets.any() else None
             )
             self._output = safety.OutputLimiter(calibration.coils, self.limits, host.wrench, self.period)
-            self._hand = HandObserver(calibration, self.period)
+            self._hand = HandObserver(calibration, self.period, self.delay)
             self._maps = calibration.wall_maps
             self._stop = calibration.controlled_stop(self.period + self.delay, self.limits.continuous_current)
             self._prepare()

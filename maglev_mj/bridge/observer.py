@@ -25,8 +25,17 @@ _FEWEST, _MOST = 8, 60
 _ARM = 0.03
 """Lever arm that converts angles to paths [m]."""
 
-_NOISE, _CERTAIN, _FAULTY, _RELATIVE = 3e-6, 0.02, 0.07, 0.2
-"""Pose noise [m]; largest standard error of a gain; gain error of a fault, absolute and relative to the largest."""
+_NOISE, _CERTAIN, _PROMPT = 3e-6, 0.02, 2e-4
+"""Pose noise [m]; largest standard errors of a gain and of the sensor's delay [s]."""
+
+LATE = 0.5
+"""Delay of a sensor that counts, in sample periods: above its uncertainty over a jittery line."""
+
+_FAULTY, _RELATIVE = 0.07, 0.2
+"""Gain error of a faulty coil, absolute and relative to the largest error."""
+
+_DRIFT = 0.2
+"""Time per order of the polynomial that is not fitted [s]: integrated errors of the currents, at jitter, drift."""
 
 _UNKNOWN = (math.nan,) * 6
 _BUFFER = 64
@@ -35,8 +44,8 @@ _BUFFER = 64
 _Drive: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 """Wrench and currents, six numbers each."""
 
-_Sampled: TypeAlias = tuple[int, Sequence[float], list[tuple[float, _Drive]]]
-"""One sample: number, pose, drives since the sample period before."""
+_Sampled: TypeAlias = tuple[Sequence[float], list[tuple[float, _Drive]]]
+"""One sample: pose, NaN if lost, and drives in the period before."""
 
 
 class HandObserver:
@@ -49,6 +58,7 @@ class HandObserver:
     Args:
         calibration: Calibration of the device.
         period: Sample period [s].
+        delay: Time from an answer's arrival to its effect [s].
 
     Attributes:
         currents: Currents that should flow at the last sample [A], six; None if the newest answer is not reported, or
@@ -57,8 +67,8 @@ class HandObserver:
         check_coils: True in takeoff.
     """
 
-    def __init__(self, calibration: Calibration, period: float) -> None:
-        self._period = period
+    def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
+        self._period, self._delay = period, delay
         self._keep = math.exp(-2.0 * math.pi * _CORNER * period)
         self._calibration = calibration
         self._body = [inertia / period**2 for inertia in calibration.body.inertia.tolist()]
@@ -75,10 +85,9 @@ class HandObserver:
         self._sent: list[tuple[int | None, tuple[_Drive, _Drive, float] | None]] = [(None, None)] * _BUFFER
         self._pending: deque[_Sampled] = deque(maxlen=_BUFFER)
         self._answered, self._valid_from = 0, 0.0  # newest answer; time after which no earlier one is in effect [s]
-        self._last_tick = self._count = 0
         self._low: Sequence[float] | None = None
         self._lower: Sequence[float]
-        self._poses: tuple[Sequence[float], Sequence[float]] = ZERO, ZERO  # the last two
+        self._poses: tuple[Sequence[float], Sequence[float]] = _UNKNOWN, _UNKNOWN  # the last two
         self._rising: list[tuple[float, _Drive]] = []
 
     def answered(
@@ -108,28 +117,39 @@ class HandObserver:
             answered: Number of the sample answered by the newest command in effect.
             delay: Time from that sample to the command's effect [s]; NaN without a new command.
         """
-        timeline, period, early = self._timeline, self._period, tick - 1 - answered
+        timeline, period, last = self._timeline, self._period, max(tick - elapsed, tick - _BUFFER)
         number, sent = self._sent[answered % _BUFFER]
         if delay != delay or number != answered:
             sent = None
         else:
             if answered - self._answered > 1:  # of two answers within one period the device reports the newer
                 self._valid_from = answered * period + delay
+                self._overtaken(answered, last * period + self._delay)
             self._answered = answered
         certain = sent is not None and tick * period >= self._valid_from
-        if sent is not None and early:  # effects before the last sample are already applied
-            timeline.answer(answered, *sent, after=max(delay, early * period))
+        if sent is not None and answered != tick - 1:  # effects before the last sample are already applied
+            timeline.answer(answered, *sent, after=max(delay, (last - answered) * period))
             sent = None
-        if elapsed > 1:
-            for missed in range(tick - min(elapsed, _BUFFER), tick - 1):
-                timeline.period(missed)
+        if elapsed > _BUFFER:
+            self.coils = CoilEstimator(self._calibration, period)
+        for missed in range(last, tick - 1):
+            self._pending.append((_UNKNOWN, timeline.period(missed)))
         intervals = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
         if len(self._pending) == _BUFFER:  # buffer overflow: `wrench` was not read
-            self._low = None
-        self._pending.append((tick, position, intervals))
+            self._low, self._poses = None, (_UNKNOWN, _UNKNOWN)
+        self._pending.append((position, intervals))
         self.currents = timeline.now()[1] if certain else None
         if self.check_coils:
             self._process()
+
+    def _overtaken(self, answered: int, earliest: float) -> None:
+        """Assume that answers that are not reported took effect evenly spaced from `earliest` [s] to the newest."""
+        first, span = self._answered, answered - self._answered
+        for tick in range(max(first + 1, answered - _BUFFER + 1), answered):
+            number, sent = self._sent[tick % _BUFFER]
+            if number == tick and sent is not None:
+                effect = earliest + (tick - first) / span * (self._valid_from - earliest)
+                self._timeline.answer(tick, *sent, after=effect - tick * self._period)
 
     @property
     def wrench(self) -> Sequence[float]:
@@ -141,10 +161,7 @@ class HandObserver:
     def _process(self) -> None:
         """Process the pending samples; the estimate is held across lost ones."""
         period, square, keep = self._period, self._period**2, self._keep
-        for tick, now, intervals in self._pending:
-            if tick - 1 != self._last_tick:
-                self._count, self.coils = 0, CoilEstimator(self._calibration, period)
-            self._last_tick = tick
+        for now, intervals in self._pending:
             acting, start, self._rising = self._rising, 0.0, []
             for duration, drive in intervals:
                 middle, share = start + 0.5 * duration, duration / square
@@ -152,11 +169,10 @@ class HandObserver:
                 self._rising.append((middle * share, drive))
                 start += duration
             (before, last), self._poses = self._poses, (self._poses[1], now)
-            self._count += 1
-            if self._count < 3:
-                continue
             if self.check_coils:
                 self.coils.add(now, _mean([(share, currents) for share, (_, currents) in acting]))
+            if math.isnan(before[0] + last[0] + now[0]):
+                continue
             explained = _mean([(share, wrench) for share, (wrench, _) in acting])
             raw = [
                 mass * (x - 2.0 * x1 + x2) - force - weight
@@ -178,7 +194,7 @@ def _mean(parts: Sequence[tuple[float, Sequence[float]]]) -> list[float]:
 
 
 class CoilEstimator:
-    """Estimator of each coil's gain from a motion without a hand.
+    """Estimator of each coil's gain and of the sensor's delay from a motion without a hand.
 
     Least squares: the path computed from the currents by double integration is fitted to the measured path, after
     liftoff. A gain is identifiable if the coil carried current.
@@ -186,9 +202,15 @@ class CoilEstimator:
     Args:
         calibration: Calibration of the device.
         period: Sample period [s].
+
+    Attributes:
+        sensor_delay: Delay of the sensor at the last call of `fault` [s]; NaN if not identifiable.
     """
 
+    sensor_delay = math.nan
+
     def __init__(self, calibration: Calibration, period: float) -> None:
+        self._period = period
         self._paths = calibration.coils.wrench_per_current * (period**2 / calibration.body.inertia)[:, None]
         self._fall = np.concatenate([period**2 * calibration.gravity, np.zeros(3)])
         self._rows: list[tuple[float, ...]] = []
@@ -198,21 +220,24 @@ class CoilEstimator:
         self._rows.append((*position, *currents, 1.0))
 
     def _summed(self) -> Array:
-        """Return poses, and twice-integrated currents and ones, (N, 13)."""
+        """Return poses that were measured, currents and ones integrated twice, both once, and times [s], (N, 21)."""
         rows = np.array(self._rows).reshape(-1, 13)
-        rows[:, 6:] = rows[:, 6:].cumsum(axis=0).cumsum(axis=0)
-        return rows
+        once = rows[:, 6:].cumsum(axis=0)
+        rows = np.column_stack([rows[:, :6], once.cumsum(axis=0), once, self._period * np.arange(len(rows))])
+        measured: Array = rows[np.isfinite(rows[:, 0])]
+        return measured
 
-    def gains(self) -> Array:
-        """Return the coil gains relative to the calibration, (6,); NaN if not identifiable."""
+    def estimate(self) -> tuple[Array, float]:
+        """Return the coil gains relative to the calibration, (6,), and the sensor's delay [s]; NaN if uncertain."""
         rows = self._summed()
         lifted = np.flatnonzero(np.abs(rows[:, :3] - rows[:1, :3]).max(axis=1, initial=0.0) > _LIFTED)
         if not lifted.size or len(rows) - lifted[0] < _FEWEST:
-            return np.full(6, np.nan)
+            return np.full(6, np.nan), math.nan
         matrix, residual = self._fit(rows[lifted[0] :], range(6))
         changes = np.linalg.lstsq(matrix, residual, rcond=None)[0]
         errors = _NOISE * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix)))
-        return np.where(errors < _CERTAIN, 1.0 + changes, np.nan)
+        *gains, delay = np.where(errors < [_CERTAIN] * 6 + [_PROMPT], changes, np.nan)
+        return 1.0 + np.array(gains), float(delay)
 
     def fault(self, lost: bool = False) -> str:
         """Return a message about coils that are not as calibrated; "" if all are.
@@ -220,9 +245,9 @@ class CoilEstimator:
         A gain common to all coils is not a coil fault: a weight on the handle has the same effect.
 
         Args:
-            lost: True if the flotor does not follow: if no faulty gain is identified, name the most likely coil.
+            lost: True if the flotor does not follow: if no faulty gain is identified, name the most likely cause.
         """
-        gains = self.gains()
+        gains, self.sensor_delay = self.estimate()
         finite = gains[np.isfinite(gains)]
         changes = np.abs(gains - (np.median(finite) if finite.size else 1.0))
         bad = np.flatnonzero(changes > max(_FAULTY, _RELATIVE * np.nan_to_num(changes).max()))
@@ -230,20 +255,26 @@ class CoilEstimator:
             return ", ".join(f"coil {coil} gives {100.0 * gains[coil]:.0f} % of its calibrated force" for coil in bad)
         if not lost or len(self._rows) < 3:
             return ""
+        if self.sensor_delay > LATE * self._period:
+            return f"the sensor is {self.sensor_delay * 1e3:.1f} ms late"
         # on its stop the flotor can still rotate
         matrix, path = self._fit(self._summed(), range(3, 6))
+        matrix = matrix[:, :6]
         sizes = (matrix**2).sum(axis=0) + _NOISE**2
         return f"coil {int(np.argmax((matrix.T @ path) ** 2 / sizes))} is the most likely cause: weak, dead or reversed"
 
     def _fit(self, rows: Array, axes: Sequence[int]) -> tuple[Array, Array]:
-        """Return the Jacobian of the path on some axes with respect to the gains, and the residual path."""
+        """Return the Jacobian of the path on some axes to gains and delay, (N, 7), and the residual path."""
         rows = rows[:: max(len(rows) // _MOST, 1)]
-        start = np.stack([np.ones(len(rows)), np.linspace(0.0, 1.0, len(rows))], axis=1)
-        project = np.eye(len(rows)) - start @ np.linalg.pinv(start)  # removes initial position and speed
+        time = rows[:, 20] - rows[:, 20].mean()
+        drift = np.vander(time, 2 + int(np.ptp(time) / _DRIFT))  # initial position and speed; integrated errors
+        project = np.eye(len(rows)) - drift @ np.linalg.pinv(drift)
         parts, paths = [], []
         for axis in axes:
-            size = 1.0 if axis < 3 else _ARM
-            parts.append(size * project @ (rows[:, 6:12] * self._paths[axis]))
-            paths.append(size * project @ (rows[:, axis] - self._fall[axis] * rows[:, 12]))
+            scaled = (1.0 if axis < 3 else _ARM) * project
+            coils, fall = self._paths[axis], self._fall[axis]
+            speed = (rows[:, 13:19] @ coils + fall * rows[:, 19]) / self._period
+            parts.append(scaled @ np.column_stack([rows[:, 6:12] * coils, -speed]))
+            paths.append(scaled @ (rows[:, axis] - fall * rows[:, 12]))
         matrix = np.vstack(parts)
-        return matrix, np.concatenate(paths) - matrix.sum(axis=1)
+        return matrix, np.concatenate(paths) - matrix[:, :6].sum(axis=1)
