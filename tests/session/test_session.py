@@ -33,10 +33,10 @@ from maglev_mj.session import (
     settable_parameters,
 )
 from maglev_mj.session.actions import actions
+from maglev_mj.session.margin import STABILITY
 from maglev_mj.session.replay import rebuild
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.session.margin import STABILITY
 from maglev_mj.views.readings import readings
 from maglev_mj.views.viewer_process import RemoteViewer
 from tests.session.test_session_states import Program
