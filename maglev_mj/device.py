@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -362,6 +363,12 @@ class Device:
   <actuator>{"".join(actuators)}</actuator>
 </mujoco>
 """
+
+
+def sample_period(**options: Any) -> Any:
+    """Declare the sample period of an `OnDevice`, by default the device's."""
+    own: Any = {"default": None, "derive": attrgetter("hardware.period")}
+    return param("sample period", "s", **own, at_least=MIN_PERIOD, at_most=MAX_PERIOD, **options)
 
 
 class OnDevice(Parameters):

@@ -20,7 +20,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingError, RecordingFile
@@ -269,6 +269,13 @@ class Flight:
         controller = session.device_controller(scene, self._weight)
         yield  # creating it takes half a period at 1 kHz: check it one sample later
         session.check_step(self._controller, controller, self._position, self._step_force)
+        known = {(place, wall.axis, wall.side): wall.edge for place, wall in enumerate(self._controller.device_walls)}
+        for place, wall in enumerate(self._plant.check_walls(controller.device_walls)):
+            edge = known.get((place, wall.axis, wall.side))
+            inside = edge is None and wall.side * (self._position[wall.axis] - wall.edge) < 0.0
+            if inside or edge not in (None, wall.edge):  # the device would stop
+                rule = "must begin clear of the flotor" if inside else "must keep its edge"
+                raise ParameterError(f"the wall on {AXES[wall.axis]} {rule} on the device")
         assert self._request is not None
         self._pending, self._note = (ChangeRequest(scene, self._request.reply), controller), note or _NOTE
         self._request, self._delay_guard.limit = None, limit

@@ -329,6 +329,11 @@ class SampledPlant(ABC):
         return self._effort
 
     @property
+    def walls_wrench(self) -> Six:
+        """Wrench of walls on the device in effect [N, N m], six components."""
+        return _NO_EFFORT if self._walls is None else self._walls.force or _NO_EFFORT
+
+    @property
     def work(self) -> Component:
         """Work of the actuators since release [J].
 

@@ -53,6 +53,7 @@ class DeviceWalls:
     Attributes:
         drive: Drive in effect.
         intervals: Intervals of the last period.
+        force: Wrench of the walls in effect [N, N m]; None for none.
         measure: Measurement function; None for an ideal sensor.
 
     Raises:
@@ -87,7 +88,7 @@ class DeviceWalls:
         self._last: tuple[int, Six] | None = None  # last sample
         self._next = 0
         self._speeds: dict[tuple[int, float], Component] = {}
-        self._force: Six | None = None  # in effect; None for none
+        self.force: Six | None = None
         self._waiting: deque[tuple[int, Six | None]] = deque()
         self._total: tuple[Any, Any, Any] = None, None, None
 
@@ -133,7 +134,7 @@ class DeviceWalls:
                 self._sample(held)
                 self._plan(start + now, held)
             while self._waiting and self._time(self._waiting[0][0]) + self._delay - start <= now + least:
-                self._force = self._waiting.popleft()[1]
+                self.force = self._waiting.popleft()[1]
             until = self._time(self._next) - start
             if self._waiting:
                 until = min(until, self._time(self._waiting[0][0]) + self._delay - start)
@@ -147,11 +148,11 @@ class DeviceWalls:
 
     def _driven(self, held: Held) -> Any:
         """Return the drive of host and device together."""
-        if self._force is None:
+        if self.force is None:
             return held.drive
-        if self._total[0] is not held or self._total[1] is not self._force:
-            force = [host + device for host, device in zip(held.key[0], self._force)]
-            self._total = held, self._force, self._drive_of(force)
+        if self._total[0] is not held or self._total[1] is not self.force:
+            force = [host + device for host, device in zip(held.key[0], self.force)]
+            self._total = held, self.force, self._drive_of(force)
         return self._total[2]
 
     def _sample(self, held: Held) -> None:
@@ -174,7 +175,7 @@ class DeviceWalls:
                 continue
             forces = forces or [0.0] * len(AXES)
             forces[axis] = forces[axis] - inside * (stiffness * offset + damping * velocity)
-        if forces is not None or self._force is not None or self._waiting:
+        if forces is not None or self.force is not None or self._waiting:
             self._waiting.append((self._next, forces))
         self._last, self._speeds = (self._next, measured), speeds
 
@@ -191,7 +192,7 @@ class DeviceWalls:
 
     def _reach(self, held: Any) -> float:
         """Return the time in which no flotor can reach a wall [s], up to a period of the host and one of the device."""
-        if self._force is not None or self._waiting or not isinstance(held, Held):
+        if self.force is not None or self._waiting or not isinstance(held, Held):
             return 0.0
         (pose, velocity), (force, walls) = self._motion(), held.key
         least = self._host + self._period

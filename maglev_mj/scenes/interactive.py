@@ -19,7 +19,7 @@ from maglev_mj.parameters import Turn, axis_indices, number, param
 from maglev_mj.plants.hand import SpringHand, Trajectory
 from maglev_mj.plants.model import body_of
 from maglev_mj.scenes.scene import Scene, Start
-from maglev_mj.scenes.wall_scene import hold
+from maglev_mj.scenes.wall_scene import WallScene, hold
 from maglev_mj.spec import GRAVITY, Spec
 
 MASS = Spec.moving_mass.value
@@ -71,7 +71,8 @@ def wall(
     """
     share = _share(axes, scene.hardware.inertia)
     width = _PULSE_SHARE * scene.period
-    pulse = max(float(scene.body.inertia[0]) / width - scene.damping, 0.0) if scene.pulse else 0.0
+    pulsed = scene.pulse and scene.wall_on == "host"
+    pulse = max(float(scene.body.inertia[0]) / width - scene.damping, 0.0) if pulsed else 0.0
     return Wall(
         axes=axes,
         lower=lower,
@@ -81,6 +82,7 @@ def wall(
         pulse=pulse * share,
         pulse_width=width,
         pulse_gate=_GATE / np.sqrt(share),
+        on=scene.wall_on,
     )
 
 
@@ -192,6 +194,7 @@ class InteractiveScene(Scene):
     script: ClassVar[Trajectory | None] = None
 
     wall: bool = param("walls", default=True, live=True)
+    wall_on: str = WallScene.like("wall_on")
     pulse: bool = param("braking pulses of the walls", default=True, live=True)
     friction: bool = param("stick-slip friction", default=False, live=True)
     weightless: bool = param("weight compensation", default=True, live=_PROGRAMS_ONLY)

@@ -14,7 +14,7 @@ import numpy as np
 
 from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
-from maglev_mj.device import OnDevice
+from maglev_mj.device import OnDevice, sample_period
 from maglev_mj.errors import ParameterError, check_instance, named, one_line
 from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.parameters import Turn, axis_indices, param, transport_delay
@@ -23,7 +23,7 @@ from maglev_mj.plants.hand import HandForce
 from maglev_mj.plants.model import Body, body_of
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.scenes.results import RunResult
-from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
+from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD
 
 if TYPE_CHECKING:  # which loads MuJoCo
     from maglev_mj.plants.shapes import Shape
@@ -133,15 +133,7 @@ class Scene(OnDevice):
     figures_together: ClassVar[Any] = None
     model: ClassVar[str | Path] = "scenes/joystick"
 
-    period: float = param(
-        "sample period",
-        "s",
-        default=None,
-        derive=attrgetter("hardware.period"),
-        at_least=MIN_PERIOD,
-        at_most=MAX_PERIOD,
-        live=RATE,
-    )
+    period: float = sample_period(live=RATE)
     delay: float = param(
         "delay from a sample to the effect of its command",
         "s",

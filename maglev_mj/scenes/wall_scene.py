@@ -112,7 +112,7 @@ class WallScene(Scene):
         "resolution of the position sensor; 0 for an ideal sensor", "m", default=0.0, at_least=0.0, at_most=1.0
     )
     wall_on: str = param(
-        "where the wall is rendered; on the device without a pulse", default="host", choices=("host", "device")
+        "where walls are rendered; on the device without a pulse", default="host", choices=("host", "device"), live=True
     )
     device_damping: float | None = param(
         "damper on the device beside a wall on the host",

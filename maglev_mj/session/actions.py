@@ -36,16 +36,18 @@ def settable_parameters(scene: Scene | type[Scene]) -> tuple[str, ...]:
 def actions(cls: type[Scene]) -> Mapping[str, Action]:
     """Return a scene's key actions by name.
 
-    NAME toggles a switch, and a number between 0 and its default if 0 is allowed; "NAME up" and "NAME down" step a
-    number.
+    NAME toggles a switch or steps through choices, and toggles a number between 0 and its default if 0 is allowed;
+    "NAME up" and "NAME down" step a number.
     """
     changes: dict[str, Action] = {}
     for entry in cls.parameters():
-        if not entry.live or not entry.live.has_keys or entry.kind not in (bool, float, int):
+        if not entry.live or not entry.live.has_keys:
             continue
         word = entry.live.word or entry.name
-        if entry.kind is bool:
-            changes[word] = partial(_toggle_switch, entry.name)
+        if choices := (False, True) if entry.kind is bool else entry.choices:
+            changes[word.replace("_", " ")] = partial(_next_choice, entry.name, choices)
+            continue
+        if entry.kind not in (float, int):
             continue
         if entry.default and entry.bounds.get("at_least") == 0.0 and not entry.live.word:
             changes[word] = partial(_toggle_number, entry.name, entry.default)
@@ -90,8 +92,8 @@ def changed(
         return scene.replace(**change)
 
 
-def _toggle_switch(name: str, scene: Scene) -> Scene:
-    return scene.replace(**{name: not getattr(scene, name)})
+def _next_choice(name: str, choices: Sequence[Any], scene: Scene) -> Scene:
+    return scene.replace(**{name: choices[(choices.index(getattr(scene, name)) + 1) % len(choices)]})
 
 
 def _toggle_number(name: str, default: float, scene: Scene) -> Scene:

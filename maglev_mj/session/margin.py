@@ -14,7 +14,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.stability_check import UNKNOWN
+from maglev_mj.scenes.stability_check import UNKNOWN, wall_margin
 from maglev_mj.session.snapshot import Snapshot
 from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
 from maglev_mj.theory.margin import worst_axis
@@ -59,15 +59,19 @@ def margin(
         scene: The scene.
         delay: See `stability`.
         inertia: See `stability`.
-        linearised: False to skip laws that do not declare their gains.
+        linearised: False to skip what takes long: laws that do not declare their gains, walls on the device.
     """
     body, lag = scene.body.inertia if inertia is None else np.array(inertia), scene.delay if delay is None else delay
     try:
-        if (gains := stated_gains(scene.controller())) is None and not linearised:
+        controller = scene.controller()
+        if ((gains := stated_gains(controller)) is None or controller.on_device) and not linearised:
             return _COMPUTING
         verdict = stability(scene, inertia=body, delay=lag)
         if gains is None:
             return Margin(str(verdict), verdict.stable)
+        if controller.on_device:
+            wall = wall_margin(scene, inertia=body, delay=lag) if verdict.stable else None
+            return Margin(wall.verdict if wall else f"unstable on {verdict.axes[0]}", verdict.stable)
         return _smallest(scene, verdict, gains, body, lag)
     except Exception as error:  # of a user's laws, too
         return _not_computed(error)
@@ -97,8 +101,8 @@ def _smallest(scene: Scene, verdict: Verdict, gains: Any, body: Array, delay: fl
 class StabilityMap:
     """Stability margin of the newest scene.
 
-    It is computed at once from declared gains, in milliseconds. Linearisation can take seconds: it runs in a side
-    process without a deadline.
+    It is computed at once from declared gains, in milliseconds. Linearisation can take seconds, and walls on the device
+    tenths: they run in a side process without a deadline.
     """
 
     def __init__(self) -> None:

@@ -153,9 +153,14 @@ class LiveSegment:
         return self._began + self.ticks * self._period
 
     @property
+    def wrench(self) -> Array:
+        """Device wrench, that of walls on the device included [N, N m], (6,)."""
+        return np.add(self.force, self.plant.walls_wrench)
+
+    @property
     def rendered(self) -> Array:
         """Device wrench without weight compensation [N, N m], (6,)."""
-        return np.array(self.force) - self._carried
+        return np.asarray(self.wrench - self._carried)
 
     def _observe(self, sample: Sample, applied: Command) -> None:
         plant = self.plant

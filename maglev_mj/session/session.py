@@ -447,7 +447,7 @@ class Session:
         began, self._since, start = 0.0, self._ticks, self._scene.start()
         twist, wrench = start.twist, start.wrench
         if resume:
-            twist, wrench, began = self._segment.twist.tolist(), self._segment.force, self._segment.time
+            twist, wrench, began = self._segment.twist.tolist(), self._segment.wrench.tolist(), self._segment.time
         segment = LiveSegment(
             self._scene,
             self._acting,

@@ -9,16 +9,15 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from maglev_mj.device import sample_period
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import param, param_range, transport_delay
 from maglev_mj.plants.hand import get_hand
-from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
 from maglev_mj.theory.closed_loop import SampledLoop, least_dynamic_stiffness
 from maglev_mj.theory.two_rates import DeviceParameters
@@ -53,14 +52,7 @@ class WallRequirements(DeviceParameters):
         (0.7, 0.0015)
     """
 
-    period: float = param(
-        "sample period",
-        "s",
-        default=None,
-        derive=attrgetter("hardware.period"),
-        at_least=MIN_PERIOD,
-        at_most=MAX_PERIOD,
-    )
+    period: float = sample_period()
     mass: tuple[float, float] = param_range(
         "mass",
         "range of the moving mass",

@@ -243,7 +243,7 @@ def stop_contacts(snapshot: Snapshot) -> tuple[list[Face], str]:
 _LEAST_ENERGY = 5e-5
 GROUPS: Mapping[str, Sequence[str]] = {
     "felt": ("hand", "device", "margin", "speed"),
-    "scene": ("wall", "pulse", "stiffness", "damping"),
+    "scene": ("wall", "wall_on", "pulse", "stiffness", "damping"),
     "friction": ("friction", "breakaway"),
     "loop": ("period", "delay", "weightless"),
     "numbers": ("stops", "gains", "active", "rate", "time", "position", "scene", "tick", "energy"),
@@ -287,6 +287,7 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
     settable = [scene.parameter(name) for name in settable_parameters(scene)]
     live = [item for item in settable if item.live and item.live.has_keys]
     enabled = [item.name for item in live if item.kind is bool and getattr(scene, item.name)]
+    enabled += [f"{item.name.replace('_', ' ')} {getattr(scene, item.name)}" for item in live if item.choices]
     gains = [_gain(item, getattr(scene, item.name), scene.axis) for item in live if item.kind in (float, int)]
     total = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
     digits = 3 if snapshot.time_scale < 1.0 else 1

@@ -27,10 +27,15 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.cli.declare import Parser
+from maglev_mj.pictures import line_style, name_curves, new_figure, save
 from maglev_mj.recording import Recording
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Joystick
+from maglev_mj.scenes.run import run
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.access import listen
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD
+from maglev_mj.theory import DeviceLaw, stiffest_wall
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs/images"
@@ -201,6 +206,37 @@ def joystick(path: Path, *, period: float = 1.0 / 12.0, size: tuple[int, int] = 
     few[0].save(path, save_all=True, append_images=few[1:], duration=1e3 * period, loop=0)
 
 
+_WALLS: Mapping[str, dict[str, Any]] = {
+    "force from the host": {"stiffness": 6000.0, "damping": 80.0},
+    "damper on the device": {"stiffness": 30_000.0, "damping": 17.0, "device_damping": 200.0},
+    "wall on the device": {"stiffness": 60_000.0, "damping": 200.0, "wall_on": "device"},
+}
+"""Scenes of the chart of walls on the device, each at most at half its critical stiffness but the first."""
+
+
+def device_walls(path: Path) -> None:
+    """Write drops on three walls over all sampling phases, and the critical stiffness of each kind."""
+    host = {"period": 0.005, "delay": 0.0015, "mass": 0.7}
+    loops = host, host | {"device": DeviceLaw(damping=200.0)}, host | {"period": DEVICE_PERIOD, "delay": DEVICE_DELAY}
+    critical = [float(stiffest_wall(**loop).stiffness) for loop in loops]
+    head = [f"A wall on the device may have {critical[2] / critical[0]:.0f} times the stiffness of one on the host"]
+    head += ["0.7 kg, host 200 Hz, delay 1.5 ms, device 1 kHz, 0.2 ms, damper 200 N s/m, bands: all sampling phases"]
+    figure, (left, right) = new_figure(head, 1, 2, 3.0)
+    for index, (name, values) in enumerate(_WALLS.items()):
+        drop = run(Drop(**values, pulse=0.0, duration=0.1), plant="exact", phase=np.arange(48) / 48)
+        time, style = np.linspace(0.025, 0.099, 400), line_style(index)
+        heights = 1e3 * drop.motion(time)[0]
+        left.fill_between(1e3 * time, heights.min(1), heights.max(1), color=style["color"], alpha=0.25, linewidth=0)
+        gains = f"{values['stiffness']:,.0f} N/m, {values['damping']:g} N s/m".replace(",", " ", 1)
+        left.plot(1e3 * time, np.median(heights, axis=1), label=f"{name}, {gains}", **style)
+        right.barh(name, critical[index] / 1e3, color=style["color"])
+        right.annotate(f" {critical[index] / 1e3:.0f}", (critical[index] / 1e3, name), va="center", fontsize=9.0)
+    left.set_xlabel("time (ms)"), left.set_ylabel("height above the wall (mm)")
+    right.set_xlabel("critical stiffness at the best damping (kN/m)"), right.invert_yaxis()
+    name_curves(left)
+    save(figure, path)
+
+
 _PAPER = {2: "stability", 3: "drop", 4: "phase_plane", 6: "press", 8: "stick_slip", 9: "six_axes"}
 _LAWS = "--law pd --law pulse --law half-sample --law observer --law mine.py".split()
 _STUDIES = {
@@ -243,6 +279,7 @@ PICTURES: Mapping[str, Picture] = {
     "diagnosis.png": _chart(*"diagnose --stiffness 500 --damping 1 --rate 200 --delay 0.005 --mass 0.15".split()),
     "compare_drop.png": _chart("compare", "drop", *_LAWS),
     "compare_drop_phases.png": _chart(*"compare drop --pulse 0 --law pd --law device.py".split()),
+    "device_walls.png": Picture(device_walls, shows_views=False),
     "design.png": _chart(*_DESIGN),
     "gallery.png": _chart("scripts/examples/gallery.py"),
     **{

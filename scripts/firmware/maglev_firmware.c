@@ -466,18 +466,19 @@ static void switch_walls(struct maglev_device *d) {
     d->count = d->next_count, d->has_next = false;
 }
 
-/* Replace the walls after `delay`; those still pending take effect now. */
+/* Replace the walls after `delay`; those still pending take effect now, but for those of the same answer, repeated. */
 static void command_walls(struct maglev_device *d, const struct maglev_frame *f, uint64_t now) {
     if (!f->of.cmd.count && !d->walled) return;
-    if (d->has_next) switch_walls(d);
+    uint64_t due = now + d->profile->delay;
+    if (d->has_next && due > d->due) switch_walls(d);
     double lift = d->stop[7] > 1.0 ? d->stop[7] : 1.0;
     for (int i = 0; i < MAGLEV_COILS; i++) { /* largest currents of the host, or without it */
         double most = size(f->of.cmd.held[i]), other = size(f->of.cmd.pulsed[i]), own = size(lift * d->hover[i]);
         most = other > most ? other : most, most = own > most ? own : most;
-        d->peaks[0][i] = d->walled ? d->peaks[1][i] : most, d->peaks[1][i] = most;
+        d->peaks[0][i] = d->walled ? d->peaks[!d->has_next][i] : most, d->peaks[1][i] = most;
     }
     for (uint32_t i = 0; i < f->of.cmd.count; i++) d->next[i] = f->of.cmd.walls[i];
-    d->next_count = f->of.cmd.count, d->due = now + d->profile->delay, d->has_next = d->walled = true;
+    d->next_count = f->of.cmd.count, d->due = due, d->has_next = d->walled = true;
 }
 
 /* Currents of the walls at a sample. Inside f = -K (x - edge) - B v. While commands are missing a wall on both sides

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +16,7 @@ import pytest
 
 from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.flight_guards import delay_limit
 from maglev_mj.bridge.preflight import LinkReport, judge_change, measure_link
@@ -211,6 +213,24 @@ def test_without_an_answer_nothing_changes(fly: Fly) -> None:
     assert asks.answers == [said, said] and said in asks.snapshots[-1].notes
     assert {one.scene for one in asks.snapshots} == {Joystick()}
     assert flown._delay_guard.limit == delay_limit(0.0027, 0.005)
+
+
+def test_walls_move_to_the_device_where_it_can_render_them(fly: Fly, monkeypatch: pytest.MonkeyPatch) -> None:
+    def floor(edge: float) -> Scene:
+        return GOOD.replace(walls=[("z", 1, edge)], wall_on="device")
+
+    def command(connection: Connection, command: Any) -> None:
+        sent.add(len(command.walls))
+        send(connection, command)
+
+    sent, send = set[int](), Connection.command
+    monkeypatch.setattr(Connection, "command", command)
+    own = GOOD.replace(wall_on="device"), floor(2e-4), floor(-3e-3), floor(-2.9e-3), GOOD
+    _, asks, _ = fly(*zip((20, 40, 60, 80, 100), own))
+    refused = "at most 6 walls .got 12", "wall on z must begin clear of", "", "wall on z must keep its edge", ""
+    for answer, words in zip(asks.answers, refused, strict=True):
+        assert re.search(words, str(answer)) if words else isinstance(answer, int)
+    assert {one.scene for one in asks.snapshots} == {Joystick(), floor(-3e-3), GOOD} and sent == {0, 1}
 
 
 # the command, with its process, in virtual time

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State
+from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.preflight import assess, on_device
 from maglev_mj.bridge.twin import twin as twins
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
@@ -90,6 +91,17 @@ def test_a_device_renders_as_the_plants(seed: int, device: str, monkeypatch: pyt
             bound = 1e-15 if seed % 2 == 0 else 1e-5
             assert np.abs(np.array(poses) - simulated(made, controller, start))[:, :3].max() < bound
     assert min(pose[2] for pose in poses) < 0.0 and max(pose[0] for pose in poses) > 3e-4
+
+
+@pytest.mark.parametrize("device", ["exact", C])
+def test_a_repeated_answer_changes_nothing(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if device == "c":
+        monkeypatch.setattr(twins, "Firmware", CoreFirmware)
+    controller, start = walls(0)
+    parameters, send = TwinParameters(**QUIET, pose=start, lockstep=True), Connection.command
+    _, once = flown(controller, parameters)
+    monkeypatch.setattr(Connection, "command", lambda *answer: (send(*answer), send(*answer)))
+    assert np.array_equal(once, flown(controller, parameters)[1])
 
 
 @pytest.mark.parametrize("on", ["device", "host"])

@@ -33,9 +33,11 @@ from maglev_mj.session import (
     settable_parameters,
 )
 from maglev_mj.session.actions import actions
+from maglev_mj.session.margin import STABILITY
 from maglev_mj.session.replay import rebuild
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.views.readings import readings
 from maglev_mj.views.viewer_process import RemoteViewer
 from tests.session.test_session_states import Program
 
@@ -184,6 +186,7 @@ ACTS: dict[str, Callable[[Snapshot, Snapshot], bool]] = {
     "delay up": lambda before, after: after.scene.delay > before.scene.delay,
     "delay down": lambda before, after: after.scene.delay < before.scene.delay,
     "wall": of_scene(wall=False),
+    "wall on": of_scene(wall_on="device"),
     "pulse": of_scene(pulse=False),
     "friction": of_scene(friction=True),
     "stiffness up": lambda before, after: after.scene.as_json()["stiffness"] > 6000.0,
@@ -229,6 +232,29 @@ def test_the_same_hand_acts_again_after_a_rewind_and_no_action_is_unknown() -> N
     session.act("rewind")
     session.act("repeat the hand's motion")
     assert session.snapshot().state == "running" and session.snapshot().time == pytest.approx(0.2)
+
+
+def test_walls_move_to_the_device_and_back_under_the_mouse() -> None:
+    stiff = Joystick(stiffness=60e3, damping=200.0)
+    for scene, words in ((stiff, "unstable on x"), (stiff.replace(wall_on="device"), "stable: 29 % of critical")):
+        assert words in STABILITY.of(made(scene).snapshot(), wait=True).words
+    session = made()
+    session.hand.target = [0.016, 0.0, 0.0, 0.0, 0.0, 0.0]
+    after(session, 0.6)
+    for place in ("device", "host", "device"):
+        session.act("wall on")
+        depth, moved = session.snapshot().pose[0], []
+        for _ in range(40):
+            session.tick(0.005)
+            moved.append(session.snapshot().pose[0] - depth)
+        view, intervals = session.snapshot(), len(session._segment.plant._last_intervals)
+        # rendered every millisecond or every period, without a bump; the force shown includes the walls
+        assert view.scene.as_json()["wall_on"] == place and (intervals >= 5) is (place == "device")
+        assert np.abs(moved).max() < 1e-5 and view.hand[0] > 2.0
+        assert view.force == pytest.approx(-view.hand, abs=0.02)
+        assert ("wall on device" in {row.name: row.value for row in readings(view)}["active"]) is (place == "device")
+    session.rewind(view.time - 0.2, again=True)
+    assert np.array_equal(after(session, 0.2).snapshot().pose, view.pose)
 
 
 class Stepper(Joystick):

@@ -72,7 +72,7 @@ def test_a_change_that_is_refused_changes_nothing(given: dict[str, Any], said: s
     [
         ({"period": 0.001}, "period is set by the device or the local user; other programs cannot change it"),
         ({"delay": 0.0}, "delay is set by the device or the local user; other programs cannot change it"),
-        ({"stifness": 5.0, "scene": 1}, "parameters must be among wall, pulse, .*, walls [(]got scene, stifness"),
+        ({"stifness": 5.0, "scene": 1}, "parameters must be among wall, wall_on, .*, walls [(]got scene, stifness"),
         ({"damping": 10**400}, r"damping must be a finite number between 0 and 10000.* \(got 1000"),
         ({"walls": b"z"}, r"a wall must be \[axis, normal, edge\] \(got 122"),
     ],

@@ -75,16 +75,17 @@ class Walls:
         return Fault(0)
 
     def command(self, walls: Sequence[Wall], due: int, currents: Sequence[Sequence[float]]) -> None:
-        """Replace the walls at a time [ns]; a replacement that is still pending is made now.
+        """Replace the walls at a time [ns].
 
+        A replacement that is still pending is made now, but replaced by that of the same answer, repeated.
         `currents` are those that the host's part may have from then on [A], six each.
         """
         if not (walls or self.active):
             return
-        if self._pending is not None:
+        if self._pending is not None and due > self._due:
             self._switch()
         peak = [max(map(abs, coil)) for coil in zip(*currents)]
-        self._peaks = self._peaks[1] if self.active else peak, peak
+        self._peaks = self._peaks[self._pending is None] if self.active else peak, peak
         self._pending, self._due, self.active = walls, due, True
 
     def _switch(self) -> None:
