@@ -224,6 +224,25 @@ def load_model(
     return device
 
 
+def drawn_model(model: Model, device: Device | None = None) -> CompiledModel:
+    """Compile a scene's model for display, with a device in place of the published joystick.
+
+    Raises:
+        ModelError: If the file is missing or invalid.
+    """
+    if device is None or device.published or not isinstance(model, str | Path):
+        return load_model(model, lean=False)
+    files = dict(model_files(model))
+    if "maglev.xml" not in files:
+        return load_model(model, lean=False)
+    first, *_ = files
+    files["maglev.xml"] = device.mjcf()
+    spec = mujoco.MjSpec.from_string(files[first], include={name: text.encode() for name, text in files.items()})
+    if (ring := spec.geom("ring")) is not None:
+        spec.delete(ring)  # a part of the published stator
+    return load_model(spec, lean=False, coils=device.coils is not None)
+
+
 class Body(NamedTuple):
     """Flotor and limits of a device.
 
