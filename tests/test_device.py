@@ -7,15 +7,20 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from maglev_mj import Device, ExactPlant, load_model
 from maglev_mj.device import devices
 from maglev_mj.errors import ParameterError
-from maglev_mj.plants.model import body_of
+from maglev_mj.plants.model import body_of, model_path
 from maglev_mj.plants.sensor import beams
+from maglev_mj.scenes.interactive import Joystick
+from maglev_mj.session import Session
+from maglev_mj.session.session import device_controller
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, INERTIA, RANGE, RESOLUTION, Spec
+from maglev_mj.studies.stability_map import RestingWall, _controller
 
 DEVICES = {name: Device.load(name) for name in devices()}
 COILS = [name for name, device in DEVICES.items() if device.coils is not None]
@@ -105,7 +110,25 @@ def test_the_published_device_is_that_of_the_paper_and_of_its_model() -> None:
         np.testing.assert_allclose(getattr(device.coils, name), getattr(model.coils, name), atol=1e-15)
     for name in ("leds", "directions", "diodes", "across"):
         np.testing.assert_allclose(getattr(device.sensor, name), getattr(sensor, name), atol=1e-15)
-    np.testing.assert_allclose(body_of({"model": device}).force_limit, body_of({}).force_limit)
+    limits = [body_of(keywords).force_limit for keywords in ({}, {"model": device}, {"model": "drop"})]
+    assert limits[:2] == [Spec.largest_vertical_force.value] * 2 and limits[2] == pytest.approx(limits[0])
+
+
+def test_the_force_limit_of_your_own_model_is_that_of_its_current_limit() -> None:
+    spec = mujoco.MjSpec.from_file(str(model_path("drop")))
+    spec.actuators[1].ctrlrange = [-5.0, 5.0]
+    assert body_of({"model": spec}).force_limit == pytest.approx(30.0)
+
+
+def test_held_axes_weight_and_drop_follow_the_device_in_use() -> None:
+    walls = {name: RestingWall(device=name, period=1e-3, delay=1e-3, mass=0.3) for name in ("ubc", "stage")}
+    stiffness = {name: _controller([wall]).laws[1].stiffness[2:] for name, wall in walls.items()}  # of rotations
+    ratio = DEVICES["stage"].inertia[3:] / DEVICES["ubc"].inertia[3:]
+    np.testing.assert_allclose(stiffness["stage"] / stiffness["ubc"], ratio)
+    assert device_controller(Joystick(device="stage")).carried[2] == pytest.approx(0.3 * 9.81)
+    session = Session(Joystick(device="stage"))
+    session.act("drop")
+    assert session.snapshot().pose[2] == pytest.approx(4.0 / 4.5 * 2e-3)
 
 
 @pytest.mark.parametrize("name", DEVICES)

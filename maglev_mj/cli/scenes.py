@@ -147,7 +147,7 @@ def view(
     from maglev_mj.session import Session
     from maglev_mj.theory import stated_gains
 
-    hand = SpringHand.of_mouse(hand_stiffness)
+    hand = SpringHand.of_mouse(hand_stiffness, scene.device)
     controller = started(scene)  # raises errors of a user's scene before a page opens
     if stated_gains(controller) is not None and (warning := stability_warning(scene)):  # else the viewer computes it
         print(Table("", (), (), warnings=[warning]), file=sys.stderr)

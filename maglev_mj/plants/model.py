@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.device import COILS, Device
+from maglev_mj.device import COILS, PUBLISHED, Device
 from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_message
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
@@ -22,7 +22,7 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import LAG, flag, number, numbers
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand
-from maglev_mj.spec import GRAVITY, INERTIA, RANGE, Spec
+from maglev_mj.spec import Spec
 from maglev_mj.versions import MODELS
 
 JOINTS = ("x", "y", "z", "rotation")
@@ -127,6 +127,12 @@ class CompiledModel:
         options = self.model.opt
         disabled = options.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
         return np.zeros(3) if disabled else np.array(options.gravity)
+
+    @property
+    def current_limit(self) -> float:
+        """Smallest current limit of the coils [A]; the published one where they have none."""
+        limited, currents = self.model.actuator_ctrllimited[: len(COILS)], self.model.actuator_ctrlrange[: len(COILS)]
+        return float(np.where(limited, currents[:, 1], Spec.peak_current.value).min())
 
     @property
     def mass_matrix(self) -> Array:
@@ -250,7 +256,7 @@ class Body(NamedTuple):
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         gravity: Gravitational acceleration in stator axes [m/s²], (3,).
         range: Range of motion to either side [m, rad], (6,); infinite without a stop.
-        force_limit: Largest force along z at the published peak current [N]; infinite without coils.
+        force_limit: Largest force along z at the current limit [N]; infinite without coils.
     """
 
     inertia: Array
@@ -266,8 +272,9 @@ class Body(NamedTuple):
     @property
     def bounded(self) -> Body:
         """The same device, with the published range and force limit where its own are infinite."""
-        limit = self.force_limit if math.isfinite(self.force_limit) else Spec.largest_vertical_force.value
-        return self._replace(range=np.where(np.isfinite(self.range), self.range, RANGE), force_limit=limit)
+        published = Device.load(PUBLISHED)
+        limit = self.force_limit if math.isfinite(self.force_limit) else float(published.force_limit[2])
+        return self._replace(range=np.where(np.isfinite(self.range), self.range, published.reach), force_limit=limit)
 
 
 def body_of(keywords: Mapping[str, Any]) -> Body:
@@ -276,12 +283,12 @@ def body_of(keywords: Mapping[str, Any]) -> Body:
     Raises:
         ModelError: If its model is invalid.
     """
-    body = Body(np.array(INERTIA), np.array([0.0, 0.0, -GRAVITY]), np.array(RANGE), Spec.largest_vertical_force.value)
-    if isinstance(model := keywords.get("model"), Device):
+    model = keywords.get("model") or Device.load(PUBLISHED)
+    if isinstance(model, Device):
         body = Body(model.inertia.copy(), np.array(model.body.gravity), model.reach, float(model.force_limit[2]))
-    elif model is not None:
+    else:
         device = load_model(model, **{name: keywords[name] for name in ("coils", "coil_map") if name in keywords})
-        limits = () if device.coils is None else device.coils.largest_wrench(Spec.peak_current.value)[2:3]
+        limits = () if device.coils is None else device.coils.largest_wrench(device.current_limit)[2:3]
         inertia = np.array([device.mass] * 3 + device.inertia.tolist())
         body = Body(inertia, device.gravity, device.range[[0, 1, 2, 3, 3, 3]], float(min(limits, default=math.inf)))
     for name, axes in (("mass", slice(3)), ("inertia", slice(3, None))):

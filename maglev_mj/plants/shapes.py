@@ -303,7 +303,7 @@ def _measure(device: CompiledModel) -> dict[str, Any]:
     assert coils is not None  # loaded with coils
     radius, height = envelope(device)
     gains = model.actuator_gainprm[: len(COILS), 0]
-    peak = float(model.actuator_ctrlrange[: len(COILS), 1].min())
+    peak = device.current_limit
     arms = np.linalg.norm(np.cross(coils.points, coils.directions), axis=1)
     loop = {"period": 1.0 / Spec.control_rate.value, "delay": Spec.transport_delay.value}
     hover = coils.currents(np.array([0.0, 0.0, device.mass * GRAVITY, 0.0, 0.0, 0.0]))
