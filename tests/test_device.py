@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -122,7 +123,8 @@ def test_the_force_limit_of_your_own_model_is_that_of_its_current_limit() -> Non
 
 def test_held_axes_weight_and_drop_follow_the_device_in_use() -> None:
     walls = {name: RestingWall(device=name, period=1e-3, delay=1e-3, mass=0.3) for name in ("ubc", "stage")}
-    stiffness = {name: _controller([wall]).laws[1].stiffness[2:] for name, wall in walls.items()}  # of rotations
+    held: dict[str, Any] = {name: _controller([wall]).laws[1] for name, wall in walls.items()}
+    stiffness = {name: law.stiffness[2:] for name, law in held.items()}  # of rotations
     ratio = DEVICES["stage"].inertia[3:] / DEVICES["ubc"].inertia[3:]
     np.testing.assert_allclose(stiffness["stage"] / stiffness["ubc"], ratio)
     assert device_controller(Joystick(device="stage")).carried[2] == pytest.approx(0.3 * 9.81)
