@@ -252,4 +252,4 @@ def test_a_measured_motion_is_the_path_of_a_hand(tmp_path: Path) -> None:
     assert np.abs(np.diff(path) / np.diff(fine)).max() < 1.03 * amplitude * rate  # does not stop at each sample
     assert len(segment) * period > 1.0 and np.ptp(segment.position[:, 0]) > 0.1 * amplitude
     guided = Press().guided(target).scripted_hand()
-    assert isinstance(guided, GuidedHand) and guided.hand == Press().impedance and guided.path is target
+    assert isinstance(guided, GuidedHand) and guided.hand.values == Press().impedance.values and guided.path is target
