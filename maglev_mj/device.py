@@ -37,6 +37,8 @@ def _array(name: str, shape: str, unit: str, default: Any = None, *, optional: b
 
 def _parsed(name: str, shape: str, bounds: Mapping[str, Any], value: Any) -> Any:
     """Return a checked array as nested tuples."""
+    if name == "points" and isinstance(value, Sequence) and len(value) != len(COILS):
+        raise ParameterError(f"points must be six, as the protocol carries six currents (got {len(value)})")
     array = numbers(name, value, shape=shape, **bounds)
     if name in ("directions", "across"):
         lengths = np.linalg.norm(array, axis=-1)

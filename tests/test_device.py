@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import Device, ExactPlant, load_model
+from maglev_mj.cli import main
 from maglev_mj.device import devices
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.model import body_of, model_path
@@ -169,3 +170,62 @@ def test_the_page_names_every_key() -> None:
         if section != "axes"
     }
     assert named - {"ubc.toml", "stage.toml", "arm.toml"} == every
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("mass", lambda spec: setattr(spec.body("flotor"), "mass", 0.31), "mass must be that of the device, 0.3 kg"),
+        ("inertia", lambda spec: setattr(spec.body("flotor"), "inertia", [2e-4] * 3), "inertia must be that of"),
+        ("range", lambda spec: setattr(spec.joint("z"), "range", [-3e-3, 3e-3]), "range must be that of the device"),
+        (
+            "coil",
+            lambda spec: setattr(spec.site("vertical1"), "pos", [0.0, 0.03, 0.004]),
+            "point of coil vertical1",
+        ),
+        (
+            "gear",
+            lambda spec: setattr(spec.actuators[3], "gear", [0, 0.98, 0.2, 0, 0, 0]),
+            "direction of coil horizontal0",
+        ),
+        (
+            "gain",
+            lambda spec: spec.actuators[2].gainprm.__setitem__(0, 1.2),
+            "force constant of coil vertical2",
+        ),
+        ("limit", lambda spec: setattr(spec.actuators[0], "ctrlrange", [-9.0, 9.0]), "current limit must be that of"),
+    ],
+    ids=lambda value: value if isinstance(value, str) and " " not in value else "",
+)
+def test_your_own_model_is_checked_against_the_device(
+    name: str, change: Any, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spec, path = mujoco.MjSpec.from_string(DEVICES["stage"].mjcf()), tmp_path / "mine.xml"
+    path.write_text(spec.to_xml())
+    assert not main(["info", "--device", "stage", "--model", str(path)])
+    change(spec)
+    path.write_text(spec.to_xml())
+    assert main(["info", "--device", "stage", "--model", str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f"maglev-mj info: {message}")
+
+
+@pytest.mark.parametrize("name", ["ubc", "stage"])
+def test_the_firmware_s_header_has_the_limits_of_the_device(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert not main(["info", "--device", name, "--header"])
+    members = dict(re.findall(r"\.(\w+) = (\{[^}]*\}|[^ ,\n]+)", capsys.readouterr().out))
+    device, struct = DEVICES[name], Path("scripts/firmware/maglev_firmware.h").read_text()
+    assert device.coils is not None
+    fields = re.search(r"struct maglev_profile \{(.*?)\n\};", struct, re.S)
+    assert fields is not None  # all but the key, which the build adds
+    declared = set(re.findall(r"^ +\w+ (\w+)(?:\[\w+\])?;", fields[1], re.M))
+    assert declared - members.keys() == {"key", "key_length"} and not members.keys() - declared
+    limits = [float(members[part]) for part in ("current_limit", "continuous_current", "thermal_time")]
+    assert limits == [device.coils.current_limit, device.coils.continuous_current, device.coils.thermal_time]
+    assert int(members["period"]) == round(device.period * 1e9) and members["lockstep"] == "0"
+    assert bytes(map(int, members["calibration"].strip("{}").split(", "))) == device.digest
+
+
+def test_seven_coils_are_refused_in_one_line() -> None:
+    text = DEVICES["stage"].toml().replace("points = [[", "points = [[0.0, 0.0, 0.0], [")
+    with pytest.raises(ParameterError, match=r"^coils.points must be six, as .* six currents \(got 7\)$"):
+        Device.parse(text)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
+
+import numpy as np
 
 from maglev_mj.bridge.wire import VERSION, Fault, HelloAck, Wall
 from maglev_mj.control.timeline import Timeline, Timing
@@ -57,6 +59,15 @@ class Limits(Parameters):
     stiffness_limit: float = param("stiffness limit of a wall", "N/m", default=1e5, at_least=0.0, at_most=1e8)
     damping_limit: float = param("damping limit of a wall", "N s/m", default=400.0, at_least=0.0, at_most=1e6)
     edge_speed: float = param("speed limit of a wall's edge", "m/s", default=0.1, at_least=0.0, at_most=10.0)
+
+
+def macro(name: str, members: Mapping[str, Any]) -> str:
+    """Return a C macro that initialises the members of a structure by name."""
+    lines = []
+    for member, value in members.items():
+        numbers = ", ".join(repr(x) for x in (1 * np.ravel(value)).tolist())  # true as 1
+        lines.append(f".{member} = {{{numbers}}}" if np.ndim(value) else f".{member} = {numbers}")
+    return f"#define {name} \\\n    " + ", \\\n    ".join(lines)
 
 
 def limits_of(device: Device) -> Limits:
@@ -148,6 +159,17 @@ class Profile:
         """Limits as HELLO_ACK states them, by name: times in whole nanoseconds."""
         limits = {name: getattr(self.limits, name) for name in _LIMITS}
         return limits | {name: round(limits[name] * 1e9) for name in _NANOSECONDS}
+
+    def header(self, **more: Any) -> str:
+        """Return the C macro PROFILE, the firmware's `struct maglev_profile`; `more` adds or replaces members."""
+        maps = self.wall_maps
+        members: dict[str, Any] = {
+            name: getattr(self, name) for name in ("period", "delay", "wall_period", "wall_delay")
+        }
+        if maps is not None:
+            members |= {"spots": maps.spots, "pose": maps.pose_per_spot, "current": maps.current_per_wrench}
+        members |= self.stated | {"device": self.number, "calibration": [*self.calibration], "lockstep": self.lockstep}
+        return macro("PROFILE", members | more)
 
     @classmethod
     def of(cls, answer: HelloAck) -> Self:

@@ -249,6 +249,32 @@ def drawn_model(model: Model, device: Device | None = None) -> CompiledModel:
     return load_model(spec, lean=False, coils=device.coils is not None)
 
 
+def check_model(model: Model, device: Device) -> None:
+    """Check a model against a device within 0.1 %: mass, inertia, range and coils.
+
+    Raises:
+        ModelError: If a value differs; the first one is named. See also `load_model`.
+    """
+    loaded, part = load_model(model, coils=device.coils is not None), device.coils
+    range_ = [*device.reach[:3], device.reach[3:].min()]
+    values: dict[str, tuple[Any, Any, str]] = {
+        "mass": (loaded.mass, device.mass, "kg"),
+        "inertia": (loaded.inertia, device.body.inertia, "kg m²"),
+        "range": (loaded.range, range_ if device.range.stops else loaded.range, "m, rad"),
+    }
+    if part is not None and (coils := loaded.coils) is not None:
+        for index, name in enumerate(COILS):
+            point = np.array(part.points[index]) - device.body.centre_of_mass
+            values[f"point of coil {name} from the centre of mass"] = coils.points[index], point, "m"
+            values[f"direction of coil {name}"] = coils.directions[index], part.directions[index], ""
+            values[f"force constant of coil {name}"] = coils.force_constants[index], part.force_constants[index], "N/A"
+        values["current limit"] = loaded.current_limit, part.current_limit, "A"
+    for name, (own, stated, unit) in values.items():
+        if not np.allclose(own, stated, rtol=0.0, atol=1e-3 * np.abs(np.nan_to_num(stated, posinf=0.0)).max()):
+            texts = [", ".join(f"{x:.6g}" for x in np.ravel(value)) for value in (stated, own)]
+            raise ModelError(f"{name} must be that of the device, {texts[0]} {unit}".rstrip() + f" (got {texts[1]})")
+
+
 class Body(NamedTuple):
     """Flotor and limits of a device.
 
