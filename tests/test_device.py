@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from maglev_mj import Device, ExactPlant, load_model
+from maglev_mj.bridge.commissioning.calibration import Calibration
+from maglev_mj.bridge.safety import limits_of
+from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.cli import main
 from maglev_mj.device import devices
 from maglev_mj.errors import ParameterError
@@ -229,3 +232,13 @@ def test_seven_coils_are_refused_in_one_line() -> None:
     text = DEVICES["stage"].toml().replace("points = [[", "points = [[0.0, 0.0, 0.0], [")
     with pytest.raises(ParameterError, match=r"^coils.points must be six, as .* six currents \(got 7\)$"):
         Device.parse(text)
+
+
+def test_the_position_limit_of_a_pose_sensor_covers_the_range() -> None:
+    stage = DEVICES["stage"]
+    wide = stage.change("range", translation=(0.015, 0.015, 0.015))
+    assert [limits_of(device).spot_limit for device in (stage, wide)] == [0.012, pytest.approx(0.04)]
+    turned = stage.change("sensor", lever=0.2)  # whose rotations are sent as 14 mm
+    assert limits_of(turned).spot_limit == pytest.approx(12.0 / 4.5 * 0.2 * math.radians(4.0))
+    assert limits_of(stage.change("range", translation=(math.inf,) * 3)).spot_limit == 0.1
+    assert TwinParameters(calibration=Calibration.of(wide)).profile.limits.spot_limit == pytest.approx(0.04)

@@ -34,6 +34,8 @@ _STALE = 4
 """Periods after which an answer is stale, unless stated otherwise."""
 _HEADROOM = 1.25
 """Factor over the weight and the hover currents, as headroom for control."""
+_ROOM = 12.0 / 4.5
+"""Position limit of a pose sensor in ranges, as that of the published spots."""
 _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
 """Bounds of reported temperatures; ratio of a measured current to the limit that counts as overcurrent."""
 
@@ -77,6 +79,9 @@ def limits_of(device: Device) -> Limits:
         return Limits()
     steady = coils.continuous_current
     own = Limits(current_limit=coils.current_limit, continuous_current=steady, hover_limit=steady)
+    farthest = _ROOM * max(*device.range.translation, device.sensor.lever * float(device.reach[3:].max()))
+    if device.sensor.kind == "pose":  # whose values are the pose itself
+        own = own.replace(spot_limit=min(max(own.spot_limit, farthest), 0.1))
     return own.replace(thermal_time=coils.thermal_time)
 
 
