@@ -272,7 +272,7 @@ class Device:
     @cached_property
     def published(self) -> bool:
         """True for the published joystick, under any name."""
-        return self.digest == Device.load(PUBLISHED).digest
+        return self.digest == published_device().digest
 
     @cached_property
     def mass(self) -> float:
@@ -400,13 +400,17 @@ class OnDevice(Parameters):
     @cached_property
     def hardware(self) -> Device:
         """Description of the device."""
-        return _of_package(PUBLISHED) if self.device == PUBLISHED else Device.load(self.device)
+        return published_device() if self.device == PUBLISHED else Device.load(self.device)
 
 
 @cache
 def _of_package(name: str) -> Device:
     check_one_of("device", devices(), name, ", or a file .toml")
     return read_file("device file", _FOLDER / f"{name}.toml", Device.parse)
+
+
+published_device = partial(_of_package, PUBLISHED)
+"""Return the published joystick."""
 
 
 def devices() -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.device import COILS, PUBLISHED, Device
+from maglev_mj.device import COILS, Device, published_device
 from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_message
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
@@ -298,7 +298,7 @@ class Body(NamedTuple):
     @property
     def bounded(self) -> Body:
         """The same device, with the published range and force limit where its own are infinite."""
-        published = Device.load(PUBLISHED)
+        published = published_device()
         limit = self.force_limit if math.isfinite(self.force_limit) else float(published.force_limit[2])
         return self._replace(range=np.where(np.isfinite(self.range), self.range, published.reach), force_limit=limit)
 
@@ -309,7 +309,7 @@ def body_of(keywords: Mapping[str, Any]) -> Body:
     Raises:
         ModelError: If its model is invalid.
     """
-    model = keywords.get("model") or Device.load(PUBLISHED)
+    model = keywords.get("model") or published_device()
     if isinstance(model, Device):
         body = Body(model.inertia.copy(), np.array(model.body.gravity), model.reach, float(model.force_limit[2]))
     else:
