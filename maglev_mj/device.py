@@ -38,6 +38,8 @@ def _array(name: str, shape: str, unit: str, default: Any = None, *, optional: b
 
 def _parsed(name: str, shape: str, bounds: Mapping[str, Any], value: Any) -> Any:
     """Return a checked array as nested tuples."""
+    if name == "points" and isinstance(value, Sequence) and len(value) != len(COILS):
+        raise ParameterError(f"points must be six, as the protocol carries six currents (got {len(value)})")
     array = numbers(name, value, shape=shape, **bounds)
     if name in ("directions", "across"):
         lengths = np.linalg.norm(array, axis=-1)
@@ -138,10 +140,25 @@ class Loop(Parameters):
 
 
 class Knob(Parameters):
-    """Sphere at which a hand holds the body: radius, and height above the centre of mass."""
+    """Knob at which a hand holds the body: radius, and height above the centre of mass."""
 
     radius: float = param("radius", "m", default=0.0165, above=0.0, at_most=1.0)
     height: float = param("height", "m", default=0.079, at_least=-1.0, at_most=1.0)
+
+    @cached_property
+    def centre(self) -> Array:
+        """Centre of the knob in moving axes [m], (3,)."""
+        return _frozen([0.0, 0.0, self.height])
+
+    @cached_property
+    def half(self) -> Array:
+        """Half lengths of the drawn knob, a flattened sphere [m], (3,)."""
+        return self.radius * np.array([1.0, 1.0, 25.0 / 33.0])
+
+    @cached_property
+    def bottom(self) -> float:
+        """Height of the drawn knob's lower side [m]."""
+        return self.height - self.radius * 38.0 / 55.0
 
 
 _SECTIONS: Mapping[str, type[Parameters]] = {
@@ -256,7 +273,7 @@ class Device:
     @cached_property
     def published(self) -> bool:
         """True for the published joystick, under any name."""
-        return self.digest == Device.load(PUBLISHED).digest
+        return self.digest == published_device().digest
 
     @cached_property
     def mass(self) -> float:
@@ -295,7 +312,7 @@ class Device:
             assert self.force is not None
             return _frozen([*self.force.limit, 0.0, 0.0, 0.0])
         inverse = np.linalg.inv(self.coils.wrench_per_current(self.body.centre_of_mass))
-        return _frozen(self.coils.current_limit / np.abs(inverse).max(axis=0))
+        return _frozen(np.round(self.coils.current_limit / np.abs(inverse).max(axis=0), 12))
 
     @cached_property
     def escape(self) -> float:
@@ -326,13 +343,13 @@ class Device:
         return (0.0, 0.0, low, 0.0, 0.0, 0.0)
 
     def mjcf(self) -> str:
-        """Return the bare device as MJCF: the flotor with its joints, and a site and an actuator per coil."""
+        """Return the bare device as MJCF: the flotor with its joints and knob, and a site and an actuator per coil."""
         move, turn = self.range.translation, min(self.range.rotation_deg)
         joints = [
             _joint(x, "slide", -end, end, f'axis="{_row(np.eye(3)[k])}"') for k, (x, end) in enumerate(zip("xyz", move))
         ]
         joints.append(_joint("rotation", "ball", 0.0, turn))
-        sites, actuators = list[str](), list[str]()
+        parts, actuators = [_rod(0.5 * self.knob.radius, self.knob.centre)], list[str]()
         if (part := self.coils) is not None:
             rows = zip(
                 COILS,
@@ -342,22 +359,33 @@ class Device:
                 strict=True,
             )
             for name, point, direction, constant in rows:
-                sites.append(f'<site name="{name}" pos="{_row(point)}"/>')
+                winding = f'type="cylinder" size="{_row(self.knob.half[1:] * [0.6, 0.2])}" zaxis="{_row(direction)}"'
+                parts.append(_rod(0.1 * self.knob.radius, point))
+                parts.append(f'<geom {winding} pos="{_row(point)}" material="copper"/>')
+                parts.append(f'<site name="{name}" pos="{_row(point)}"/>')
                 limits = f'ctrllimited="true" ctrlrange="{_row([-part.current_limit, part.current_limit])}"'
                 force = f'gear="{_row(direction)} 0 0 0" gainprm="{constant:.17g}"'
                 actuators.append(f'<general name="{name}" site="{name}" refsite="stator" {force} {limits}/>')
         return f"""<mujoco model="device">
   <compiler angle="degree"/>
   <option gravity="{_row(self.body.gravity)}"/>
-  <default><joint solreflimit="0.004 1" solimplimit="0.99 0.995 0.0005"/><geom contype="0" conaffinity="0"/></default>
+  <default>
+    <joint solreflimit="0.004 1" solimplimit="0.99 0.995 0.0005"/>
+    <geom contype="0" conaffinity="0" mass="0" material="grip"/>
+    <site group="4"/>
+  </default>
+  <asset>
+    <material name="copper" rgba="0.42 0.25 0.17 1" specular="0.9" shininess="0.7"/>
+    <material name="grip" rgba="0.11 0.11 0.12 1" specular="0.35" shininess="0.2"/>
+  </asset>
   <custom><numeric name="driver_time_constant" data="{self.driver.time_constant:.17g}"/></custom>
   <worldbody>
     <site name="stator"/>
     <body name="flotor">
       {"".join(joints)}
       <inertial pos="0 0 0" mass="{self.mass:.17g}" diaginertia="{_row(self.body.inertia)}"/>
-      <geom type="sphere" size="{self.knob.radius:.17g}" pos="0 0 {self.knob.height:.17g}"/>
-      {"".join(sites)}
+      <geom type="ellipsoid" size="{_row(self.knob.half)}" pos="{_row(self.knob.centre)}"/>
+      {"".join(parts)}
     </body>
   </worldbody>
   <actuator>{"".join(actuators)}</actuator>
@@ -379,13 +407,17 @@ class OnDevice(Parameters):
     @cached_property
     def hardware(self) -> Device:
         """Description of the device."""
-        return _of_package(PUBLISHED) if self.device == PUBLISHED else Device.load(self.device)
+        return published_device() if self.device == PUBLISHED else Device.load(self.device)
 
 
 @cache
 def _of_package(name: str) -> Device:
     check_one_of("device", devices(), name, ", or a file .toml")
     return read_file("device file", _FOLDER / f"{name}.toml", Device.parse)
+
+
+published_device = partial(_of_package, PUBLISHED)
+"""Return the published joystick."""
 
 
 def devices() -> tuple[str, ...]:
@@ -431,6 +463,11 @@ def _frozen(values: Any) -> Array:
 
 def _row(values: Any) -> str:
     return " ".join(f"{value:.17g}" for value in np.ravel(values))
+
+
+def _rod(radius: float, end: Array) -> str:
+    """Return a rod from the centre; MuJoCo refuses one without length."""
+    return f'<geom type="capsule" size="{radius:.17g}" fromto="0 0 0 {_row(end)}"/>' if np.any(end) else ""
 
 
 def _joint(name: str, kind: str, low: float, high: float, more: str = "") -> str:

@@ -37,7 +37,6 @@ class Spec:
     rotation_range: Quantity = Quantity(6.0, "deg", TABLE)
     translation_resolution: Quantity = Quantity(5e-6, "m", TABLE)
     rotation_resolution: Quantity = Quantity(10e-6, "rad", TABLE)
-    force_frequency_response: Quantity = Quantity(3000.0, "Hz", TABLE)
     translation_bandwidth: Quantity = Quantity(30.0, "Hz", TABLE)
     rotation_bandwidth: Quantity = Quantity(15.0, "Hz", TABLE)
     force_constant: Quantity = Quantity(2.0, "N/A", TABLE)

@@ -32,7 +32,7 @@ def versions() -> dict[str, str]:
 
     Returns:
         maglev_mj, python, mujoco and numpy: their versions; "none" for mujoco if it is not installed.
-        sources: First 16 digits of the SHA-256 of package and models; equal for a clone and its wheel.
+        sources: First 16 digits of the SHA-256 of package, models and devices; equal for a clone and its wheel.
     """
     return dict(_versions())
 
@@ -92,7 +92,7 @@ def _versions() -> Versions:
 def _digest() -> str:
     texts = [
         f"{path.relative_to(folder).as_posix()}\n{path.read_text(encoding='utf-8')}"  # independent of line endings
-        for folder, files in ((_PACKAGE, "*.py"), (MODELS, "*.xml"))
+        for folder, files in ((_PACKAGE, "*.py"), (MODELS, "*.xml"), (MODELS, "*.toml"))
         for path in sorted(folder.rglob(files), key=Path.as_posix)
     ]
     return hash_of("\0".join(texts))

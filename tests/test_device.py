@@ -6,16 +6,26 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from maglev_mj import Device, ExactPlant, load_model
+from maglev_mj.bridge.commissioning.calibration import Calibration
+from maglev_mj.bridge.safety import limits_of
+from maglev_mj.bridge.twin.twin import TwinParameters
+from maglev_mj.cli import main
 from maglev_mj.device import devices
 from maglev_mj.errors import ParameterError
-from maglev_mj.plants.model import body_of
+from maglev_mj.plants.model import body_of, model_path
 from maglev_mj.plants.sensor import beams
+from maglev_mj.scenes.interactive import Joystick
+from maglev_mj.session import Session
+from maglev_mj.session.session import device_controller
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, INERTIA, RANGE, RESOLUTION, Spec
+from maglev_mj.studies.stability_map import RestingWall, _controller
 
 DEVICES = {name: Device.load(name) for name in devices()}
 COILS = [name for name, device in DEVICES.items() if device.coils is not None]
@@ -105,7 +115,26 @@ def test_the_published_device_is_that_of_the_paper_and_of_its_model() -> None:
         np.testing.assert_allclose(getattr(device.coils, name), getattr(model.coils, name), atol=1e-15)
     for name in ("leds", "directions", "diodes", "across"):
         np.testing.assert_allclose(getattr(device.sensor, name), getattr(sensor, name), atol=1e-15)
-    np.testing.assert_allclose(body_of({"model": device}).force_limit, body_of({}).force_limit)
+    limits = [body_of(keywords).force_limit for keywords in ({}, {"model": device}, {"model": "drop"})]
+    assert limits[:2] == [Spec.largest_vertical_force.value] * 2 and limits[2] == pytest.approx(limits[0])
+
+
+def test_the_force_limit_of_your_own_model_is_that_of_its_current_limit() -> None:
+    spec = mujoco.MjSpec.from_file(str(model_path("drop")))
+    spec.actuators[1].ctrlrange = [-5.0, 5.0]
+    assert body_of({"model": spec}).force_limit == pytest.approx(30.0)
+
+
+def test_held_axes_weight_and_drop_follow_the_device_in_use() -> None:
+    walls = {name: RestingWall(device=name, period=1e-3, delay=1e-3, mass=0.3) for name in ("ubc", "stage")}
+    held: dict[str, Any] = {name: _controller([wall]).laws[1] for name, wall in walls.items()}
+    stiffness = {name: law.stiffness[2:] for name, law in held.items()}  # of rotations
+    ratio = DEVICES["stage"].inertia[3:] / DEVICES["ubc"].inertia[3:]
+    np.testing.assert_allclose(stiffness["stage"] / stiffness["ubc"], ratio)
+    assert device_controller(Joystick(device="stage")).carried[2] == pytest.approx(0.3 * 9.81)
+    session = Session(Joystick(device="stage"))
+    session.act("drop")
+    assert session.snapshot().pose[2] == pytest.approx(4.0 / 4.5 * 2e-3)
 
 
 @pytest.mark.parametrize("name", DEVICES)
@@ -144,3 +173,72 @@ def test_the_page_names_every_key() -> None:
         if section != "axes"
     }
     assert named - {"ubc.toml", "stage.toml", "arm.toml"} == every
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("mass", lambda spec: setattr(spec.body("flotor"), "mass", 0.31), "mass must be that of the device, 0.3 kg"),
+        ("inertia", lambda spec: setattr(spec.body("flotor"), "inertia", [2e-4] * 3), "inertia must be that of"),
+        ("range", lambda spec: setattr(spec.joint("z"), "range", [-3e-3, 3e-3]), "range must be that of the device"),
+        (
+            "coil",
+            lambda spec: setattr(spec.site("vertical1"), "pos", [0.0, 0.03, 0.004]),
+            "point of coil vertical1",
+        ),
+        (
+            "gear",
+            lambda spec: setattr(spec.actuators[3], "gear", [0, 0.98, 0.2, 0, 0, 0]),
+            "direction of coil horizontal0",
+        ),
+        (
+            "gain",
+            lambda spec: spec.actuators[2].gainprm.__setitem__(0, 1.2),
+            "force constant of coil vertical2",
+        ),
+        ("limit", lambda spec: setattr(spec.actuators[0], "ctrlrange", [-9.0, 9.0]), "current limit must be that of"),
+    ],
+    ids=lambda value: value if isinstance(value, str) and " " not in value else "",
+)
+def test_your_own_model_is_checked_against_the_device(
+    name: str, change: Any, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spec, path = mujoco.MjSpec.from_string(DEVICES["stage"].mjcf()), tmp_path / "mine.xml"
+    path.write_text(spec.to_xml())
+    assert not main(["info", "--device", "stage", "--model", str(path)])
+    change(spec)
+    path.write_text(spec.to_xml())
+    assert main(["info", "--device", "stage", "--model", str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f"maglev-mj info: {message}")
+
+
+@pytest.mark.parametrize("name", ["ubc", "stage"])
+def test_the_firmware_s_header_has_the_limits_of_the_device(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert not main(["info", "--device", name, "--header"])
+    members = dict(re.findall(r"\.(\w+) = (\{[^}]*\}|[^ ,\n]+)", capsys.readouterr().out))
+    device, struct = DEVICES[name], Path("scripts/firmware/maglev_firmware.h").read_text()
+    assert device.coils is not None
+    fields = re.search(r"struct maglev_profile \{(.*?)\n\};", struct, re.S)
+    assert fields is not None  # all but the key, which the build adds
+    declared = set(re.findall(r"^ +\w+ (\w+)(?:\[\w+\])?;", fields[1], re.M))
+    assert declared - members.keys() == {"key", "key_length"} and not members.keys() - declared
+    limits = [float(members[part]) for part in ("current_limit", "continuous_current", "thermal_time")]
+    assert limits == [device.coils.current_limit, device.coils.continuous_current, device.coils.thermal_time]
+    assert int(members["period"]) == round(device.period * 1e9) and members["lockstep"] == "0"
+    assert bytes(map(int, members["calibration"].strip("{}").split(", "))) == device.digest
+
+
+def test_seven_coils_are_refused_in_one_line() -> None:
+    text = DEVICES["stage"].toml().replace("points = [[", "points = [[0.0, 0.0, 0.0], [")
+    with pytest.raises(ParameterError, match=r"^coils.points must be six, as .* six currents \(got 7\)$"):
+        Device.parse(text)
+
+
+def test_the_position_limit_of_a_pose_sensor_covers_the_range() -> None:
+    stage = DEVICES["stage"]
+    wide = stage.change("range", translation=(0.015, 0.015, 0.015))
+    assert [limits_of(device).spot_limit for device in (stage, wide)] == [0.012, pytest.approx(0.04)]
+    turned = stage.change("sensor", lever=0.2)  # whose rotations are sent as 14 mm
+    assert limits_of(turned).spot_limit == pytest.approx(12.0 / 4.5 * 0.2 * math.radians(4.0))
+    assert limits_of(stage.change("range", translation=(math.inf,) * 3)).spot_limit == 0.1
+    assert TwinParameters(calibration=Calibration.of(wide)).profile.limits.spot_limit == pytest.approx(0.04)

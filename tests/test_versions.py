@@ -44,12 +44,13 @@ print(json.dumps(versions.versions()))
 """
 
 
-def test_a_copy_has_the_same_sources_and_one_changed_byte_gives_others(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["drop.xml", "devices/stage.toml"])
+def test_a_copy_has_the_same_sources_and_one_changed_byte_gives_others(tmp_path: Path, name: str) -> None:
     # As a wheel has them: the models inside the package.
     shutil.copytree(ROOT / "maglev_mj", tmp_path / "maglev_mj")
     shutil.copytree(ROOT / "model", tmp_path / "maglev_mj" / "model")
 
-    drop = tmp_path / "maglev_mj" / "model" / "drop.xml"
+    drop = tmp_path / "maglev_mj" / "model" / name
     drop.write_bytes(drop.read_bytes().replace(b"\n", b"\r\n"))
     told = subprocess.run(
         [sys.executable, "-c", TWICE, str(drop)],

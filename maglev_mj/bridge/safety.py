@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
+
+import numpy as np
 
 from maglev_mj.bridge.wire import VERSION, Fault, HelloAck, Wall
 from maglev_mj.control.timeline import Timeline, Timing
@@ -32,6 +34,8 @@ _STALE = 4
 """Periods after which an answer is stale, unless stated otherwise."""
 _HEADROOM = 1.25
 """Factor over the weight and the hover currents, as headroom for control."""
+_ROOM = 12.0 / 4.5
+"""Position limit of a pose sensor in ranges, as that of the published spots."""
 _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
 """Bounds of reported temperatures; ratio of a measured current to the limit that counts as overcurrent."""
 
@@ -59,6 +63,15 @@ class Limits(Parameters):
     edge_speed: float = param("speed limit of a wall's edge", "m/s", default=0.1, at_least=0.0, at_most=10.0)
 
 
+def macro(name: str, members: Mapping[str, Any]) -> str:
+    """Return a C macro that initialises the members of a structure by name."""
+    lines = []
+    for member, value in members.items():
+        numbers = ", ".join(repr(x) for x in (1 * np.ravel(value)).tolist())  # true as 1
+        lines.append(f".{member} = {{{numbers}}}" if np.ndim(value) else f".{member} = {numbers}")
+    return f"#define {name} \\\n    " + ", \\\n    ".join(lines)
+
+
 def limits_of(device: Device) -> Limits:
     """Return the limits of a device with coils."""
     coils = device.coils
@@ -66,6 +79,9 @@ def limits_of(device: Device) -> Limits:
         return Limits()
     steady = coils.continuous_current
     own = Limits(current_limit=coils.current_limit, continuous_current=steady, hover_limit=steady)
+    farthest = _ROOM * max(*device.range.translation, device.sensor.lever * float(device.reach[3:].max()))
+    if device.sensor.kind == "pose":  # whose values are the pose itself
+        own = own.replace(spot_limit=min(max(own.spot_limit, farthest), 0.1))
     return own.replace(thermal_time=coils.thermal_time)
 
 
@@ -148,6 +164,17 @@ class Profile:
         """Limits as HELLO_ACK states them, by name: times in whole nanoseconds."""
         limits = {name: getattr(self.limits, name) for name in _LIMITS}
         return limits | {name: round(limits[name] * 1e9) for name in _NANOSECONDS}
+
+    def header(self, **more: Any) -> str:
+        """Return the C macro PROFILE, the firmware's `struct maglev_profile`; `more` adds or replaces members."""
+        maps = self.wall_maps
+        members: dict[str, Any] = {
+            name: getattr(self, name) for name in ("period", "delay", "wall_period", "wall_delay")
+        }
+        if maps is not None:
+            members |= {"spots": maps.spots, "pose": maps.pose_per_spot, "current": maps.current_per_wrench}
+        members |= self.stated | {"device": self.number, "calibration": [*self.calibration], "lockstep": self.lockstep}
+        return macro("PROFILE", members | more)
 
     @classmethod
     def of(cls, answer: HelloAck) -> Self:

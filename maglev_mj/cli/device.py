@@ -33,6 +33,8 @@ _BLOCKED = "  block the flotor with soft foam; hands off: this test does not det
 def info(
     *,
     device: Annotated[str | None, option("figures of a device file (.toml), or of a name", "device", "FILE")] = None,
+    model: Annotated[Path | None, option("your own MJCF, checked against the device first", "device", "FILE")] = None,
+    header: Annotated[bool, option("print the firmware's profile as a C header instead", "device")] = False,
     json: Json = None,
 ) -> int:
     """Compare the model with Table 1 of the paper, or print the figures of a device."""
@@ -40,6 +42,18 @@ def info(
     from maglev_mj.plants.shapes import device_report
     from maglev_mj.studies.card import DeviceFigures
 
+    if device is None and (header or model is not None):
+        raise ParameterError("header and model require --device")
+    if model is not None:
+        from maglev_mj.plants.model import check_model
+
+        check_model(model, Device.load(str(device)))
+    if header:
+        from maglev_mj.bridge.commissioning.calibration import Calibration
+        from maglev_mj.bridge.twin.twin import TwinParameters
+
+        print(TwinParameters(calibration=Calibration.load(str(device))).profile.header())
+        return 0
     write_result(json, device_report() if device is None else DeviceFigures(Device.load(device)))
     return 0
 

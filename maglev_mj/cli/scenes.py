@@ -28,6 +28,7 @@ from maglev_mj.errors import DivergenceError, ParameterError
 
 if TYPE_CHECKING:
     from maglev_mj.interop.hand_devices import HandDevice
+    from maglev_mj.plants.hand import Trajectory
     from maglev_mj.scenes.run import Begin
     from maglev_mj.scenes.scene import Scene
     from maglev_mj.session import Session, SnapshotSource
@@ -72,6 +73,18 @@ def _add_scene(parser: Parser) -> None:
 
 
 _RunScene: TypeAlias = Annotated["Scene", Shared(_add_scene, chosen_scene)]
+_HandPath: TypeAlias = Annotated[
+    Path | None, option("recording whose motion is the path of the hand, from its first sample on", "run", "FILE")
+]
+
+
+def _path_of(file: Path) -> Trajectory:
+    """Return the motion of a recording, from its start."""
+    from maglev_mj.plants.hand import Trajectory
+    from maglev_mj.recording import load_samples
+
+    samples = load_samples(file, ["time", "position"]).arrays
+    return Trajectory(samples["time"] - samples["time"][0], samples["position"])
 
 
 def run(
@@ -81,12 +94,16 @@ def run(
     json: Annotated[str | None, json_of("parameters, motion and figures")] = None,
     pictures: Pictures,
     record: Record = None,
+    hand_path: _HandPath = None,
 ) -> int:
     """Run a scene, built-in or from your own file."""
     from maglev_mj.scenes.run import run_variants
 
     alone = json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
+    if hand_path is not None:
+        path = _path_of(hand_path)
+        variants = {name: variant.guided(path) for name, variant in variants.items()}
     banded = pictures is not None and scene.band_phases and "exact" in scene.plants
     bands = (sampling.phases or scene.band_phases) if banded else None
     written = list[Path]()
@@ -139,6 +156,7 @@ def view(
     out: Folder = Path(),
     page: PageOptions,
     input_hand: HandOptions,
+    hand_path: _HandPath = None,
 ) -> int:
     """Show a scene in a window or browser and drag its handle with the mouse."""
     from maglev_mj.plants.hand import SpringHand
@@ -147,7 +165,8 @@ def view(
     from maglev_mj.session import Session
     from maglev_mj.theory import stated_gains
 
-    hand = SpringHand.of_mouse(hand_stiffness)
+    hand = SpringHand.of_mouse(hand_stiffness, scene.device)
+    hand.target = None if hand_path is None else _path_of(hand_path)
     controller = started(scene)  # raises errors of a user's scene before a page opens
     if stated_gains(controller) is not None and (warning := stability_warning(scene)):  # else the viewer computes it
         print(Table("", (), (), warnings=[warning]), file=sys.stderr)
@@ -212,6 +231,7 @@ def render(
     size: Annotated[str, option("width and height [pixels]", "output", "WxH")] = "1200x750",
     fps: Annotated[int, option("frame rate [1/s]", "output", at_least=1, at_most=50)] = 20,
     plain: Annotated[bool, option("omit plots and text", "output")] = False,
+    hand_path: _HandPath = None,
 ) -> int:
     """Render an image or video of a scene off-screen."""
     # imported here: loads the rendering libraries
@@ -221,7 +241,7 @@ def render(
     checked_name(out)
     with Progress(f"render {scene.name}") as progress:
         frames = render(
-            scene,
+            scene if hand_path is None else scene.guided(_path_of(hand_path)),
             out,
             seconds=seconds,
             time_scale=time_scale,

@@ -15,12 +15,12 @@ from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import AXES, Array, Component, Six
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import param
-from maglev_mj.plants.shapes import GRIP, Shape, shape_of
+from maglev_mj.plants.shapes import Shape, shape_of
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.wall_scene import hold
 from maglev_mj.theory import largest_stable_stiffness
 
-_PLACE = GRIP + np.array([0.065, 0.0, 0.02])
+_PLACE = np.array([0.065, 0.0, 0.099])
 """Where the robot's site is drawn at the start, beside the knob and in the default view [m], (3,)."""
 
 

@@ -6,15 +6,16 @@ import bisect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.device import PUBLISHED, Device
 from maglev_mj.errors import ParameterError, check_instance, check_one_of, choice_message
 from maglev_mj.frames import AXES, Array, Component, Six, quaternion, rotation_vector
 from maglev_mj.parameters import axis_indices, common_shape, number, numbers, store
-from maglev_mj.spec import Spec
 
 HANDS: Mapping[str, tuple[float, ...]] = {
     "none": (),
@@ -481,14 +482,17 @@ class SpringHand:
                 numbers(f"hand {name}", goal, shape="(6,)")
 
     @classmethod
-    def of_mouse(cls, stiffness: float = stiffness) -> SpringHand:
-        """Return the mouse's hand, which lifts the flotor (6.9 N) but is too weak and slow for the stops behind walls.
+    def of_mouse(cls, stiffness: float = stiffness, device: str | Path = PUBLISHED) -> SpringHand:
+        """Return the mouse's hand, which lifts the body but is too weak and slow for the stops behind walls.
 
         Args:
             stiffness: Stiffness of the translations [N/m].
+            device: Device, see `Device.load`.
         """
-        largest = 0.97 * math.radians(Spec.rotation_range.value)
-        return cls(stiffness=stiffness, force_limit=7.0, torque_limit=0.2, rise_time=0.2, largest_angle=largest)
+        own = Device.load(device)
+        force = max(7.0, 1.015 * own.mass * math.hypot(*own.body.gravity))
+        largest = min(0.97 * float(own.reach[3:].min()), math.pi)
+        return cls(stiffness=stiffness, force_limit=force, torque_limit=0.2, rise_time=0.2, largest_angle=largest)
 
     @property
     def goal(self) -> Sequence[float] | Trajectory | None:

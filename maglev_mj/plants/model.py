@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.device import COILS, Device
+from maglev_mj.device import COILS, Device, published_device
 from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_message
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
@@ -22,7 +22,7 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import LAG, flag, number, numbers
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand
-from maglev_mj.spec import GRAVITY, INERTIA, RANGE, Spec
+from maglev_mj.spec import Spec
 from maglev_mj.versions import MODELS
 
 JOINTS = ("x", "y", "z", "rotation")
@@ -129,6 +129,12 @@ class CompiledModel:
         return np.zeros(3) if disabled else np.array(options.gravity)
 
     @property
+    def current_limit(self) -> float:
+        """Smallest current limit of the coils [A]; the published one where they have none."""
+        limited, currents = self.model.actuator_ctrllimited[: len(COILS)], self.model.actuator_ctrlrange[: len(COILS)]
+        return float(np.where(limited, currents[:, 1], Spec.peak_current.value).min())
+
+    @property
     def mass_matrix(self) -> Array:
         """Mass matrix of the upright flotor at the centre [kg, kg m, kg m²], (6, 6), with a hand in a rigid grip."""
         flotor = slice(self.velocity_address, self.velocity_address + 6)
@@ -224,6 +230,51 @@ def load_model(
     return device
 
 
+def drawn_model(model: Model, device: Device | None = None) -> CompiledModel:
+    """Compile a scene's model for display, with a device in place of the published joystick.
+
+    Raises:
+        ModelError: If the file is missing or invalid.
+    """
+    if device is None or device.published or not isinstance(model, str | Path):
+        return load_model(model, lean=False)
+    files = dict(model_files(model))
+    if "maglev.xml" not in files:
+        return load_model(model, lean=False)
+    first, *_ = files
+    files["maglev.xml"] = device.mjcf()
+    spec = mujoco.MjSpec.from_string(files[first], include={name: text.encode() for name, text in files.items()})
+    if (ring := spec.geom("ring")) is not None:
+        spec.delete(ring)  # a part of the published stator
+    return load_model(spec, lean=False, coils=device.coils is not None)
+
+
+def check_model(model: Model, device: Device) -> None:
+    """Check a model against a device within 0.1 %: mass, inertia, range and coils.
+
+    Raises:
+        ModelError: If a value differs; the first one is named. See also `load_model`.
+    """
+    loaded, part = load_model(model, coils=device.coils is not None), device.coils
+    range_ = [*device.reach[:3], device.reach[3:].min()]
+    values: dict[str, tuple[Any, Any, str]] = {
+        "mass": (loaded.mass, device.mass, "kg"),
+        "inertia": (loaded.inertia, device.body.inertia, "kg m²"),
+        "range": (loaded.range, range_ if device.range.stops else loaded.range, "m, rad"),
+    }
+    if part is not None and (coils := loaded.coils) is not None:
+        for index, name in enumerate(COILS):
+            point = np.array(part.points[index]) - device.body.centre_of_mass
+            values[f"point of coil {name} from the centre of mass"] = coils.points[index], point, "m"
+            values[f"direction of coil {name}"] = coils.directions[index], part.directions[index], ""
+            values[f"force constant of coil {name}"] = coils.force_constants[index], part.force_constants[index], "N/A"
+        values["current limit"] = loaded.current_limit, part.current_limit, "A"
+    for name, (own, stated, unit) in values.items():
+        if not np.allclose(own, stated, rtol=0.0, atol=1e-3 * np.abs(np.nan_to_num(stated, posinf=0.0)).max()):
+            texts = [", ".join(f"{x:.6g}" for x in np.ravel(value)) for value in (stated, own)]
+            raise ModelError(f"{name} must be that of the device, {texts[0]} {unit}".rstrip() + f" (got {texts[1]})")
+
+
 class Body(NamedTuple):
     """Flotor and limits of a device.
 
@@ -231,7 +282,7 @@ class Body(NamedTuple):
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         gravity: Gravitational acceleration in stator axes [m/s²], (3,).
         range: Range of motion to either side [m, rad], (6,); infinite without a stop.
-        force_limit: Largest force along z at the published peak current [N]; infinite without coils.
+        force_limit: Largest force along z at the current limit [N]; infinite without coils.
     """
 
     inertia: Array
@@ -247,8 +298,9 @@ class Body(NamedTuple):
     @property
     def bounded(self) -> Body:
         """The same device, with the published range and force limit where its own are infinite."""
-        limit = self.force_limit if math.isfinite(self.force_limit) else Spec.largest_vertical_force.value
-        return self._replace(range=np.where(np.isfinite(self.range), self.range, RANGE), force_limit=limit)
+        published = published_device()
+        limit = self.force_limit if math.isfinite(self.force_limit) else float(published.force_limit[2])
+        return self._replace(range=np.where(np.isfinite(self.range), self.range, published.reach), force_limit=limit)
 
 
 def body_of(keywords: Mapping[str, Any]) -> Body:
@@ -257,12 +309,12 @@ def body_of(keywords: Mapping[str, Any]) -> Body:
     Raises:
         ModelError: If its model is invalid.
     """
-    body = Body(np.array(INERTIA), np.array([0.0, 0.0, -GRAVITY]), np.array(RANGE), Spec.largest_vertical_force.value)
-    if isinstance(model := keywords.get("model"), Device):
+    model = keywords.get("model") or published_device()
+    if isinstance(model, Device):
         body = Body(model.inertia.copy(), np.array(model.body.gravity), model.reach, float(model.force_limit[2]))
-    elif model is not None:
+    else:
         device = load_model(model, **{name: keywords[name] for name in ("coils", "coil_map") if name in keywords})
-        limits = () if device.coils is None else device.coils.largest_wrench(Spec.peak_current.value)[2:3]
+        limits = () if device.coils is None else device.coils.largest_wrench(device.current_limit)[2:3]
         inertia = np.array([device.mass] * 3 + device.inertia.tolist())
         body = Body(inertia, device.gravity, device.range[[0, 1, 2, 3, 3, 3]], float(min(limits, default=math.inf)))
     for name, axes in (("mass", slice(3)), ("inertia", slice(3, None))):

@@ -14,11 +14,11 @@ from maglev_mj.control import Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.control.timeline import Timing
-from maglev_mj.device import COILS, Device
+from maglev_mj.device import COILS, Device, Knob
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import axis_indices
-from maglev_mj.plants.model import CompiledModel, Model, load_model, reference_state
+from maglev_mj.plants.model import CompiledModel, Model, drawn_model, load_model, reference_state
 from maglev_mj.plants.mujoco import MuJoCoPlant
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import GRAVITY, Spec
@@ -29,21 +29,16 @@ ARROW = 0.006
 MIN_ARROW_FORCE = 0.05
 """Smallest force drawn as an arrow [N]."""
 
-GRIP = np.array([0.0, 0.0, 0.079])
-"""Centre of the handle's knob in flotor axes [m]."""
-
-KNOB = 0.0165, 0.0125
-"""Radius and half height of the knob [m]."""
-
-KNOB_BOTTOM = 0.0676
-"""Height of the knob's lower side in flotor axes [m]."""
+RIM = 0.72, 0.073
+"""Radius and half height of the ring under the knob, visible on contact with a wall of a rotation, in its radii."""
 
 Face: TypeAlias = tuple[int, float, float]
 """Wall: index into AXES, normal (1 or -1), edge [m, rad]."""
 
-_PLATE, _THIN = 0.024, 0.0002
-_DOWN, _BESIDE = -0.8, np.array([0.012, 0.0, -0.0086])
-"""Vertical component below which the stem would hide an arrow; start of such an arrow beside the stem [m]."""
+_PLATE, _THIN = 16.0 / 11.0, 0.0002
+"""Half side of a drawn wall in radii of the knob; its half thickness [m]."""
+_DOWN, _BESIDE = -0.8, np.array([8.0 / 11.0, 0.0, -0.52])
+"""Vertical component below which the stem would hide an arrow; start of such an arrow beside the stem, in radii."""
 
 _WARM, _LIMIT = np.array([1.0, 0.89, 0.22]), (1.0, 0.05, 0.05)
 _KINDS = {
@@ -80,13 +75,17 @@ class Shape(NamedTuple):
     coil: str = ""
 
 
-def shapes(model: Model) -> list[Shape]:
+def shapes(model: Model, own: Device | None = None) -> list[Shape]:
     """Return the visible geoms of a model; a capsule is three shapes, planes and meshes are skipped.
+
+    Args:
+        model: The model.
+        own: Device in place of the published joystick.
 
     Raises:
         ModelError: If the file is missing or invalid.
     """
-    device = load_model(model, lean=False)
+    device = drawn_model(model, own)
     compiled, data = device.model, mujoco.MjData(device.model)
     mujoco.mj_kinematics(compiled, data)
     origin, visible = data.xpos[device.flotor], []
@@ -155,19 +154,22 @@ def coil_colour(copper: Sequence[float], current: float, device: Device) -> tupl
     return red, green, blue
 
 
-def wall_box(faces: Iterable[Face]) -> tuple[dict[Face, tuple[Array, Array]], list[tuple[Array, list[Face]]]]:
+def wall_box(
+    faces: Iterable[Face], knob: Knob
+) -> tuple[dict[Face, tuple[Array, Array]], list[tuple[Array, list[Face]]]]:
     """Return the plates that the knob touches at walls, and their edges: together one box; rotations have none.
 
     Args:
         faces: Walls: index into AXES, normal (1 or -1), edge [m, rad].
+        knob: The knob.
 
     Returns:
         Centre and half lengths [m], (3,) each, of each plate; the ends [m], (2, 3), of each edge with its walls.
     """
-    radius, half_height = KNOB
-    knob = np.array([[-radius, -radius, KNOB_BOTTOM - GRIP[2]], [radius, radius, half_height]])  # lower, upper sides
-    box = GRIP + np.array([[-1.0], [1.0]]) * [_PLATE, _PLATE, half_height + 0.004]
-    places = {face: GRIP[face[0]] + knob[int(face[1] < 0.0), face[0]] + face[2] for face in faces if face[0] < 3}
+    sides = knob.centre + np.array([-knob.half, knob.half])  # lower, upper
+    sides[0, 2] = knob.bottom
+    box = knob.centre + np.array([[-1.0], [1.0]]) * knob.radius * [_PLATE, _PLATE, 1.0]
+    places = {face: sides[int(face[1] < 0.0), face[0]] + face[2] for face in faces if face[0] < 3}
     for (axis, normal, _), place in places.items():
         box[int(normal < 0.0), axis] = place
     plates, edges = {}, dict[Any, tuple[Array, list[Face]]]()
@@ -183,12 +185,17 @@ def wall_box(faces: Iterable[Face]) -> tuple[dict[Face, tuple[Array, Array]], li
     return plates, list(edges.values())
 
 
-def arrow_start(knob: Array, force: Array) -> Array:
-    """Return the start of a force arrow on the surface of the knob [m], (3,); of a downward one beside the stem."""
-    radius, half_height = KNOB
+def arrow_start(place: Array, force: Array, knob: Knob) -> Array:
+    """Return the start of a force arrow on the surface of the knob [m], (3,); of a downward one beside the stem.
+
+    Args:
+        place: Centre of the knob [m], (3,).
+        force: The force [N], (3,).
+        knob: The knob.
+    """
     if force[2] < _DOWN * np.linalg.norm(force):
-        return np.asarray(knob + _BESIDE)
-    return np.asarray(knob + force / np.linalg.norm(force / [radius, radius, half_height]))
+        return np.asarray(place + _BESIDE * knob.radius)
+    return np.asarray(place + force / np.linalg.norm(force / knob.half))
 
 
 def envelope(device: CompiledModel) -> tuple[float, float]:
@@ -296,7 +303,7 @@ def _measure(device: CompiledModel) -> dict[str, Any]:
     assert coils is not None  # loaded with coils
     radius, height = envelope(device)
     gains = model.actuator_gainprm[: len(COILS), 0]
-    peak = float(model.actuator_ctrlrange[: len(COILS), 1].min())
+    peak = device.current_limit
     arms = np.linalg.norm(np.cross(coils.points, coils.directions), axis=1)
     loop = {"period": 1.0 / Spec.control_rate.value, "delay": Spec.transport_delay.value}
     hover = coils.currents(np.array([0.0, 0.0, device.mass * GRAVITY, 0.0, 0.0, 0.0]))

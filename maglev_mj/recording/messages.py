@@ -15,8 +15,9 @@ from foxglove import Channel, Context, Schema, messages
 from foxglove.channels import FrameTransformsChannel, LogChannel, SceneUpdateChannel
 
 from maglev_mj.colours import DEVICE, HAND, WALL
+from maglev_mj.device import Knob
 from maglev_mj.frames import Array, quaternion, rotation_matrix
-from maglev_mj.plants.shapes import ARROW, GRIP, MIN_ARROW_FORCE, Shape, arrow_start, shapes, wall_box
+from maglev_mj.plants.shapes import ARROW, MIN_ARROW_FORCE, Shape, arrow_start, shapes, wall_box
 from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, SEGMENT, SEGMENT_NUMBER, descriptor, packed
 from maglev_mj.recording.sample import FIELDS, Field, Rows, RunMetadata, Setup, Totals, schema
 
@@ -24,6 +25,7 @@ FRAMES, SHAPES, ARROWS, LOG = "/tf", "/maglev/shapes", "/maglev/arrows", "/log"
 
 _FRAME_RATE = 60.0  # poses per second for 3D views [Hz]
 _WALL_OPACITY = 0.16
+_KNOB = Knob()  # of the drawn device, the published joystick
 _UPRIGHT = 1.0, 0.0, 0.0, 0.0
 _SHAFT, _HEAD, _HEAD_LENGTH = 0.0032, 0.0064, 0.25
 _LEVELS = {
@@ -116,7 +118,7 @@ class Messages:
         run = setup["run"]
         metadata = RunMetadata.from_json(run)
         self._totals = Totals(metadata)
-        plates = wall_box(metadata.faces)[0].values()
+        plates = wall_box(metadata.faces, _KNOB)[0].values()
         walls = [Shape(False, "box", half, centre, _UPRIGHT, (*WALL, _WALL_OPACITY)) for centre, half in plates]
         self._stick = None
         construction = {name: part for name, part in setup.items() if name != "run"}
@@ -165,7 +167,10 @@ class Messages:
     def _log_frame(self, values: np.void) -> None:
         """Log the coordinate frames, and the forces as arrows."""
         position, stamp = values["position"], _stamp(self._now)
-        frames = [("stator", "flotor", position[:3], quaternion(position[3:])), ("flotor", "hand", GRIP, _UPRIGHT)]
+        frames = [
+            ("stator", "flotor", position[:3], quaternion(position[3:])),
+            ("flotor", "hand", _KNOB.centre, _UPRIGHT),
+        ]
         if self._stick is not None:
             stuck = [free if math.isnan(held) else held for held, free in zip(self._stick, position)]
             frames.append(("stator", "stick position", stuck[:3], quaternion(stuck[3:])))
@@ -180,7 +185,7 @@ class Messages:
             for parent, child, offset, rotation in frames
         ]
         self._frames.log(messages.FrameTransforms(transforms=transforms), log_time=self._now)
-        knob = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ GRIP
+        knob = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ _KNOB.centre
         forces = ("force of the hand", values["hand"], HAND), ("force of the device", values["applied"], DEVICE)
         arrows = [("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces]
         self._draw(self._arrows, arrows)
@@ -253,7 +258,7 @@ def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list
     x, y, z = force[0] / size + 1.0, force[1] / size, force[2] / size
     length = math.hypot(x, y, z)
     x, y, z = (x / length, y / length, z / length) if length > 1e-9 else (0.0, 0.0, 1.0)
-    start = arrow_start(knob, np.array(force))
+    start = arrow_start(knob, np.array(force), _KNOB)
     return [
         messages.ArrowPrimitive(
             pose=messages.Pose(position=_vector(start), orientation=messages.Quaternion(w=0.0, x=x, y=y, z=z)),

@@ -17,9 +17,9 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.device import OnDevice, sample_period
 from maglev_mj.errors import ParameterError, check_instance, named, one_line
 from maglev_mj.frames import AXES, ZERO, Array, Component
-from maglev_mj.parameters import Turn, axis_indices, param, transport_delay
+from maglev_mj.parameters import Turn, axis_indices, param, store, transport_delay
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
-from maglev_mj.plants.hand import HandForce
+from maglev_mj.plants.hand import GuidedHand, HandForce, SpringHand, Trajectory
 from maglev_mj.plants.model import Body, body_of
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.scenes.results import RunResult
@@ -255,6 +255,13 @@ class Scene(OnDevice):
     def compared(self, result: RunResult) -> Mapping[str, Mapping[str, float]]:
         """Return reference figures, such as those of a closed form, by label and name."""
         return {}
+
+    def guided(self, path: Trajectory) -> Self:
+        """Return the scene with a hand that moves along a path, with the impedance of its own hand if it has one."""
+        impedance, scene = getattr(self.scripted_hand(), "hand", None), self.replace()
+        hand: HandForce = SpringHand(target=path) if impedance is None else GuidedHand(hand=impedance, path=path)
+        store(scene, script=path, scripted_hand=lambda phase=0.0: hand)
+        return scene
 
     # --- derived from it --------------------------------------------------------------------------
 

@@ -65,6 +65,7 @@ def wall_controller(
     period: float,
     delay: float,
     mass: float,
+    moments: Sequence[float] = INERTIA[3:],
     velocity: VelocityEstimator | None = None,
     **gains: ArrayLike,
 ) -> Controller:
@@ -76,6 +77,7 @@ def wall_controller(
         period: Sample period [s].
         delay: Transport delay [s], for the hold of the other axes.
         mass: Moving mass [kg], for the hold of the other axes.
+        moments: Moments of inertia [kg m²], (3,), for the same.
         velocity: Velocity estimator; None for the finite difference.
         gains: Parameters of `Wall`: numbers, or (N,) for N devices.
     """
@@ -84,7 +86,7 @@ def wall_controller(
     if law is None:
         columns: Any = {name: gain if np.ndim(gain) == 0 else np.asarray(gain)[:, None] for name, gain in gains.items()}
         law = Wall(axes="z", lower=0.0, **columns)
-    rest = _hold(tuple(others("z")), (mass,) * 3 + INERTIA[3:], period, delay)
+    rest = _hold(tuple(others("z")), (mass, mass, mass, *moments), period, delay)
     return Controller([law, rest], period=period, velocity=velocity)
 
 

@@ -22,7 +22,6 @@ from maglev_mj.recording import RecordingError, RecordingFile, open_recording
 from maglev_mj.recording.journal import SUFFIX
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene
-from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, user_errors_rejected
 from maglev_mj.session.actions import EMERGENCY_STOP, SCENE_PREFIX, actions, changed, settable_parameters
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
@@ -134,16 +133,21 @@ class SessionRecorder:
         return path
 
 
-def device_controller(scene: Scene, weight: ArrayLike = WEIGHT) -> Controller:
-    """Return a scene's controller for a device, with `weight` [N, N m], (6,), compensated unless the scene falls."""
-    controller, load = scene.controller(), scene.body.load
-    missing = np.asarray(weight) + load
+def device_controller(scene: Scene, weight: ArrayLike | None = None) -> Controller:
+    """Return a scene's controller for a device, with its weight compensated unless the scene falls.
+
+    Args:
+        scene: The scene.
+        weight: Wrench that compensates the weight [N, N m], (6,); None for that of the scene's device.
+    """
+    controller, load, own = scene.controller(), scene.body.load, scene.hardware.body
+    missing = load - (own.mass * np.append(own.gravity, np.zeros(3)) if weight is None else -np.asarray(weight))
     if not missing.any() or (load.any() and not np.allclose(controller.carried, -load)):
         return controller
     return Controller([*controller.laws, Bias(missing)], period=scene.period, velocity=scene.velocity_estimator())
 
 
-_DROP_HEIGHT = 0.004  # [m]
+_DROP_HEIGHT = 0.004  # of the published joystick [m]
 _ENERGY_LIMIT = -0.1  # stored energy below which the scene is stopped [J]
 _REWIND_STEP = 1.0  # by a key [s]
 _CHANGE_INTERVAL = 0.1
@@ -189,12 +193,12 @@ class Session:
         publishers: Sequence[Publisher] = (),
         step_force: float = STEP_FORCE,
     ) -> None:
-        self._hand = hand or SpringHand.of_mouse()
+        self._scene = get_scene("joystick" if scene is None else scene)
+        self._hand = hand or SpringHand.of_mouse(device=self._scene.device)
         # the mouse moves only a spring
-        self.hand = self._hand if isinstance(self._hand, SpringHand) else SpringHand.of_mouse()
+        self.hand = self._hand if isinstance(self._hand, SpringHand) else SpringHand.of_mouse(device=self._scene.device)
         self.simulated = 0.0
         self._pacer = pacer or Pacer()
-        self._scene = get_scene("joystick" if scene is None else scene)
         cls = type(self._scene)
         self._scenes = [find_scene(name) for name in BUILT_IN]
         if cls not in self._scenes:
@@ -503,7 +507,7 @@ class Session:
         pose = self._scene.start().pose
         if "weightless" in settable_parameters(self._scene):
             self._scene = self._scene.replace(weightless=False)
-        self._restart((*pose[:2], _DROP_HEIGHT, *pose[3:]))
+        self._restart((*pose[:2], _DROP_HEIGHT * float(self._scene.hardware.scale[2]), *pose[3:]))
 
     def _centre(self) -> None:
         """Restart with the default weight compensation."""

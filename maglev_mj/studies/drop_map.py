@@ -251,6 +251,7 @@ def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters)
         period=p.period,
         delay=p.delay,
         mass=p.mass,
+        moments=p.hardware.body.inertia,
     )
     quarters = _Quarters(count)
     with plant:

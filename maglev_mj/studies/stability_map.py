@@ -221,6 +221,7 @@ def _controller(walls: Sequence[RestingWall]) -> Controller:
     """Return one controller of many walls."""
     first, stiffness, damping = walls[0], [wall.stiffness for wall in walls], [wall.damping for wall in walls]
     around: Any = {"period": first.period, "delay": first.delay, "mass": first.mass}
+    around["moments"] = first.hardware.body.inertia
     return wall_controller(stiffness=stiffness, damping=damping, velocity=first.velocity_estimator(), **around)
 
 

@@ -8,21 +8,25 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj.colours import DEVICE, HAND, STOP
+from maglev_mj.device import Knob
 from maglev_mj.frames import Array, rotation_matrix
-from maglev_mj.plants.shapes import ARROW, GRIP, MIN_ARROW_FORCE, arrow_start
+from maglev_mj.plants.shapes import ARROW, MIN_ARROW_FORCE, arrow_start
 from maglev_mj.session import Snapshot
 
 
-def dragged_pose(start: Array, moved: Array, *, tilts: bool) -> Array:
+def dragged_pose(start: Array, moved: Array, knob: Knob, *, tilts: bool) -> Array:
     """Return the target pose of a hand that drags the knob [m, rad], (6,).
 
     Args:
         start: Pose at the start of the drag [m, rad], (6,).
         moved: Displacement of the knob [m], (3,).
+        knob: The knob.
         tilts: True to rotate about the horizontal axes, False to translate.
     """
+    grip = knob.centre
+    square = max(float(grip @ grip), knob.radius**2)  # a knob at the centre of mass is turned by its surface
     pose: Array = start + np.concatenate(
-        [np.zeros(3), np.cross(GRIP, moved) / (GRIP @ GRIP)] if tilts else [moved, np.zeros(3)]
+        [np.zeros(3), np.cross(grip, moved) / square] if tilts else [moved, np.zeros(3)]
     )
     return pose
 
@@ -57,17 +61,17 @@ class ForceArrow(NamedTuple):
 
 def force_arrows(snapshot: Snapshot) -> dict[str, ForceArrow]:
     """Return the arrows of a snapshot by name; a force too small to see, or NaN, has none."""
-    knob = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ GRIP
+    knob = snapshot.scene.hardware.knob
+    place = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ knob.centre
     arrows: dict[str, ForceArrow] = {}
     for name, wrench in zip(FORCES, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
         force, size = wrench[:3], float(np.linalg.norm(wrench[:3]))
         if not MIN_ARROW_FORCE <= size < math.inf:
             continue
-        start, along = arrow_start(knob, force), force / size
+        start, along = arrow_start(place, force, knob), force / size
         for under, arrow in arrows.items():
-            if (reach := float((arrow.end - arrow.start) @ along)) > _PARALLEL * np.linalg.norm(
-                arrow.end - arrow.start
-            ):
+            shaft = arrow.end - arrow.start
+            if (reach := float(shaft @ along)) > _PARALLEL * np.linalg.norm(shaft):
                 # stacked, so that balanced forces have equal lengths; the number of the lower one moves aside
                 start = start + reach * along
                 arrows[under] = arrow._replace(place=0.5 * (arrow.start + arrow.end) + _ASIDE)

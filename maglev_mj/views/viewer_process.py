@@ -147,7 +147,7 @@ class RemoteViewer:
 
     def __init__(self, snapshot: Snapshot, front: ViewerFunction, *, watch: bool = False) -> None:
         self._watch = flag("watch", watch)
-        self.hand, self.frames = SpringHand.of_mouse(), 0
+        self.hand, self.frames = SpringHand.of_mouse(device=snapshot.scene.device), 0
         self.on_close: Callable[[], object] = lambda: None
         self.on_emergency: Callable[[], object] = lambda: None
         self._scene, self._sent_time, self.is_open = snapshot.scene, -np.inf, True

@@ -13,6 +13,7 @@ import rerun.blueprint as rrb
 from rerun.chunk import DeriveLens, McapReader, Selector
 
 from maglev_mj import Recording
+from maglev_mj.device import Knob
 from maglev_mj.plants.shapes import Shape, shapes, wall_box
 
 PLOTTED = "position.z", "applied.z"
@@ -41,7 +42,7 @@ recording.save(path.with_suffix(".rrd"), default_blueprint=rrb.Horizontal(space,
 recording.send_chunks(reader.stream())
 for field in PLOTTED:
     recording.send_chunks(scalars(reader, field))
-plates = wall_box(Recording.load(path).segments[0].metadata.faces)[0].values()
+plates = wall_box(Recording.load(path).segments[0].metadata.faces, Knob())[0].values()
 walls = [Shape(False, "box", half, place, (1.0, 0.0, 0.0, 0.0), (0.25, 0.47, 0.85, 0.16)) for place, half in plates]
 for number, one in enumerate([*shapes("maglev"), *walls]):
     w, *axis = one.turn

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
+from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Component, rotation_matrix
 from maglev_mj.plants import SampledPlant
@@ -152,6 +153,10 @@ def test_the_springs_hand_pulls_no_harder_than_its_limits() -> None:
 
 
 def test_the_mouses_hand_pulls_gently_from_the_first_sample_on() -> None:
+    for name, angle in (("stage", 0.97 * np.radians(4.0)), ("arm", np.pi)):
+        assert SpringHand.of_mouse(device=name).largest_angle == pytest.approx(angle)
+    heavy = Device.load("ubc").change("body", mass=3.0).toml()
+    assert SpringHand.of_mouse(device=heavy).force_limit > 3.0 * 9.81
     hand, still = SpringHand.of_mouse(), lambda: (np.zeros(6), np.zeros(6))
     hand.target = [1.0] + [0.0] * 5
     forces = [hand(tick, 5.0 + 0.005 * tick, still)[0] for tick in range(50)]

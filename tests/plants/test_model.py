@@ -11,19 +11,17 @@ import numpy as np
 import pytest
 
 from maglev_mj import Controller, Hold, MuJoCoPlant, Timing, Wall, drive
-from maglev_mj.device import COILS
+from maglev_mj.device import COILS, Device, Knob
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import CompiledModel, load_model, scenes
 from maglev_mj.plants.shapes import (
-    GRIP,
-    KNOB,
-    KNOB_BOTTOM,
     device_report,
     envelope,
     position_bandwidth,
+    shapes,
     wall_box,
 )
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
@@ -46,20 +44,37 @@ def coil_map(device: CompiledModel) -> CoilMap:
 # -- the drawn handle and walls --------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("knob", [Knob(), Device.load("stage").knob], ids=["ubc", "stage"])
 @pytest.mark.parametrize("count", range(7))
-def test_walls_are_one_box_of_plates_that_the_knob_touches(count: int) -> None:
+def test_walls_are_one_box_of_plates_that_the_knob_touches(count: int, knob: Knob) -> None:
     six = [(axis, normal, -2e-3 * normal) for axis in range(3) for normal in (1.0, -1.0)]
     for faces in itertools.combinations(six, count):
-        plates, edges = wall_box([*faces, (3, 1.0, -0.05)])  # the wall of a rotation has none
+        plates, edges = wall_box([*faces, (3, 1.0, -0.05)], knob)  # the wall of a rotation has none
         assert tuple(plates) == faces
         for (axis, normal, edge), (centre, half) in plates.items():
-            height = KNOB[0] if axis < 2 else KNOB[1] if normal < 0.0 else GRIP[2] - KNOB_BOTTOM
-            touching = GRIP[axis] + edge - normal * height  # the side of the knob towards the wall
+            height = knob.half[axis] if axis < 2 or normal < 0.0 else knob.height - knob.bottom
+            touching = knob.centre[axis] + edge - normal * height  # the side of the knob towards the wall
             assert centre[axis] + normal * half[axis] == pytest.approx(touching, abs=1e-12)
-            assert 0.0 < half[axis] < 1e-3 and (np.delete(half, axis) > 0.012).all()
+            assert 0.0 < half[axis] < 1e-3 and (np.delete(half, axis) > 0.7 * knob.radius).all()
             assert sum((axis, normal, edge) in walls for _, walls in edges) == 4
         corners = [frozenset(tuple(end) for end in ends.round(9)) for ends, _ in edges]
         assert len(corners) == len({*corners}) <= 12 and len(frozenset().union(*corners)) <= 8  # each once, of one box
+
+
+def test_a_device_of_a_file_is_drawn_with_its_own_coils_and_knob() -> None:
+    stage = Device.load("stage")
+    assert stage.coils is not None
+    drawn = shapes("scenes/box", stage)
+    points = np.array(stage.coils.points) - stage.body.centre_of_mass
+    assert all(shape.moves for shape in drawn)  # none of the published stator
+    assert {shape.coil: shape.position.tolist() for shape in drawn if shape.coil} == {
+        f"coil{index}": pytest.approx(point.tolist(), abs=1e-12) for index, point in enumerate(points)
+    }
+    assert any(np.allclose(part.half, stage.knob.half) and np.allclose(part.position, [0, 0, 0.04]) for part in drawn)
+    arm = shapes("scenes/box", Device.load("arm"))
+    assert not any(part.coil for part in arm) and any(np.allclose(part.half, Knob().half) for part in arm)
+    published = shapes("scenes/box", Device.load("ubc"))
+    assert len(published) > 100 and not all(part.moves for part in published)
 
 
 # -- Table 1, row by row ---------------------------------------------------------------------------------

@@ -15,8 +15,9 @@ from mcap.reader import make_reader
 
 from maglev_mj import colours
 from maglev_mj.cli.output import LAYOUT
+from maglev_mj.device import Knob
 from maglev_mj.frames import ZERO, quaternion
-from maglev_mj.plants.shapes import ARROW, GRIP, shapes
+from maglev_mj.plants.shapes import ARROW, shapes
 from maglev_mj.recording import open_recording
 from maglev_mj.recording.mcap import SAMPLE
 from maglev_mj.recording.sample import FIELDS, ROW, RunMetadata, Totals
@@ -83,7 +84,7 @@ def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(n
             assert numbers(frames[frame]["translation"]) == pose[:3].tolist()
             assert [frames[frame]["rotation"][part] for part in "wxyz"] == list(quaternion(pose[3:]))
         assert frames["hand"]["parent_frame_id"] == "flotor"
-        assert numbers(frames["hand"]["translation"]) == GRIP.tolist()
+        assert numbers(frames["hand"]["translation"]) == Knob().centre.tolist()
 
 
 @together
@@ -154,13 +155,13 @@ def test_an_arrow_points_along_its_force_and_none_is_drawn_of_a_force_too_small_
     from maglev_mj.recording.messages import _arrow
 
     for force in FORCES:
-        entity = SceneEntity(arrows=_arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)))
+        entity = SceneEntity(arrows=_arrow(Knob().centre, force, (1.0, 1.0, 1.0, 1.0)))
         (arrow,) = decoder(entity.get_schema())(entity.encode())["arrows"]
         x, y, z, w = (arrow["pose"]["orientation"][name] for name in "xyzw")
         along = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
         assert np.abs(along - np.array(force) / np.linalg.norm(force)).max() < 1e-9
     for force in (ZERO[:3], (0.01, 0.0, 0.0), (np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0)):
-        assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
+        assert _arrow(Knob().centre, force, (1.0, 1.0, 1.0, 1.0)) == []
 
 
 def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording() -> None:

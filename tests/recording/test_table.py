@@ -14,13 +14,16 @@ from numpy.testing import assert_allclose
 from maglev_mj import Recording, analyse, rebuild, record_run
 from maglev_mj.analysis import identify
 from maglev_mj.cli import main
+from maglev_mj.cli.scenes import _path_of
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import quaternions, rotation_matrix
+from maglev_mj.plants.hand import GuidedHand
 from maglev_mj.plants.model import load_model
 from maglev_mj.recording import InvalidRecordingError, import_table
 from maglev_mj.recording.export import EXPORTS, export
 from maglev_mj.recording.table import read_table
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.press import Press
 
 TURN = np.array([0.02, -0.03, 0.04])
 W, X, Y, Z = (float(part) for part in quaternions(TURN))
@@ -227,3 +230,26 @@ def test_a_broken_table_or_option_is_refused_in_a_line(
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1 and [path.name for path in Path().iterdir()] == ["log.csv"]
     assert re.search(message, said.err), said.err
+
+
+def test_a_measured_motion_is_the_path_of_a_hand(tmp_path: Path) -> None:
+    period, turns = 0.005, 10.0  # 20 samples per turn
+    time = 7.0 + period * np.arange(201)  # whose first stamp is not 0
+    amplitude, rate = 1e-3, 2.0 * math.pi * turns
+    np.savetxt(tmp_path / "rig.csv", np.column_stack([time, 1e3 * amplitude * np.sin(rate * (time - 7.0))]))
+    rig, flown = tmp_path / "rig.maglev", tmp_path / "flown.maglev"
+    units = ["--units", "time=s", "length=mm"]
+    assert not main(
+        ["import", str(tmp_path / "rig.csv"), "--columns", "time=1", "x=2", *units, "--mass", "0.3", "--out", str(rig)]
+    )
+    assert not main(["run", "joystick", "--no-wall", "--hand-path", str(rig), "--record", str(flown)])
+    segment = Recording.load(flown).segments[0]
+    target = _path_of(rig)
+    fine = np.arange(0.0, 1.0, period / 7.0)  # between the samples too
+    path = np.array([target.at(each)[0] for each in fine])
+    errors = np.abs(path - amplitude * np.sin(rate * fine)) / amplitude
+    assert errors[7:-7].max() < 5e-4 and errors.max() < 2e-3  # slopes of the first and the last sample are one-sided
+    assert np.abs(np.diff(path) / np.diff(fine)).max() < 1.03 * amplitude * rate  # does not stop at each sample
+    assert len(segment) * period > 1.0 and np.ptp(segment.position[:, 0]) > 0.1 * amplitude
+    guided = Press().guided(target).scripted_hand()
+    assert isinstance(guided, GuidedHand) and guided.hand.values == Press().impedance.values and guided.path is target

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.plants.shapes import ARROW, GRIP
+from maglev_mj.device import Knob
+from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Snapshot
 from maglev_mj.views.handle import FORCES, ForceArrow, force_arrows
@@ -26,7 +27,7 @@ def test_a_force_arrow_is_to_scale_and_has_the_number_of_the_panel(name: str) ->
         if arrow is not None:
             length = np.linalg.norm(arrow.end - arrow.start)
             assert length == pytest.approx(min(ARROW * size, 0.06))
-            assert np.linalg.norm(arrow.place - GRIP) > 0.02 + length  # clear of tip and knob
+            assert np.linalg.norm(arrow.place - Knob().centre) > 0.02 + length  # clear of tip and knob
             drawn.append(arrow)
             assert name == "stops" or arrow.text in _gauge(shown)
     assert [arrow.text for arrow in drawn[:6]] == ["", "0.5 N", "1.0 N", "7.0 N", "20.0 N", "1000.0 N"]

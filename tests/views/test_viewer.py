@@ -21,9 +21,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from maglev_mj.device import Knob
 from maglev_mj.frames import Array
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.plants.shapes import GRIP
 from maglev_mj.recording import Recording, RecordingError
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import Scene
@@ -163,7 +163,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         geometry = dict(line.split("=") for line in screen.xdotool("getwindowgeometry", "--shell", window).split())
         assert (int(geometry["WIDTH"]), int(geometry["HEIGHT"])) == fitted_size(*SCREEN)
         camera = framed(Joystick(), VIEW)
-        right, up = project(Scenery(Joystick).model, camera, Layout(VIEW, 100).device, GRIP)[0]
+        right, up = project(Scenery(Joystick()).model, camera, Layout(VIEW, 100).device, Knob().centre)[0]
         middle = int(geometry["X"]) + round(right), int(geometry["Y"]) + VIEW.height - round(up)
         screen.xdotool("mousemove", *middle)  # keys go to the window under the mouse
         time.sleep(0.5)
@@ -306,7 +306,7 @@ def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
     forward = np.array(
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
     )
-    depth = float((GRIP - camera.lookat) @ forward) + camera.distance
+    depth = float((Knob().centre - camera.lookat) @ forward) + camera.distance
     across = 2.0 * depth * math.tan(math.radians(0.5 * 45.0))  # of the whole picture's height
     right = np.cross(forward, [0.0, 0.0, 1.0])
     drawn: Array = pixels / view.height * across * right / np.linalg.norm(right)

@@ -31,10 +31,11 @@ from websockets.typing import Origin, Subprotocol
 
 from maglev_mj.cli import main
 from maglev_mj.cli.peripherals import PageOptions
+from maglev_mj.device import Device
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.plants.shapes import GRIP, Shape
+from maglev_mj.plants.shapes import Shape
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, REWIND_ACTIONS, Session, Snapshot
@@ -528,10 +529,10 @@ def test_the_first_browser_has_the_hand_until_it_stops_responding(
         until(page, lambda: source.hand.target is None)
 
 
-def grab_of(aimed: list[Any], server: Any = None) -> Grab:
+def grab_of(aimed: list[Any], server: Any = None, device: str = "ubc") -> Grab:
     """Return a grab of a knob by browsers that answer late."""
     knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
-    grab = Grab(server, knob, aimed.append)
+    grab = Grab(server, knob, aimed.append, Joystick(device=device))
     if server is None:
         grab._ping = lambda client: asyncio.sleep(10.0)  # type: ignore[method-assign]
     return grab
@@ -570,12 +571,13 @@ def test_only_the_holder_moves_the_knob_and_a_disconnected_one_releases_it() -> 
     asyncio.run(drags())
 
 
-def test_a_drag_with_shift_tilts_about_the_centre() -> None:
+@pytest.mark.parametrize("device", ["ubc", "stage"])
+def test_a_drag_with_shift_tilts_about_the_centre(device: str) -> None:
     aimed: list[Any] = []
     moved = np.array([1e-3, -2e-3, 0.0])
 
     async def drags(modifier: str | None) -> None:
-        grab = grab_of(aimed)
+        grab = grab_of(aimed, device=device)
         grab.pose = np.array([1e-3, 0.0, 2e-3, 0.01, 0.0, 0.0])
         for phase, way in (("start", 0.0), ("move", 1.0), ("end", 1.0)):
             await grab._dragged(drag(phase, 1, [0.0, 0.0, 0.08] + way * moved, modifier))
@@ -583,11 +585,22 @@ def test_a_drag_with_shift_tilts_about_the_centre() -> None:
     asyncio.run(drags("shift"))
     assert aimed[-1] is None and aimed[1] == pytest.approx([1e-3, 0.0, 2e-3, 0.01, 0.0, 0.0])
     # the knob's displacement is the rotation times its place on the handle: r x g = moved, across the handle
-    turn = np.array(aimed[2][3:]) - [0.01, 0.0, 0.0]
-    assert aimed[2][:3] == pytest.approx([1e-3, 0.0, 2e-3]) and turn @ GRIP == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose(np.cross(turn, GRIP), moved, atol=1e-12)
+    turn, grip = np.array(aimed[2][3:]) - [0.01, 0.0, 0.0], Device.load(device).knob.centre
+    assert aimed[2][:3] == pytest.approx([1e-3, 0.0, 2e-3]) and turn @ grip == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(np.cross(turn, grip), moved, atol=1e-12)
     asyncio.run(drags(None))
     assert aimed[-2] == pytest.approx([2e-3, -2e-3, 2e-3, 0.01, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("device", "reach"), [("ubc", 0.0135), ("stage", 0.006)])
+def test_an_arrow_key_moves_the_target_by_three_ranges_of_the_device(device: str, reach: float) -> None:
+    aimed: list[Any] = []
+
+    async def push() -> None:
+        await grab_of(aimed, device=device).push(SimpleNamespace(client_id=1, target=SimpleNamespace(value="+x-z")))
+
+    asyncio.run(push())
+    assert aimed[-1] == pytest.approx([reach, 0.0, -reach, 0.0, 0.0, 0.0])
 
 
 def waited(done: Callable[[], Any]) -> None:

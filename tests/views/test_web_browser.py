@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maglev_mj.device import Knob
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.plants.shapes import GRIP
 from maglev_mj.session import REWIND_ACTIONS, Session, Snapshot, real_time
 from maglev_mj.session.access import listen
 from maglev_mj.views.page.page import Endpoint, page
@@ -136,7 +136,7 @@ def let_go(run: Run, tab: Any) -> None:
 def knob(tab: Any, run: Run) -> tuple[float, float]:
     """Return the drawn position of the knob [px]."""
     box = tab.locator("canvas").last.bounding_box()
-    return on_screen(tab, run.shown.pose[:3] + GRIP, placed("home", box["width"], box["height"]), FIELD)
+    return on_screen(tab, run.shown.pose[:3] + Knob().centre, placed("home", box["width"], box["height"]), FIELD)
 
 
 def await_hold(run: Run) -> None:

@@ -18,9 +18,8 @@ import pytest
 
 from maglev_mj import Controller, LowPass, record_run
 from maglev_mj.colours import HAND, STOP
+from maglev_mj.device import Knob
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.plants.shapes import GRIP
-from maglev_mj.plants.shapes import KNOB as KNOB_SIZE
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import CENTRING, Joystick
@@ -151,7 +150,7 @@ def test_a_window_of_any_size_is_arranged(shot: Snapshot, size: tuple[int, int])
 @pytest.mark.parametrize("name", ["joystick", "six-axes"])
 def test_the_knob_is_in_its_area(name: str) -> None:
     # At each size, wherever the flotor is; a displacement of some pixels is seen as such.
-    model = Scenery(find_scene(name)).model
+    model = Scenery(find_scene(name)()).model
     for width, height in SIZES:
         area, camera = Layout(Area(0, 0, width, height), 100).device, mujoco.MjvCamera()
         default_view(model, camera)
@@ -160,8 +159,8 @@ def test_the_knob_is_in_its_area(name: str) -> None:
             for point in KNOB + place:
                 x, y = project(model, camera, area, point)[0]
                 assert area.left <= x <= area.left + area.width and area.bottom <= y <= area.top
-        middle, right, up = project(model, camera, area, GRIP)
-        moved = project(model, camera, area, GRIP + 7.0 * right - 5.0 * up)[0]
+        middle, right, up = project(model, camera, area, Knob().centre)
+        moved = project(model, camera, area, Knob().centre + 7.0 * right - 5.0 * up)[0]
         assert moved - middle == pytest.approx([7.0, -5.0], abs=1e-6)
         assert abs(middle[0] - area.left - 0.5 * area.width) < 0.1 * area.width
 
@@ -195,7 +194,7 @@ def test_forces_balance_at_a_metal_stop_and_it_is_named(words: str) -> None:
 
 def test_arrows_of_balanced_forces_have_equal_lengths() -> None:
     # Hand to one side; device and stop, one behind the other, to the other: sums of lengths agree.
-    shown, scenery = at_stop(next(iter(STOPS))), Scenery(Joystick)
+    shown, scenery = at_stop(next(iter(STOPS))), Scenery(Joystick())
     scene = mujoco.MjvScene(scenery.model, 500)
     scenery.set_pose(shown)
     scenery.decorate(scene, shown)
@@ -311,9 +310,9 @@ def test_a_drag_of_the_knob_moves_the_hand(window: Any, modifiers: int) -> None:
     if modifiers == 0:
         assert moved == pytest.approx([3e-3, 0.0, 6e-3, 0.0, 0.0, 0.0])
     elif modifiers == glfw.MOD_SHIFT:
-        assert moved[4] == pytest.approx(3e-3 / GRIP[2]) and not moved[:3].any() and not moved[5]
+        assert moved[4] == pytest.approx(3e-3 / Knob().centre[2]) and not moved[:3].any() and not moved[5]
     else:
-        assert moved == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 3e-3 / KNOB_SIZE[0]])
+        assert moved == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 3e-3 / Knob().radius])
     window._button(None, glfw.MOUSE_BUTTON_LEFT, glfw.RELEASE, 0)
     assert hand.target is None and not window.moves
     window._move(None, 0.0, 0.0)

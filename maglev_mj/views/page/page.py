@@ -173,7 +173,7 @@ class Page:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         gui.main_panel.dock_right()
         self._stage = Stage(server, snapshot)
-        self._grab = Grab(server, self._stage.knob, partial(self._inbox.put, "hand")) if drag else None
+        self._grab = Grab(server, self._stage.knob, partial(self._inbox.put, "hand"), snapshot.scene) if drag else None
         if self._grab is not None:
             gui.add_button_group("keys", ("",), visible=False).on_click(self._grab.push)
         self._stage.hint = "drag the knob" if drag else ""
@@ -203,7 +203,7 @@ class Page:
     def _show(self) -> None:
         snapshot = self._source.snapshot()
         if self._grab is not None:
-            self._grab.pose = snapshot.pose
+            self._grab.pose, self._grab.scene = snapshot.pose, snapshot.scene
         if snapshot.target is not None:
             self._stage.hint = ""
         if not self._server.get_clients():  # a new client gets the full state

@@ -17,9 +17,9 @@ from trimesh.visual.material import PBRMaterial
 
 from maglev_mj.colours import FIRST, STUCK, TOUCHED, WALL
 from maglev_mj.frames import Array, quaternion, rotation_matrix
-from maglev_mj.plants.shapes import GRIP, KNOB, KNOB_BOTTOM, Shape, coil_colour, shapes, wall_box
+from maglev_mj.plants.shapes import RIM, Shape, coil_colour, shapes, wall_box
+from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
-from maglev_mj.spec import Spec
 from maglev_mj.views.handle import FORCES, dragged_pose, force_arrows
 from maglev_mj.views.readings import banner
 from maglev_mj.views.viewer_process import SILENCE
@@ -70,8 +70,8 @@ def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     return cast(trimesh.Trimesh, trimesh.util.concatenate(meshes))
 
 
-_PUSH = 3.0 * Spec.translation_range.value
-"""Displacement of the target by an arrow key [m], as by a gamepad's full deflection."""
+_PUSH = 3.0
+"""Displacement of the target by an arrow key, in ranges, as by a gamepad's full deflection."""
 
 Aim = Callable[[list[float] | None], object]
 """Receives a target pose [m, rad], (6,); None on release."""
@@ -86,13 +86,15 @@ class Grab:
         server: viser's server.
         knob: Scene node to drag.
         aim: Called with each target.
+        scene: Initial scene.
 
     Attributes:
         pose: Pose of the flotor [m, rad], (6,).
+        scene: Scene in use.
     """
 
-    def __init__(self, server: Any, knob: Any, aim: Aim) -> None:
-        self._server, self._aim = server, aim
+    def __init__(self, server: Any, knob: Any, aim: Aim, scene: Scene) -> None:
+        self._server, self._aim, self.scene = server, aim, scene
         self._holder: int | None = None
         self._monitor: asyncio.Task[None] | None = None
         self._tilts = self._unresponsive = False
@@ -113,14 +115,14 @@ class Grab:
             self._release()
         else:
             moved = np.array(event.end_position) - self._start
-            self._target = dragged_pose(self._start_pose, moved, tilts=self._tilts).tolist()
+            self._target = dragged_pose(self._start_pose, moved, self.scene.hardware.knob, tilts=self._tilts).tolist()
             self._aim(self._target)
 
     async def push(self, event: Any) -> None:
         """Drag the knob by a browser's arrow keys: the value names signed axes, such as "+x-z"."""
         signs = [(f"+{axis}" in event.target.value) - (f"-{axis}" in event.target.value) for axis in "xyz"]
         phase = "end" if not any(signs) else "update" if self._holder == event.client_id else "start"
-        end = self._start + _PUSH * np.array(signs)
+        end = self._start + _PUSH * self.scene.body.bounded.range[:3] * signs
         at = {"modifier": None, "start_position": self._start, "end_position": end}
         await self._dragged(SimpleNamespace(phase=phase, client_id=event.client_id, **at))
 
@@ -172,14 +174,14 @@ _FAINT, _LIT = 0.07, 0.36
 _SKY = (206.0, 213.0, 224.0), (247.0, 248.0, 250.0)
 """Background colours, top and bottom."""
 _FLOOR = -0.0552
-_REACH = 0.021  # radius of the invisible ball that can be grabbed [m]
+_REACH = 1.27  # radius of the invisible ball that can be grabbed, in radii of the knob
 _GHOST_SIZE = 1.06
 _EDGE, _SHADE = 0.001, 0.85
 """Thickness [m] and brightness of a wall's edge."""
 _ARROW = {"shaft_radius": 0.0013, "head_radius": 0.0032, "head_length": 0.0065}
 """Sizes of a long arrow [m]."""
-_RIM = 0.0118, 0.0012
-"""Radius and half height of the ring under the knob, visible on contact with a wall of a rotation [m]."""
+_ABOVE = 0.037
+"""Height of the text above the knob's centre [m]."""
 
 
 def update(handle: Any, **properties: Any) -> None:
@@ -245,14 +247,18 @@ class Stage:
         )
         self._flotor = scene.add_frame("/flotor", show_axes=False)
         # as glTF: viser's own transparent sphere would occlude the walls behind it
-        ball = Shape(True, "ellipsoid", np.full(3, _REACH), GRIP, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+        knob = snapshot.scene.hardware.knob
+        reach = np.full(3, _REACH * knob.radius)
+        ball = Shape(True, "ellipsoid", reach, knob.centre, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
         self.knob = scene.add_glb("/flotor/knob", glb([ball]), **_PLAIN)
-        size = _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[1]
-        self._ghost = scene.add_icosphere("/stuck", 1.0, rgb(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN)
-        radius, half = _RIM
+        size = _GHOST_SIZE * knob.half
+        self._ghost = scene.add_icosphere(
+            "/stuck", 1.0, rgb(STUCK), scale=tuple(size), opacity=0.45, visible=False, **_PLAIN
+        )
+        radius, half = knob.radius * np.array(RIM)
         self._rim = scene.add_cylinder("/flotor/rim", radius, 2.0 * half, rgb(TOUCHED), visible=False, **_PLAIN)
-        self._rim.position = 0.0, 0.0, KNOB_BOTTOM + half
-        points = np.array([[GRIP, 1.001 * GRIP]], dtype=np.float32)  # inside the knob
+        self._rim.position = 0.0, 0.0, knob.bottom + half
+        points = np.array([[knob.centre, 1.001 * knob.centre]], dtype=np.float32)  # inside the knob
         self._forces: dict[str, tuple[Any, Any]] = {}
         for name, colour in FORCES.items():
             shade = rgb([part**_GAMMA for part in colour])  # viser expects linear colours for arrows
@@ -261,7 +267,8 @@ class Stage:
             self._forces[name] = shaft, number
         self._walls: list[Any] = []
         self._edges = scene.add_line_segments("/edges", np.zeros((1, 2, 3)), rgb(WALL), thickness=_EDGE)
-        self._label = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
+        place = 0.0, 0.0, knob.height + _ABOVE
+        self._label = scene.add_label("/word", "", position=place, anchor="bottom-center", visible=False)
         self._model: Any = None
         self._beside: list[Any] = []
         self._coils: dict[int, Any] = {}
@@ -288,7 +295,8 @@ class Stage:
             update(number, visible=arrow is not None and bool(arrow.text))
         self._show_walls(snapshot)
         if (ghost := snapshot.ghost) is not None:
-            self._set_pose(self._ghost, np.concatenate([ghost[:3] + rotation_matrix(ghost[3:]) @ GRIP, ghost[3:]]))
+            place = ghost[:3] + rotation_matrix(ghost[3:]) @ snapshot.scene.hardware.knob.centre
+            self._set_pose(self._ghost, np.concatenate([place, ghost[3:]]))
             update(self._ghost, color=rgb(FIRST if len(snapshot.first) else STUCK))
         update(self._ghost, visible=ghost is not None)
         content = banner(snapshot)
@@ -308,7 +316,7 @@ class Stage:
             for index, shape in enumerate(snapshot.scene.beside())
         ]
         nodes: dict[str, list[Shape]] = {}
-        for shape in shapes(snapshot.scene.model):
+        for shape in shapes(snapshot.scene.model, snapshot.scene.hardware):
             rest = "flotor/rest" if shape.moves else "device"
             nodes.setdefault(shape.coil or rest, []).append(shape)
         for node in self._coils.values():
@@ -324,7 +332,7 @@ class Stage:
 
     def _show_walls(self, snapshot: Snapshot) -> None:
         """Show the walls as one box; those in contact are lit."""
-        plates, edges = wall_box(snapshot.faces)
+        plates, edges = wall_box(snapshot.faces, snapshot.scene.hardware.knob)
         lit = {face for face in snapshot.faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
         update(self._rim, visible=any(axis > 2 for axis, _, _ in lit))
         while len(self._walls) < len(plates):

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from maglev_mj.colours import FIRST, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
 from maglev_mj.lazy import mujoco
-from maglev_mj.plants.model import load_model
-from maglev_mj.plants.shapes import GRIP, KNOB_BOTTOM, Face, coil_colour, coil_geoms, wall_box
+from maglev_mj.plants.model import drawn_model
+from maglev_mj.plants.shapes import RIM, Face, coil_colour, coil_geoms, wall_box
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.views.handle import FORCES, force_arrows
@@ -43,10 +43,10 @@ class Scenery:
     """Displayed model of a scene, with added geoms.
 
     Args:
-        scene: The scene, or its class.
+        scene: The scene.
 
     Attributes:
-        path: File of the model.
+        source: File of the model, and device.
         model: Compiled model with all geoms.
         data: State, which follows the snapshots.
 
@@ -54,14 +54,15 @@ class Scenery:
         ModelError: If the model file is missing or invalid.
     """
 
-    def __init__(self, scene: Scene | type[Scene]) -> None:
-        device = load_model(scene.model, lean=False)
-        self.path, self.model, self.data = scene.model, device.model, mujoco.MjData(device.model)
+    def __init__(self, scene: Scene) -> None:
+        device = drawn_model(scene.model, scene.hardware)
+        self.source = scene.model, scene.hardware
+        self.model, self.data = device.model, mujoco.MjData(device.model)
         self._address = device.position_address
         mujoco.mj_forward(self.model, self.data)
         self._coils = coil_geoms(self.model, self.data)
-        above = self.data.geom_xpos[:, 2] > KNOB_BOTTOM
-        self._knob = np.flatnonzero(above & (self.model.geom_bodyid == self.model.body("handle").id)).tolist()
+        moves = self.model.body_weldid[self.model.geom_bodyid] > 0
+        self._knob = np.flatnonzero(moves & (self.data.geom_xpos[:, 2] > scene.hardware.knob.bottom)).tolist()
         if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_MESH, "ring") >= 0:
             self.model.geom_rgba[self.model.geom_group == _SIMPLE] = 0.0
         self._copper = self.model.material("copper").rgba[:3].tolist()
@@ -84,9 +85,9 @@ class Scenery:
             half_text: Half the width of a number [m], (3,): MuJoCo writes to the right of a point.
         """
         touched = {face for face in snapshot.faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
-        self._draw_walls(scene, snapshot.pose, snapshot.faces, touched, _TOUCHED)
+        self._draw_walls(scene, snapshot, snapshot.faces, touched, _TOUCHED)
         stops, _ = stop_contacts(snapshot)
-        self._draw_walls(scene, snapshot.pose, stops, {*stops}, _STOP)
+        self._draw_walls(scene, snapshot, stops, {*stops}, _STOP)
         if (ghost := snapshot.ghost) is not None:
             colour = FIRST if len(snapshot.first) else STUCK
             turn, data = rotation_matrix(ghost[3:]) @ rotation_matrix(snapshot.pose[3:]).T, self.data
@@ -111,18 +112,22 @@ class Scenery:
             _connect(scene, _ORIGIN, _ORIGIN + 2.0 * _AXIS * direction, 0.05 * _AXIS, STOP)
             _write(scene, name, _ORIGIN + 1.25 * _AXIS * direction)  # past the tip
 
-    def _draw_walls(self, scene: Any, pose: Array, faces: Iterable[Face], lit: set[Face], colour: _Shade) -> None:
+    def _draw_walls(
+        self, scene: Any, snapshot: Snapshot, faces: Iterable[Face], lit: set[Face], colour: _Shade
+    ) -> None:
         """Draw walls with their edges, some of them lit in a colour; the rim of the knob for one of a rotation."""
-        plates, edges = wall_box(faces)
+        knob = snapshot.scene.hardware.knob
+        plates, edges = wall_box(faces, knob)
         for face, (centre, size) in plates.items():
             _add(scene, _BOX, size, centre, _IDENTITY, colour if face in lit else _WALL)
         for ends, walls in edges:
             red, green, blue = (_EDGE * part for part in (_WALL if lit.isdisjoint(walls) else colour)[:3])
             _connect(scene, ends[0], ends[1], _EDGE_WIDTH, (red, green, blue), mujoco.mjtGeom.mjGEOM_LINE)
         if any(axis > 2 for axis, _, _ in lit):
-            rotation = rotation_matrix(pose[3:])
-            centre = pose[:3] + rotation @ [0.0, 0.0, KNOB_BOTTOM + 0.0012]
-            _add(scene, _CYLINDER, [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
+            rotation = rotation_matrix(snapshot.pose[3:])
+            radius, half = knob.radius * np.array(RIM)
+            centre = snapshot.pose[:3] + rotation @ [0.0, 0.0, knob.bottom + half]
+            _add(scene, _CYLINDER, [radius, half, 0.0], centre, rotation.ravel(), colour)
 
 
 def _connect(
@@ -208,7 +213,7 @@ class Painter:
 
     def draw(self, snapshot: Snapshot, view: Area, notes: Sequence[str] = ()) -> None:
         """Draw a snapshot into a picture."""
-        if snapshot.scene.model != self.scenery.path:
+        if (snapshot.scene.model, snapshot.scene.hardware) != self.scenery.source:
             self._load(snapshot.scene)
         scenery, scene, area = self.scenery, self._scene, self.device_area(view)
         last, self._zoom = self._zoom, zoom(area)
@@ -243,7 +248,7 @@ class Painter:
 
     def knob(self, snapshot: Snapshot, view: Area) -> tuple[Array, Array, Array]:
         """Return the knob's pixel, (2,), and the displacement of one pixel right and up there [m], (3,) each."""
-        point = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ GRIP
+        point = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ snapshot.scene.hardware.knob.centre
         return project(self.scenery.model, self.camera, self.device_area(view), point)
 
     def close(self) -> None:

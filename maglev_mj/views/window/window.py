@@ -16,8 +16,7 @@ import numpy as np
 from maglev_mj.errors import MaglevError
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
-from maglev_mj.plants.shapes import KNOB
-from maglev_mj.session import FrameClock, Note, SnapshotSource, real_time
+from maglev_mj.session import FrameClock, Note, Snapshot, SnapshotSource, real_time
 from maglev_mj.views.handle import dragged_pose
 from maglev_mj.views.window.backend import DisplayError
 from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, SCREENSHOT, keys_of
@@ -91,7 +90,7 @@ class _Window:
             glfw.destroy_window(self._window)
         glfw.show_window(self._window)
         self._drag, self._start = "", np.zeros(2)
-        self._held: tuple[Array, Array, Array] | None = None
+        self._held: tuple[Snapshot, Array, Array] | None = None
         glfw.set_key_callback(self._window, self._key)
         glfw.set_mouse_button_callback(self._window, self._button)
         glfw.set_cursor_pos_callback(self._window, self._move)
@@ -154,19 +153,20 @@ class _Window:
         self._start, snapshot = self._pixel(), self._source.snapshot()
         self._drag = "orbit" if number == glfw.MOUSE_BUTTON_LEFT else "pan"
         knob = self._painter.knob(snapshot, self._view())
-        near = np.linalg.norm(self._start - knob[0]) * np.linalg.norm(knob[1]) <= KNOB[0]
+        near = np.linalg.norm(self._start - knob[0]) * np.linalg.norm(knob[1]) <= snapshot.scene.hardware.knob.radius
         if near and self._drag == "orbit" and modifiers in _HANDS and moved_by_mouse(snapshot):
-            self._drag, self._held = _HANDS[modifiers], (snapshot.pose, *knob[1:])
+            self._drag, self._held = _HANDS[modifiers], (snapshot, *knob[1:])
             self._move(window, 0.0, 0.0)
 
     def _move(self, window: Any, x: float, y: float) -> None:
         """Move the hand or the camera."""
         right, up = moved = self._pixel() - self._start
         if self._held is not None:
-            pose, across, above = self._held
-            target = dragged_pose(pose, right * across + up * above, tilts=self._drag == "tilt")
+            snapshot, across, above = self._held
+            pose, knob = snapshot.pose, snapshot.scene.hardware.knob
+            target = dragged_pose(pose, right * across + up * above, knob, tilts=self._drag == "tilt")
             if self._drag == "twist":  # as if the mouse rolled the knob
-                target = pose + np.eye(6)[5] * right * np.linalg.norm(across) / KNOB[0]
+                target = pose + np.eye(6)[5] * right * np.linalg.norm(across) / knob.radius
             self._source.hand.target = [float(part) for part in target]
         elif self._drag:
             view = self._view()

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.device import Knob
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Session, real_time
 from maglev_mj.session.access import listen
@@ -51,7 +51,7 @@ def drive(url: str, seconds: float, size: str) -> None:
         tab.add_style_tag(content=".mantine-Notifications-root{display:none}")
         time.sleep(5.0)
         box = tab.locator("canvas").last.bounding_box()
-        x, y = on_screen(tab, GRIP, placed("home", box["width"], box["height"]), FIELD)
+        x, y = on_screen(tab, Knob().centre, placed("home", box["width"], box["height"]), FIELD)
         tab.mouse.move(x, y)
         tab.mouse.down()
         tab.mouse.move(x + 8, y, steps=4)

@@ -1,7 +1,7 @@
-"""Build a board's program, with the nominal device's plant and profile.
+"""Build a board's program, with the profile of a device and, emulated, the published one's plant.
 
     python scripts/firmware/boards/build.py [--board NAME] [--key FILE] [--hand X,Y,Z,RX,RY,RZ@FROM:UNTIL] PROGRAM
-    python scripts/firmware/boards/build.py --board stm32f405 --own FILE.c [--crystal MHZ] [--key FILE] PROGRAM
+    python scripts/firmware/boards/build.py --board stm32f405 --own FILE.c [--device FILE] [--crystal MHZ] PROGRAM
 
 Writes device.h next to the program. With --own it is that of a device, with its own functions; else the emulated one
 with the simulated flotor. The hand applies a constant wrench [N, N m] to the flotor between two times of the
@@ -14,14 +14,16 @@ import argparse
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import BAUD
+from maglev_mj.bridge.safety import macro
 from maglev_mj.bridge.twin.twin import REST, TwinParameters
+from maglev_mj.device import PUBLISHED
+from maglev_mj.errors import MaglevError
 from maglev_mj.plants.sensor import beams
 
 BOARDS = Path(__file__).resolve().parent
@@ -49,43 +51,6 @@ def plant(hand: str) -> dict[str, object]:
     }
 
 
-def profile(key: bytes) -> dict[str, object]:
-    """Return the members of the profile."""
-    profile = TwinParameters(lockstep=True).profile
-    limits, maps = profile.limits, profile.wall_maps
-    assert maps is not None
-    return {
-        "period": profile.period,
-        "delay": profile.delay,
-        "watchdog": round(limits.watchdog * 1e9),
-        "enable": round(limits.enable * 1e9),
-        "stale": round((limits.stale or 0.0) * 1e9),
-        "current_limit": limits.current_limit,
-        "continuous_current": limits.continuous_current,
-        "hover_limit": limits.hover_limit,
-        "thermal_time": limits.thermal_time,
-        "spot_limit": limits.spot_limit,
-        "spot_speed": limits.spot_speed,
-        **{name: getattr(limits, name) for name in ("stiffness_limit", "damping_limit", "edge_speed")},
-        **{name: getattr(profile, name) for name in ("wall_period", "wall_delay")},
-        **{"spots": maps.spots, "pose": maps.pose_per_spot, "current": maps.current_per_wrench},
-        "device": profile.number,
-        "key_length": len(key),
-        "key": np.frombuffer(key.ljust(32, b"\0"), np.uint8),
-        "calibration": np.frombuffer(profile.calibration, np.uint8),
-        "lockstep": 1,
-    }
-
-
-def initialiser(members: Mapping[str, object]) -> str:
-    """Return the members of a C structure by name."""
-    lines = []
-    for name, value in members.items():
-        numbers = ", ".join(repr(x) for x in np.ravel(np.asarray(value)).tolist())
-        lines.append(f".{name} = {{{numbers}}}" if np.ndim(np.asarray(value)) else f".{name} = {numbers}")
-    return " \\\n    " + ", \\\n    ".join(lines)
-
-
 def build(
     program: Path,
     key: bytes = b"",
@@ -93,6 +58,7 @@ def build(
     board: str = NAMES[0],
     own: Path | None = None,
     crystal: int = 8,
+    device: str = PUBLISHED,
 ) -> None:
     """Compile and link the program of a board.
 
@@ -103,24 +69,23 @@ def build(
         board: One of NAMES.
         own: C file with a device's own functions; None for the emulated program.
         crystal: Frequency of the board's crystal [MHz].
+        device: Device file or name, see `Device.load`.
 
     Raises:
         CalledProcessError: If compilation fails.
     """
-    members = profile(key)
-    if own is not None:
-        members["lockstep"] = 0
-    else:
-        del members["spots"]  # 0 at the simulated centre
-    macros = {"BAUD": str(BAUD), "PROFILE": initialiser(members), "CRYSTAL_MHZ": str(crystal)}
+    secret = {"key_length": len(key), "key": [*key.ljust(32, b"\0")]}
+    # the simulated spots are 0 at the centre, and have no noise
+    simulated = {} if own else {"spots": [0.0] * 6, "frozen": 0}
+    profile = TwinParameters(lockstep=own is None, calibration=Calibration.load(device)).profile
+    header = [profile.header(**secret, **simulated), f"#define BAUD {BAUD}", f"#define CRYSTAL_MHZ {crystal}"]
     sources = [FIRMWARE / "maglev_firmware.c", BOARDS / "board.c", BOARDS / board / "chip.c"]
     if own is None:
-        macros |= {"PLANT": initialiser(plant(hand)), "QEMU": "1"}
+        header += [macro("PLANT", plant(hand)), "#define QEMU 1"]
         sources += [FIRMWARE / "simulated_flotor.c", BOARDS / "simulation.c"]
     else:
         sources += [BOARDS / board / "device.c", own]
-    header = "\n".join(f"#define {name} {text}" for name, text in macros.items())
-    (program.parent / "device.h").write_text(header + "\n", encoding="ascii")
+    (program.parent / "device.h").write_text("\n".join(header) + "\n", encoding="ascii")
     folders = FIRMWARE, BOARDS, BOARDS / board, program.parent
     command = [COMPILER, *STRICT.split(), *BARE.split(), *CORTEX_M4.split(), *(f"-I{folder}" for folder in folders)]
     command += [*map(str, sources), "-T", str(BOARDS / board / "board.ld"), "-lgcc", "-o", str(program)]
@@ -135,13 +100,19 @@ if __name__ == "__main__":
     parser.add_argument("--crystal", type=int, default=8, metavar="MHZ", help="crystal of the board (default: 8)")
     parser.add_argument("--hand", default="0,0,0,0,0,0@0:0", help="wrench [N, N m] and times [s] (default: none)")
     parser.add_argument("program", type=Path)
+    parser.add_argument("--device", default=PUBLISHED, metavar="FILE", help="device file of --own (default: ubc)")
     options = parser.parse_args()
+    if not options.own and options.device != PUBLISHED:
+        parser.error("device: needs --own, the emulated flotor is the published one")
     if options.own and options.board != "stm32f405":
         parser.error("own: needs --board stm32f405")
     if not 4 <= options.crystal <= 26:
         parser.error(f"crystal must be 4 to 26 MHz (got {options.crystal})")
     secret = bytes.fromhex(options.key.read_text()) if options.key else b""
     try:
-        build(options.program.resolve(), secret, options.hand, options.board, options.own, options.crystal)
-    except (subprocess.CalledProcessError, ValueError) as error:
+        build(
+            *(options.program.resolve(), secret, options.hand, options.board),
+            *(options.own, options.crystal, options.device),
+        )
+    except (subprocess.CalledProcessError, MaglevError, ValueError) as error:
         sys.exit(f"build.py: {error}")
