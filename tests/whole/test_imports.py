@@ -65,10 +65,19 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+_BLOCKS = ast.stmt, ast.ExceptHandler, ast.match_case
+
+
 @cache
 def nodes_of(path: Path) -> list[ast.Import | ast.ImportFrom]:
-    """Return the imports of a file."""
-    return [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Import | ast.ImportFrom)]
+    """Return the imports of a file; imports are statements, so that no expression is searched."""
+    found, blocks = list[ast.Import | ast.ImportFrom](), list[ast.AST]([tree_of(path)])
+    for block in blocks:
+        if isinstance(block, ast.Import | ast.ImportFrom):
+            found.append(block)
+        else:
+            blocks += (one for one in ast.iter_child_nodes(block) if isinstance(one, _BLOCKS))
+    return found
 
 
 def imports() -> list[tuple[str, str, str]]:
