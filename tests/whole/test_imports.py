@@ -80,6 +80,13 @@ def nodes_of(path: Path) -> list[ast.Import | ast.ImportFrom]:
     return found
 
 
+@pytest.fixture(scope="module", autouse=True)
+def parsed() -> None:
+    """Parse the package once, for all tests."""
+    for path in PACKAGE.rglob("*.py"):
+        nodes_of(path)
+
+
 def imports() -> list[tuple[str, str, str]]:
     """Return package, file and module of every import.
 
