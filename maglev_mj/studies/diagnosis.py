@@ -585,6 +585,8 @@ def _least(radius: Callable[[Array], Array], most: float, search: tuple[int, int
         most: Largest value.
         search: Values tried, over four decades, steps of the refinement, and values in each; see _POINTS.
     """
+    if not most:
+        return None
     count, halvings, points = search or (41, *_POINTS[1:])
     grid = np.geomspace(1e-4 * most, most, count)
     good = np.asarray(is_stable(radius(grid)))

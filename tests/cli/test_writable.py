@@ -12,7 +12,7 @@ from maglev_mj.cli import output, program
 from maglev_mj.cli.program import COMMANDS
 from tests.cli.test_options import NEEDED
 
-INPUTS = {"--device", "--key", "--profile", "--truth"}
+INPUTS = {"--device", "--hand-path", "--key", "--model", "--profile", "--truth"}
 
 
 def outputs() -> list[tuple[str, str, str]]:

@@ -16,7 +16,7 @@ from maglev_mj.plants import ExactPlant
 from maglev_mj.result import number_text, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.names import scene_names
-from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis
+from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis, _least
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import DeviceLaw, Mode, spectral_radius, stiffest_wall
 
@@ -269,7 +269,18 @@ def test_friction_hides_small_oscillations_and_resolution_bounds_the_hum() -> No
     assert 1e6 * still.hum == pytest.approx(13.7, rel=5e-3) and math.isnan(still.amplitude_limit)
 
 
+def test_no_least_value_is_searched_where_the_stiffest_wall_has_no_damping() -> None:
+    assert _least(lambda values: 0.0 * values, 0.0) is None
+
+
+@pytest.mark.study
 @pytest.mark.parametrize("name", [x for x in scene_names() if "wall_on" in vars(find_scene(x)())])
+def test_a_wall_on_the_device_of_every_scene_is_diagnosed(name: str) -> None:
+    assert not diagnose(name, stiffness=6e4, damping=200.0).stable
+    assert diagnose(name, wall_on="device", stiffness=6e4, damping=200.0).stable
+
+
+@pytest.mark.parametrize("name", [x for x in scene_names() if "device_period" in vars(find_scene(x)())])
 def test_a_scene_takes_its_own_parameters_on_the_command_line(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     options = "--wall-on device --stiffness 60000 --damping 200 --device-rate 8000 --friction 0.1 --hand arm --json -"
     assert main(["diagnose", name, *options.split()]) == 0
