@@ -312,6 +312,7 @@ class Device:
             assert self.force is not None
             return _frozen([*self.force.limit, 0.0, 0.0, 0.0])
         inverse = np.linalg.inv(self.coils.wrench_per_current(self.body.centre_of_mass))
+        # rounded, since a limit is compared and printed: 60 N, not its neighbour in floating point
         return _frozen(np.round(self.coils.current_limit / np.abs(inverse).max(axis=0), 12))
 
     @cached_property

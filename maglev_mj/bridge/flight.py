@@ -100,7 +100,7 @@ class Flight:
         self._motion, self._note = SampledMotion(), _NOTE
         self.switch, self.timing = switch or StopSwitch(), LoopTiming()
         self._lost = self._skipped = 0
-        self._sensor_delay = 0.0  # beyond the stated one [s]
+        self._sensor_delay = 0.0  # in addition to the stated one [s]
         self._request: ChangeRequest | None = None
         self._steps: Iterator[None] = iter(())
         self._pending: tuple[ChangeRequest, Controller] | None = None
@@ -153,7 +153,7 @@ class Flight:
         if (late := plant.coils.sensor_delay) > LATE * plant.period:  # false for NaN
             self._sensor_delay, limit = late, self._delay_guard.limit
             if late + plant.answers.delay_bound > limit:
-                self.reason = f"the sensor is {late * 1e3:.1f} ms late, the loop delay limit {limit * 1e3:.2f} ms"
+                self.reason = f"the sensor is delayed by {late * 1e3:.1f} ms; loop delay limit {limit * 1e3:.2f} ms"
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
         while not self._is_over(last):

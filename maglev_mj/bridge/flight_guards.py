@@ -43,7 +43,7 @@ _REVERSALS, _SMALL = 380.0, 190.0
 Twice the maxima of good flights, 184 and 86 N: taps of 20 N on the stiffest published wall at 200 Hz.
 """
 _STORED, _ENERGY, _FORGOTTEN = 0.045, 0.008, 1.0
-"""Energy that laws store for long [J], limit of the energy they generate beyond it [J], and time to forget that [s].
+"""Energy that laws may store without decay [J], limit of generated energy [J], and time constant of its decay [s].
 
 A hand of 20 N stores 45 mJ in a spring along the range of motion.
 """
@@ -307,5 +307,7 @@ class PowerGuard:
                 f"limit {_SMALL:g} N"
             )
         if stored < -_ENERGY:
-            return f"the laws generate energy: {-stored * 1e3:.0f} mJ more than they took, limit {_ENERGY * 1e3:g} mJ"
+            return (
+                f"the laws generate energy: {-stored * 1e3:.0f} mJ more than they absorbed, limit {_ENERGY * 1e3:g} mJ"
+            )
         return ""

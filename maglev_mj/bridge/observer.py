@@ -29,13 +29,13 @@ _NOISE, _CERTAIN, _PROMPT = 3e-6, 0.02, 2e-4
 """Pose noise [m]; largest standard errors of a gain and of the sensor's delay [s]."""
 
 LATE = 0.5
-"""Delay of a sensor that counts, in sample periods: above its uncertainty over a jittery line."""
+"""Smallest delay of a sensor that is acted on, in sample periods: above its uncertainty over a jittery line."""
 
 _FAULTY, _RELATIVE = 0.07, 0.2
 """Gain error of a faulty coil, absolute and relative to the largest error."""
 
 _DRIFT = 0.2
-"""Time per order of the polynomial that is not fitted [s]: integrated errors of the currents, at jitter, drift."""
+"""Time per order of the polynomial that is projected out [s]: with jitter, the integrated currents drift."""
 
 _UNKNOWN = (math.nan,) * 6
 _BUFFER = 64
@@ -256,7 +256,7 @@ class CoilEstimator:
         if not lost or len(self._rows) < 3:
             return ""
         if self.sensor_delay > LATE * self._period:
-            return f"the sensor is {self.sensor_delay * 1e3:.1f} ms late"
+            return f"the sensor is delayed by {self.sensor_delay * 1e3:.1f} ms"
         # on its stop the flotor can still rotate
         matrix, path = self._fit(self._summed(), range(3, 6))
         matrix = matrix[:, :6]

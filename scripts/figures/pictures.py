@@ -231,8 +231,9 @@ def device_walls(path: Path) -> None:
         left.plot(1e3 * time, np.median(heights, axis=1), label=f"{name}, {gains}", **style)
         right.barh(name, critical[index] / 1e3, color=style["color"])
         right.annotate(f" {critical[index] / 1e3:.0f}", (critical[index] / 1e3, name), va="center", fontsize=9.0)
-    left.set_xlabel("time (ms)"), left.set_ylabel("height above the wall (mm)")
-    right.set_xlabel("critical stiffness at the best damping (kN/m)"), right.invert_yaxis()
+    left.set(xlabel="time (ms)", ylabel="height above the wall (mm)")
+    right.set_xlabel("critical stiffness at the best damping (kN/m)")
+    right.invert_yaxis()
     name_curves(left)
     save(figure, path)
 

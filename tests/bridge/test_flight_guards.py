@@ -333,9 +333,9 @@ def test_a_coil_is_checked_across_lost_samples(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rate", "late", "said"),
     [
-        (200, 5, r"the sensor is 5\.0 ms late, the loop delay limit 2\.\d\d ms"),
-        (200, 20, r".*NOT_FOLLOWING: .*; the sensor is 1\d\.\d ms late; .*"),
-        *studies((1000, 1, "landed"), (1000, 8, r"the sensor is 7\.\d ms late, the loop .*")),
+        (200, 5, r"the sensor is delayed by 5\.0 ms; loop delay limit 2\.\d\d ms"),
+        (200, 20, r".*NOT_FOLLOWING: .*; the sensor is delayed by 1\d\.\d ms; .*"),
+        *studies((1000, 1, "landed"), (1000, 8, r"the sensor is delayed by 7\.\d ms; loop .*")),
     ],
 )
 def test_a_sensor_that_is_late_is_found_in_takeoff(rate: int, late: int, said: str, tmp_path: Path) -> None:

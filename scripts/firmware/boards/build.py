@@ -110,9 +110,7 @@ if __name__ == "__main__":
         parser.error(f"crystal must be 4 to 26 MHz (got {options.crystal})")
     secret = bytes.fromhex(options.key.read_text()) if options.key else b""
     try:
-        build(
-            *(options.program.resolve(), secret, options.hand, options.board),
-            *(options.own, options.crystal, options.device),
-        )
+        board = {name: getattr(options, name) for name in ("hand", "board", "own", "crystal", "device")}
+        build(options.program.resolve(), secret, **board)
     except (subprocess.CalledProcessError, MaglevError, ValueError) as error:
         sys.exit(f"build.py: {error}")
