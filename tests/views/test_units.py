@@ -147,7 +147,7 @@ def test_parameters_not_along_the_axis_keep_their_unit(axis: str) -> None:
 
     result = run(Own(), plant="exact")
     head, _, table = str(Variants({"a": result}).table()).partition("\n\n")
-    assert "place 0.002 m," in head and "force 1 N," in head
+    assert "place 2 mm," in head and "force 1 N," in head
     units = {row[0]: row[2] for row in result.table().rows}
     assert units == {"final position": unit_of("mm", axis), "<lambda>": "N"} and unit_of("mm", axis) in table
 
