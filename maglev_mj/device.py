@@ -417,8 +417,10 @@ def _of_package(name: str) -> Device:
     return read_file("device file", _FOLDER / f"{name}.toml", Device.parse)
 
 
-published_device = partial(_of_package, PUBLISHED)
-"""Return the published joystick."""
+@cache
+def published_device() -> Device:
+    """Return the published joystick."""
+    return _of_package(PUBLISHED)
 
 
 def devices() -> tuple[str, ...]:
