@@ -104,7 +104,7 @@ OFFERED = {
     "maglev-mj ": [*COMMANDS],
     "maglev-mj st": ["stick-slip", "stability"],
     "maglev-mj view ": [*BUILT_IN, "mine.py"],
-    "maglev-mj run press --h": ["--help", "--hand", "--hits", "--height"],
+    "maglev-mj run press --h": ["--help", "--hand-path", "--hand", "--hits", "--height"],
     "maglev-mj stick-slip --law l": ["lugre"],
     "maglev-mj drop --period ": [],
     "maglev-mj view --stiffness 4e3 --seconds ": [],
