@@ -227,14 +227,14 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
     panels = [
         Panel(
             title="a tick of many devices in one process",
-            labels=("devices at once", "µs a tick and device"),
+            labels=("devices at once", "µs per tick and device"),
             curves=_curves(found["µs a tick and device"]),
             log="xy",
             marked=True,
         ),
         Panel(
             title="one device, faster samples",
-            labels=("samples a second", "simulated seconds a second"),
+            labels=("samples per second", "simulated seconds per second"),
             curves=_curves(found["simulated seconds a second"]),
             log="xy",
             marked=True,
@@ -242,13 +242,13 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
         ),
         Panel(
             title="a sweep in the engine, over its workers",
-            labels=("workers", "cells a second"),
+            labels=("workers", "cells per second"),
             curves=rates,
             log="xy",
             marked=True,
         ),
         Panel(
-            title="the same with its start, over its cells",
+            title="the same with its start-up, over its cells",
             labels=("cells", "seconds"),
             curves=taken,
             log="xy",
@@ -256,4 +256,9 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
     ]
     name, devices, costs = min(panels[0].curves, key=lambda curve: min(curve[2]))
     head = f"{name}: {min(costs):.2g} µs per tick and device, up to {max(devices):g} devices at once"
-    return [small_multiples([head], panels, pictures.path("speed_growth"))]
+    loop = Timing()
+    detail = (
+        f"drop, {1.0 / loop.period:g} Hz, delay {1e3 * loop.delay:g} ms; "
+        "faster samples: six axes held, delay 0.3 periods; sweeps: MuJoCo, RK4"
+    )
+    return [small_multiples([head, detail], panels, pictures.path("speed_growth"))]

@@ -99,10 +99,15 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
     """Draw cost beside change, the cheapest on top; return the file."""
     costs, changes = found["cost over plain"], found["change (µm)"]
     names = sorted(costs, key=lambda name: -costs[name])
-    head = f"Dearest option: {names[0]}, {costs[names[0]]:.2g} times the cost of the plain loop"
-    figure, axes = new_figure([head], 1, 2, 0.24 * len(names) + 1.0, sharey=True)
+    head = f"Most expensive option: {names[0]}, {costs[names[0]]:.2g} times the cost of the plain loop"
+    scene = Drop()
+    detail = (
+        f"drop, {1.0 / scene.period:g} Hz, delay {1e3 * scene.delay:g} ms; "
+        "each option alone, beside the plain loop of its plant"
+    )
+    figure, axes = new_figure([head, detail], 1, 2, 0.24 * len(names) + 1.0, sharey=True)
     kinds = {EXACT: ("o", HAND), ENGINE: ("s", DEVICE)}
-    titles = "cost, times the plain loop", "greatest displacement of a coil by it (µm)"
+    titles = "cost relative to the plain loop", "largest displacement of a coil (µm)"
     columns = costs, {name: max(value, _NOTHING) for name, value in changes.items()}
     for axis, title, values in zip(axes, titles, columns, strict=True):
         for row, name in enumerate(names):

@@ -452,18 +452,20 @@ def step_panels(data: Mapping[str, Any]) -> list[Panel]:
 
 def draw(pictures: PictureFolder, data: Mapping[str, Any]) -> list[Path]:
     """Draw the charts; return their files."""
+    rate = f"{1.0 / PERIOD:g} Hz, delay {1e3 * DELAY:g} ms"
     drawn = [
         work_precision(
-            f"{name}: {TITLES[name]}", chart_points(part["methods"]), pictures.path(f"speed_accuracy_{name}")
+            f"{name}: {TITLES[name]}, {rate}", chart_points(part["methods"]), pictures.path(f"speed_accuracy_{name}")
         )
         for name, part in data["scenes"].items()
     ]
     everyone = peer_points(data["peers"]["methods"])
-    title = "a drop on the wall, six axes, with what else one might take"
+    title = f"the same drop on six axes in each simulator, {rate}"
     drawn.append(work_precision(title, everyone, pictures.path("speed_accuracy_peers")))
     shift = max(np.abs(shifts).max() for shifts in data["boundary"]["shifts"].values())
     head = [
-        f"Time steps up to {1e3 * max(data['boundary']['steps']):g} ms shift the boundary by up to {100 * shift:.2g} %"
+        f"Time steps up to {1e3 * max(data['boundary']['steps']):g} ms shift the boundary by up to {100 * shift:.2g} %",
+        f"critical stiffness and a bounce of the drop, {rate}",
     ]
     return [*drawn, small_multiples(head, step_panels(data), pictures.path("speed_accuracy_steps"))]
 

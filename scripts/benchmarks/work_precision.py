@@ -84,7 +84,7 @@ def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
     top = math.ceil(max([_decade(point) for point in off], default=1.0) + 0.3)
     bottom = -_ROW * (len(rows) + 0.2)
     best = f": {rows[0].group}, {1e3 * rows[0].cost:.2g} µs per simulated ms" if rows else ""
-    head = f"Cheapest within 1 nm{best}", title, "ringed and bold: nothing is both cheaper and nearer"
+    head = f"Cheapest within 1 nm{best}", f"{title}; ringed and bold: nothing is both cheaper and more accurate"
     figure, (axis,) = new_figure(head, 1, 1, _INCH * (top - bottom) + 1.0)
     chains = []
     for group in groups:
@@ -184,5 +184,5 @@ def _furnish(axis: Any, rows: Sequence[WorkPoint], front: set[int], span: tuple[
     axis.minorticks_off()
     told = {"ha": "right", "va": "top", "fontsize": _SMALL, "color": REFERENCE, "transform": axis.get_yaxis_transform()}
     axis.text(0.995, -0.2, "within 1 nm: the cheapest of each", **told)
-    axis.set_xlabel("cost (µs a simulated ms and device)")
+    axis.set_xlabel("cost (µs per simulated ms and device)")
     axis.set_ylabel("largest error")

@@ -316,9 +316,10 @@ def test_a_page_without_its_program_says_so_and_reconnects(browser: Any) -> None
     try:
         check(False)
         tab.wait_for_selector("[aria-label='rewind [s]']")
-        inputs = tab.locator("input:visible, button:visible, [role=slider], [role=tab], [role=button]:visible")
+        inputs = "input:visible, button:visible, [role=slider], [role=tab], [role=button]:visible"
         nameless = "all => all.filter(one => !(one.ariaLabel || one.labels?.length || one.innerText)).length"
-        assert inputs.count() > 25 and inputs.evaluate_all(nameless) == 0
+        run.until(lambda _: not tab.locator(inputs).evaluate_all(nameless))  # named within 250 ms of being drawn
+        assert tab.locator(inputs).count() > 25
         assert tab.get_by_role("group", name="camera").get_by_role("button").count() > 3
         assert tab.locator("[tabindex='1']").all_text_contents() == ["emergency stop"]
         tab.keyboard.press("Escape")
