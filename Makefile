@@ -7,7 +7,7 @@ READY := $(VENV)/.ready# stamp: what tests and checks need is installed
 PEERS := $(VENV)/.peers# stamp: what others' simulators need is installed too
 DOCS := $(VENV)/.docs# stamp: what the documentation needs is installed
 ALSO :=# `,docs` installs with the tests' packages those of the documentation: the gate needs both, and pip looks once
-BEFORE := 65016d1# revision that benchmarks compare with
+BEFORE := b223e7d8# revision that benchmarks compare with
 
 .PHONY: demo test test-machine kernels floors studies bench pictures check lint types wheel firmware docs linkcheck clean
 

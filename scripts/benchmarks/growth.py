@@ -255,7 +255,8 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
         ),
     ]
     name, devices, costs = min(panels[0].curves, key=lambda curve: min(curve[2]))
-    head = f"{name}: {min(costs):.2g} µs per tick and device, up to {max(devices):g} devices at once"
+    cheapest = int(np.argmin(costs))
+    head = f"{name}: one of {devices[cheapest]:.0f} devices at once costs {costs[cheapest] / costs[0]:.1g} of one alone"
     loop = Timing()
     detail = (
         f"drop, {1.0 / loop.period:g} Hz, delay {1e3 * loop.delay:g} ms; "

@@ -99,7 +99,7 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
     """Draw cost beside change, the cheapest on top; return the file."""
     costs, changes = found["cost over plain"], found["change (µm)"]
     names = sorted(costs, key=lambda name: -costs[name])
-    head = f"Most expensive option: {names[0]}, {costs[names[0]]:.2g} times the cost of the plain loop"
+    head = f"Most expensive option: {names[0]}, {costs[names[0]]:.0f} times the cost of the plain loop"
     scene = Drop()
     detail = (
         f"drop, {1.0 / scene.period:g} Hz, delay {1e3 * scene.delay:g} ms; "

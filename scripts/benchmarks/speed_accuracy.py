@@ -441,7 +441,7 @@ def step_panels(data: Mapping[str, Any]) -> list[Panel]:
         energies.append((kind, [step for step, _ in mine], [error for _, error in mine]))
     tables = {
         "shift of the stiffest stable wall": ("relative shift", shifts),
-        "energy of a bounce": ("largest error, share of the fall's", [curve for curve in energies if curve[1]]),
+        "energy of a bounce": ("largest error, relative to the fall", [curve for curve in energies if curve[1]]),
     }
     return [
         Panel(title=title, labels=("time step (s)", label), curves=merged(curves), log="xy", marked=True)
@@ -455,13 +455,16 @@ def draw(pictures: PictureFolder, data: Mapping[str, Any]) -> list[Path]:
     rate = f"{1.0 / PERIOD:g} Hz, delay {1e3 * DELAY:g} ms"
     drawn = [
         work_precision(
-            f"{name}: {TITLES[name]}, {rate}", chart_points(part["methods"]), pictures.path(f"speed_accuracy_{name}")
+            f"{name}: {TITLES[name]}, {rate}",
+            chart_points(part["methods"]),
+            "exact plant",
+            pictures.path(f"speed_accuracy_{name}"),
         )
         for name, part in data["scenes"].items()
     ]
     everyone = peer_points(data["peers"]["methods"])
     title = f"the same drop on six axes in each simulator, {rate}"
-    drawn.append(work_precision(title, everyone, pictures.path("speed_accuracy_peers")))
+    drawn.append(work_precision(title, everyone, "exact plant", pictures.path("speed_accuracy_peers")))
     shift = max(np.abs(shifts).max() for shifts in data["boundary"]["shifts"].values())
     head = [
         f"Time steps up to {1e3 * max(data['boundary']['steps']):g} ms shift the boundary by up to {100 * shift:.2g} %",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ class WorkPoint:
     Attributes:
         name: Of the method.
         group: Methods of one kind share a colour, and a row for the cheapest that is exact enough.
-        cost: Of a simulated second [s], of each device where there are many.
+        cost: Of a simulated second [s], of each device where there are many; drawn relative to a group.
         error: [m]; what is below `EXACT_ENOUGH` counts as none.
         many: Whether that takes many devices at once.
         label: Words beside it where it is not exact enough; empty for none.
@@ -64,16 +64,19 @@ def pareto(points: Sequence[WorkPoint]) -> list[WorkPoint]:
     return front
 
 
-def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
-    """Draw error over cost, and the cheapest exact methods.
+def work_precision(title: str, points: Sequence[WorkPoint], base: str, path: Path) -> Path:
+    """Draw error over cost relative to one device of a group, and the cheapest exact methods.
 
     What no other method beats is ringed and its row bold, among single devices and among many at once.
 
     Args:
         title: Above the panel.
         points: What to draw.
+        base: Group of cost 1, or the end of its name; ratios differ less between machines than costs.
         path: File to write.
     """
+    unit = min(point.cost for point in points if point.group.endswith(base))
+    points = [replace(point, cost=point.cost / unit) for point in points]
     groups = list(dict.fromkeys(point.group for point in points))
     styles = {
         group: ("osD^vPX<>hpd"[index % 12], SERIES[index % (len(SERIES) - 1)]) for index, group in enumerate(groups)
@@ -83,7 +86,7 @@ def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
     front = {id(point) for many in (False, True) for point in pareto([one for one in points if one.many is many])}
     top = math.ceil(max([_decade(point) for point in off], default=1.0) + 0.3)
     bottom = -_ROW * (len(rows) + 0.2)
-    best = f": {rows[0].group}, {1e3 * rows[0].cost:.2g} µs per simulated ms" if rows else ""
+    best = f": {rows[0].group}, {rows[0].cost:.2g} times the cost of one {base}" if rows else ""
     head = f"Cheapest within 1 nm{best}", f"{title}; ringed and bold: nothing is both cheaper and more accurate"
     figure, (axis,) = new_figure(head, 1, 1, _INCH * (top - bottom) + 1.0)
     chains = []
@@ -95,9 +98,10 @@ def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
     for index, point in enumerate(rows):
         height = -_ROW * (index + 0.7)
         _draw(axis, [(point, height)], styles[point.group], front)
-        place = (1e3 * point.cost, height)
+        place = (point.cost, height)
         axis.annotate(f"{float(f'{place[0]:.2g}'):g}", place, va="center", **_words(9, 0))
     _furnish(axis, rows, front, (bottom, float(top)))
+    axis.set_xlabel(f"cost per device and simulated time, relative to one {base}")
     _name(figure, axis, off, chains)
     return save(figure, path)
 
@@ -117,14 +121,14 @@ def _decade(point: WorkPoint) -> float:
 
 
 def _places(points: Sequence[WorkPoint]) -> tuple[list[float], list[float]]:
-    return [1e3 * point.cost for point in points], [_decade(point) for point in points]
+    return [point.cost for point in points], [_decade(point) for point in points]
 
 
 def _draw(axis: Any, placed: Sequence[tuple[WorkPoint, float]], style: tuple[str, Any], front: set[int]) -> None:
     """Draw points at their heights, those of the front ringed."""
     for point, height in placed:
         ring: dict[str, Any] = {"markeredgecolor": "black", "markeredgewidth": 1.8} if id(point) in front else {}
-        axis.plot(1e3 * point.cost, height, marker=style[0], color=style[1], markersize=7.0, zorder=3, **ring)
+        axis.plot(point.cost, height, marker=style[0], color=style[1], markersize=7.0, zorder=3, **ring)
 
 
 def _words(right: float, up: float) -> dict[str, Any]:
@@ -152,7 +156,7 @@ def _name(figure: Any, axis: Any, points: Sequence[WorkPoint], chains: Sequence[
             leader = (
                 {"arrowstyle": "-", "color": REFERENCE, "linewidth": 0.7} if max(abs(right), abs(up)) > 12 else None
             )
-            place = (1e3 * point.cost, _decade(point))
+            place = (point.cost, _decade(point))
             words = axis.annotate(point.label, place, ha=beside, va=above, arrowprops=leader, **_words(right, up))
             words.set_in_layout(False)  # the panel keeps its size
             words.update_positions(renderer)
@@ -184,5 +188,4 @@ def _furnish(axis: Any, rows: Sequence[WorkPoint], front: set[int], span: tuple[
     axis.minorticks_off()
     told = {"ha": "right", "va": "top", "fontsize": _SMALL, "color": REFERENCE, "transform": axis.get_yaxis_transform()}
     axis.text(0.995, -0.2, "within 1 nm: the cheapest of each", **told)
-    axis.set_xlabel("cost (µs per simulated ms and device)")
     axis.set_ylabel("largest error")

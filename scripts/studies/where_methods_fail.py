@@ -216,30 +216,24 @@ def timing_finding(growth: Panel, delays: Panel) -> str:
     (_, _, steady), *varied = delays.curves
     off = max(np.abs(ticks / predicted - 1.0).max() for _, _, ticks in simulated)
     moved = max(np.abs(rates - steady).max() for _, _, rates in varied)
-    return (
-        f"Just above the boundary walls grow as predicted, within {off:.0%}; "
-        f"delay jitter changes the growth by at most {moved:.1g} per sample"
-    )
+    return f"Growth is as predicted within {100 * off:.0f} %; delay jitter changes it by {moved:.1g} per sample"
 
 
 def pulse_finding(presses: Panel, walls: Panel) -> str:
     """Return the headline of pulses at the edge and of two walls."""
     *free, gated = (pulses.max() for _, _, pulses in presses.curves)
-    name, widths, shares = max(walls.curves, key=lambda curve: curve[2].sum())
+    name, _, shares = max(walls.curves, key=lambda curve: curve[2].sum())
     return (
-        f"Light presses fire up to {max(free):.0f} pulses per second, {gated:.0f} with a gate; "
-        f"rattles in gaps up to {widths[shares > 0.0].max(initial=0.0):.2g} mm: {name}"
+        f"Up to {max(free):.0f} false pulses per second, {gated:.0f} with a gate; "
+        f"{name}: at least {100 * shares.min():.0f} % rattle"
     )
 
 
 def limits_finding(drops: Panel, sensors: Panel) -> str:
     """Return the headline of force limits and of a coarse sensor."""
-    name, heights, depths = max(drops.curves, key=lambda curve: curve[2].max())
-    swings = np.array([swing for _, _, swing in sensors.curves])
-    return (
-        f"{name}: {depths.max():.2g} mm from the centre after a drop of {heights[depths.argmax()]:.2g} mm; "
-        f"limit cycles of {swings.max():.2g} µm end with friction"
-    )
+    name, _, depths = max(drops.curves, key=lambda curve: curve[2].max())
+    swing = max(swing.max() for _, _, swing in sensors.curves)
+    return f"{name}: up to {1e-3 * depths.max():.2g} m from the centre; friction ends a swing of {swing:.0f} µm"
 
 
 def hands_finding(held: Panel, thrown: Panel) -> str:
@@ -247,8 +241,8 @@ def hands_finding(held: Panel, thrown: Panel) -> str:
     _, shares, radii = held.curves[0]
     rest = max(energy[-1] for _, _, energy in thrown.curves)
     return (
-        f"The paper's wall shakes in a clamp above {20.0 * shares[radii <= 1.0].max():.2g} N/mm; "
-        f"a flotor in a corner comes to rest, with {rest:.0e} J left"
+        f"A clamp above {2e4 * shares[radii <= 1.0].max():.0f} N/m shakes; "
+        f"a corner comes to rest, with {1e9 * rest:.0f} nJ left"
     )
 
 

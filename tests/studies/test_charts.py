@@ -305,7 +305,7 @@ def test_speed_and_accuracy_can_be_read(figures: list[Any]) -> None:
             for step in (1e-3, 9e-4, 8e-4, 1e-4)
         ),
     ]
-    work_precision("drop: on a wall, with a braking pulse", points, Path("unused.png"))
+    work_precision("drop: on a wall, with a braking pulse", points, "exact plant", Path("unused.png"))
     (figure,) = figures
     assert complaints(figure) == []
     (panel,) = figure.axes
@@ -319,6 +319,7 @@ def test_speed_and_accuracy_can_be_read(figures: list[Any]) -> None:
     # a row for the cheapest of each kind that is exact enough; bold where nothing beats it
     rows = {label.get_text(): label.get_fontweight() for label in panel.get_yticklabels()[-3:]}
     assert rows == {"many at once": "bold", "exact plant": "bold", "RK4": "normal"}
+    assert {"0.01", "1", "3"} <= {text.get_text() for text in panel.texts}  # relative to one exact plant
 
 
 def test_what_cannot_be_read_is_found() -> None:
