@@ -225,7 +225,7 @@ def pulse_finding(presses: Panel, walls: Panel) -> str:
     name, _, shares = max(walls.curves, key=lambda curve: curve[2].sum())
     return (
         f"Up to {max(free):.0f} false pulses per second, {gated:.0f} with a gate; "
-        f"{name}: at least {100 * shares.min():.0f} % rattle"
+        f"{100 * shares.mean():.0f} % of the starts rattle: {name}"
     )
 
 
