@@ -15,11 +15,21 @@ from maglev_mj.scenes.names import scene_names
 from maglev_mj.studies.diagnosis import MOTIONS, DiagnosedLoop
 from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
 
+_SOURCES = {
+    "stiffness": "from the scene or recording, else required",
+    "damping": "from the scene or recording, else required",
+    "period": "from the scene, recording or device, else required",
+    "delay": "from the scene, recording or device, else one period",
+    "mass": "from the scene, recording or device, else mass or inertia is required",
+    "inertia": "from the scene or recording, else none",
+    "cutoff": "from the scene, else none",
+}
+
 
 def _add_loop(parser: Parser) -> None:
     group = parser.group("loop")
     add_device(parser)
-    add_parameters(group, DiagnosedLoop)
+    add_parameters(group, DiagnosedLoop, sources=_SOURCES)
     parser.set_defaults(scene=None)
     parser.later.append(partial(_add_scene, parser))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
@@ -27,7 +27,13 @@ _DEST = "parameter "
 
 
 def add_parameters(
-    parser: Container, parameters: Parameters | type[Parameters], prefix: str = "", /, *, without: Sequence[str] = ()
+    parser: Container,
+    parameters: Parameters | type[Parameters],
+    prefix: str = "",
+    /,
+    *,
+    without: Sequence[str] = (),
+    sources: Mapping[str, str] = {},
 ) -> None:
     """Add an option for each declared parameter whose name is not an option yet.
 
@@ -39,6 +45,7 @@ def add_parameters(
         parameters: Class, or parameters with the default values.
         prefix: Prefix of each option's name, for a command with options of several classes.
         without: Names of parameters without an option.
+        sources: Help for the default of some, in place of the value.
     """
     defaults = parameters() if isinstance(parameters, type) else parameters
     names = [parameter.name for parameter in defaults.parameters()]
@@ -53,10 +60,11 @@ def add_parameters(
                 if inverse
                 else parser
             )
-            _add_parameter(into, option, parameter, getattr(defaults, name), prefix)
+            help = partial(described, parameter, getattr(defaults, name), sources.get(name, ""))
+            _add_parameter(into, option, parameter, prefix, help)
 
 
-def _add_parameter(parser: Container, option: str, item: Parameter, default: Any, prefix: str) -> None:
+def _add_parameter(parser: Container, option: str, item: Parameter, prefix: str, help: Callable[[], str]) -> None:
     keywords: dict[str, Any] = {"dest": _DEST + prefix + item.name, "default": argparse.SUPPRESS, "help": item.name}
     if item.kind is bool:
         keywords["action"] = argparse.BooleanOptionalAction
@@ -65,11 +73,11 @@ def _add_parameter(parser: Container, option: str, item: Parameter, default: Any
         keywords |= {"type": partial(_or_none, read) if item.optional else read, "metavar": metavar or "NAME"}
     action: Any = parser.add_argument(option, **keywords)
     action.offered, action.parameter = item.choices, item
-    action.compose = partial(described, item, default)  # lazily, when a help is printed
+    action.compose = help  # lazily, when a help is printed
 
 
-def described(item: Parameter, default: Any) -> str:
-    """Return a parameter's description with unit, choices and default."""
+def described(item: Parameter, default: Any, source: str = "") -> str:
+    """Return a parameter's description with unit, choices and default, or where the default comes from."""
     from maglev_mj.frames import unit_of  # imported here: other help texts do not need NumPy
 
     head, semicolon, tail = item.help.partition(";")
@@ -77,6 +85,8 @@ def described(item: Parameter, default: Any) -> str:
     text = f"{head} [{unit}]{semicolon}{tail}" if unit else item.help
     if item.choices:
         text += f": {', '.join(item.choices)}"
+    if source:
+        return f"{text} (default: {source})"
     if item.kind is bool:
         return f"{text} (default {'on' if default else 'off'})"
     return f"{text} (default {'none' if default is None else default if item.kind is str else f'{default:g}'})"

@@ -63,9 +63,7 @@ class DiagnosedLoop(DeviceParameters):
     stiffness: float = param("stiffness K of wall or spring", "N/m", default=0.0, at_least=0.0, at_most=1e8)
     damping: float = param("damping B of the law", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
     period: float = param("sample period T", "s", default=MAX_PERIOD, at_least=MIN_PERIOD, at_most=MAX_PERIOD)
-    delay: float = param(
-        "delay from a sample to the effect of its command; one period if not stated", "s", default=0.0, at_least=0.0
-    )
+    delay: float = param("delay from a sample to the effect of its command", "s", default=0.0, at_least=0.0)
     mass: float | None = param("moving mass with the handle", "kg", default=None, above=0.0, optional=True)
     inertia: float | None = param(
         "moment of inertia of a rotary axis, whose units are N m/rad", "kg m²", default=None, above=0.0, optional=True
@@ -191,7 +189,7 @@ class Diagnosis(Result):
         rate_range: Sample rates that are stable with this delay [Hz]; None for none.
         rate_in_periods: The same if the delay stays the same number of periods.
         best: Stiffest stable wall over all dampings.
-        remedies: Changes that help, best first.
+        remedies: Changes that help, best first; none if the wall is stable and reaches the target.
         ineffective: Changes without effect, in words.
         passive_damping: Damping of the device's own that makes the law passive [N s/m, N m s/rad]; NaN at two
             rates.
@@ -281,9 +279,10 @@ class Diagnosis(Result):
         head = ("", "ratio", f"critical [{k}]", "cost", "remedy")
         without = "no help" if self.stable else "not enough to end it"
         notes = [f"{without}: {'; '.join(self.ineffective)}" if self.ineffective else "", *self._notes()]
-        found = Table(
-            "What helps, best first; ratio of critical to requested stiffness", head, remedies, "\n".join(notes)
-        )
+        title = "What helps, best first; ratio of critical to requested stiffness"
+        if _has_room(self.loop, self.stable, self.critical_stiffness):
+            title = f"No change needed: critical over requested stiffness is at least {self.loop.target:g}"
+        found = Table(title, head, remedies, "\n".join(notes))
         return Table(self.motion[0].upper() + self.motion[1:], ("stable for", ""), rows, below=[found])
 
     def _notes(self) -> Iterable[str]:
@@ -479,6 +478,11 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
     return (found[0] if below.size else math.nan), (found[-1] if above.size else math.nan)
 
 
+def _has_room(loop: DiagnosedLoop, stable: bool, critical: float) -> bool:
+    """Return True for a stable wall that reaches the target."""
+    return stable and critical >= loop.target * loop.gains[0]
+
+
 def _rounded(value: float, *, up: bool = False) -> float:
     """Return a value with the digits that are printed, so that obeying the print gives the printed result."""
     step = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
@@ -495,7 +499,9 @@ def _remedy(loop: DiagnosedLoop, words: str, cost: str, **change: float) -> Reme
 def _remedies(
     loop: DiagnosedLoop, stable: bool, critical: float, best: StiffestWall
 ) -> tuple[tuple[Remedy, ...], tuple[str, ...]]:
-    """Return the changes that help, best first, and those that do not, in words."""
+    """Return the changes that help, best first, and those that do not, in words; none if no change is needed."""
+    if _has_room(loop, stable, critical):
+        return (), ()
     (k, b), turned = loop.gains, loop.rotary
     damper, spring = ("N m s/rad", "N m/rad") if turned else ("N s/m", "N/m")
     most, at = float(best.stiffness), float(best.damping)

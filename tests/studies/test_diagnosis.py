@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -206,6 +207,13 @@ def test_recordings_of_unknown_loops_name_the_cause(tmp_path: Path) -> None:
     assert worst <= 0.02 and named >= 27
 
 
+@pytest.mark.parametrize(("target", "room"), [(1.6, True), (1.7, False)])
+def test_a_stable_wall_that_reaches_the_target_needs_no_change(target: float, room: bool) -> None:
+    found = diagnose(**CASES["paper"][0], target=target)  # critical stiffness 1.68 times the requested one
+    assert ("No change needed: " in str(found)) is room and ("What helps" in str(found)) is not room
+    assert (not found.remedies and not found.ineffective) is room
+
+
 def test_a_change_that_just_ends_the_shaking_is_not_said_to_have_no_effect() -> None:
     found = diagnose(mass=0.0611, stiffness=1220.86, damping=1.8027, period=1.7771e-3, delay=5.331e-4)
     assert not found.stable
@@ -314,6 +322,14 @@ def test_a_scene_is_diagnosed_on_its_worst_axis() -> None:
 def test_missing_values_are_named(values: dict[str, float], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
         diagnose(**values)
+
+
+def test_the_help_says_where_the_values_of_the_loop_come_from(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["diagnose", "--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    for option in ("stiffness K", "damping B", "period T", "effect of its command", "moving mass", "inertia of a"):
+        assert re.search(rf"{option}[^(]*\(default: from the scene", shown)
 
 
 HOST: dict[str, Any] = {"stiffness": 2e4, "damping": 20.0, "period": 5e-3, "delay": 1.5e-3, "mass": 0.7}
