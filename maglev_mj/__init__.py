@@ -11,7 +11,6 @@ Laws, rendered by the controller:
     Wall                     PD wall, with a braking pulse on entry
     HalfSampleWall           wall with half-sample prediction
     VirtualCoupling          wall that stops a virtual mass coupled to the flotor
-    ObserverWall             wall with an observer that models the delay
     Hold                     PD control of the pose
     Bias                     constant wrench, e.g. weight compensation
     StickSlip                stick-slip friction by the paper's Karnopp law

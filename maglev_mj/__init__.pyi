@@ -16,7 +16,6 @@ from maglev_mj.control import Hold as Hold
 from maglev_mj.control import ImplicitCoulomb as ImplicitCoulomb
 from maglev_mj.control import Law as Law
 from maglev_mj.control import LowPass as LowPass
-from maglev_mj.control import ObserverWall as ObserverWall
 from maglev_mj.control import StickSlip as StickSlip
 from maglev_mj.control import VirtualCoupling as VirtualCoupling
 from maglev_mj.control import Wall as Wall

@@ -27,7 +27,6 @@ from maglev_mj.control import (
     Law,
     LowPass,
     LuGre,
-    ObserverWall,
     PassivityController,
     SpringReset,
     StickSlip,
@@ -74,9 +73,6 @@ LAWS: Mapping[str, list[Law]] = {
     "Hold": [Hold(**ALL, target=[1e-3, 0.0, -1e-3])],
     "HalfSampleWall": [HalfSampleWall(axes="z", stiffness=1500.0, damping=10.0, period=PERIOD)],
     "VirtualCoupling": [VirtualCoupling(axes="z", stiffness=900.0, damping=10.0, inertia=0.4, period=PERIOD)],
-    "ObserverWall": [
-        ObserverWall(axes="z", stiffness=500.0, damping=20.0, inertia=0.7, period=PERIOD, delay=DELAY, pole=0.4)
-    ],
     "PassivityController": [
         Wall(axes="z", lower=1e-4, stiffness=4000.0, damping=0.0),
         PassivityController(axes="z", period=PERIOD, delay=DELAY, most=30.0, slow=1e-5),

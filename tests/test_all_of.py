@@ -218,7 +218,7 @@ def steady_commands(laws: Controller, *lost: int, path: Array = STEADY) -> list[
 def test_lost_samples_at_constant_velocity_do_not_change_the_other_forces(law: str) -> None:
     """The pulse comes with the first sample inside the wall that arrives."""
     wanted = np.array([command.wrench for command in steady_commands(controller_of(law))])
-    end = 37 if law in ("ObserverWall", "PassivityController") else 70  # inside, their own force is held
+    end = 37 if law == "PassivityController" else 70  # inside, their own force is held
     for first, gap in itertools.product(range(20, end, 7), (0, 1, 3)):
         seen = steady_commands(controller_of(law), first, first + gap)
         arrived = [tick for tick in range(len(STEADY)) if tick not in (first, first + gap)]
@@ -228,13 +228,8 @@ def test_lost_samples_at_constant_velocity_do_not_change_the_other_forces(law: s
 
 
 @pytest.mark.parametrize("lost", [(), (30,), (30, 31), (30, 32)])
-def test_laws_that_observe_their_force_know_that_it_is_held_while_samples_are_lost(lost: tuple[int, ...]) -> None:
-    observer, watch = (Controller(LAWS[name], period=PERIOD) for name in ("ObserverWall", "PassivityController"))
-    with ExactPlant(Timing(**TIMING), pose=[0.0, 0.0, -1e-3, 0.0, 0.0, 0.0], gravity=0.0) as plant:
-        for tick, sample in zip(range(80), plant):
-            if tick not in lost:
-                plant.write(observer.step(sample))
-                assert observer.states[0][0][:2] == pytest.approx(np.stack(plant.state())[:, 2], rel=1e-9)
+def test_a_passivity_controller_knows_that_its_force_is_held_while_samples_are_lost(lost: tuple[int, ...]) -> None:
+    watch = Controller(LAWS["PassivityController"], period=PERIOD)
     force = [command.force[2] for command in steady_commands(watch, *lost, path=STEADY[::-1])]
     energy = 0.5 * (sum(force[:-2]) + sum(force[:-3])) * np.diff(STEADY[:2, 2])  # a delay of 1.5 periods
     assert watch.signals["energy"] == pytest.approx(energy, rel=1e-9)

@@ -52,7 +52,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "stability": Command("stability of a wall (figure 2) or of a scene", "--hand arm --delay 0.002 --grid 20"),
         "design": Command("stiffest wall for uncertain mass, delay and hand", "--mass 0.56:0.84 --hand arm,stylus"),
         "compare": Command(
-            "comparison of wall laws, published and your own", "drop --law pd --law observer --out figures"
+            "comparison of wall laws, published and your own", "drop --law pd --law pulse --out figures"
         ),
         "sweep": Command("parameter sweep of any scene", "drop --vary height=1e-3:4e-3:4 --workers 2"),
         "fidelity": Command("cheapest sufficient model for a scene", "let-go --duration 0.02 --phases 2"),

@@ -22,7 +22,6 @@ from maglev_mj.control.laws.velocity import FiniteDifference as FiniteDifference
 from maglev_mj.control.laws.velocity import LowPass as LowPass
 from maglev_mj.control.laws.velocity import Window as Window
 from maglev_mj.control.laws.wall import HalfSampleWall as HalfSampleWall
-from maglev_mj.control.laws.wall import ObserverWall as ObserverWall
 from maglev_mj.control.laws.wall import PassivityController as PassivityController
 from maglev_mj.control.laws.wall import VirtualCoupling as VirtualCoupling
 from maglev_mj.control.laws.wall import Wall as Wall

@@ -31,8 +31,8 @@ CodeLoader: TypeAlias = Callable[[str], Any]
 _SLOTS: Mapping[str, tuple[type, ...]] = {
     "controller": (Controller,),
     "laws": (
-        *(_laws.Bias, _laws.Hold, _laws.Wall, _laws.HalfSampleWall, _laws.VirtualCoupling),
-        *(_laws.ObserverWall, _laws.PassivityController),
+        *(_laws.Bias, _laws.Hold, _laws.Wall, _laws.HalfSampleWall),
+        *(_laws.VirtualCoupling, _laws.PassivityController),
         *(_laws.StickSlip, _laws.SpringReset, _laws.ImplicitCoulomb),
         *(_laws.Dahl, _laws.LuGre, _laws.ElastoPlastic, _laws.HaywardArmstrong),
     ),

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.control import LinearController, Wall
+from maglev_mj.control import Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError, TooManyCallsError, check_one_of
 from maglev_mj.frames import Array
@@ -36,7 +36,6 @@ from maglev_mj.studies.stability_map import stiffest_in
 from maglev_mj.studies.sweep import Grid, Sweep
 from maglev_mj.studies.wall_laws import LAWS, LawMaker, WallLaw, laws_of, wall_law
 from maglev_mj.theory import stated_gains
-from maglev_mj.theory.closed_loop import SampledLoop, rendered_stiffness
 from maglev_mj.theory.linearise import linearise
 from maglev_mj.theory.verdict import axis_loops
 
@@ -344,8 +343,8 @@ def _with_law(scene: WallScene, label: str, law: WallLaw, plant: str) -> WallSce
 class _AtRest:
     """Loops of a law at rest in the wall, and in free air if it acts there, in scenes that differ in gains alone.
 
-    A law with a method `linear`, see `ObserverWall`, or declared gains is exact. Others are linearised at the depth at
-    which the scene's wall carries the weight, all of them together if they can be stacked.
+    A law with declared gains is exact. Others are linearised at the depth at which the scene's wall carries the weight,
+    all of them together if they can be stacked.
     """
 
     def __init__(self, scenes: Sequence[WallScene]) -> None:
@@ -354,7 +353,7 @@ class _AtRest:
         self._around: Any = {"delay": first.delay, "inertia": first.body.inertia, "hand": self.hand}
         self._poses = [[along(first.axis, -weight / scene.stiffness)] for scene in scenes]
         controllers = {index: scene.controller() for index, scene in enumerate(scenes)}
-        some = {index: one for index, one in controllers.items() if stated_gains(one) is None and not _model(one)}
+        some = {index: one for index, one in controllers.items() if stated_gains(one) is None}
         with suppress(TooManyCallsError):
             free = [-self._poses[index][0] for index in some]
             for index, near in zip(some, linearise([*some.values()], free, axes=first.axis) if some else ()):
@@ -371,15 +370,7 @@ class _AtRest:
             scene = self.scenes[index]
             with suppress(ParameterError):
                 controller = scene.replace(stiffness=ratio * scene.stiffness).controller()
-                if (own := _model(controller)) is not None:
-                    model, law = own
-                    around: Any = {"period": scene.period, "delay": scene.delay, "hand": self.hand}
-                    mass = first.body.inertia[first.axis_index]
-                    loop = SampledLoop(mass=mass, design=lambda *_, model=model: model, **around)
-                    radius = float(loop.spectral_radius(law.stiffness, law.damping))
-                    result[row] = float(rendered_stiffness(model)), radius
-                else:
-                    rows += [(row, controller, pose) for pose in self._poses[index]]
+                rows += [(row, controller, pose) for pose in self._poses[index]]
         if rows:
             order, controllers, poses = zip(*rows)
             found = axis_loops(controllers, first.axis_index, poses=poses, **self._around)
@@ -395,14 +386,6 @@ class _AtRest:
     def critical(self, present: Sequence[float], search: tuple[float, int, int]) -> list[float]:
         """Return the ratio of critical to present stiffness of each scene; see `critical_ratios`."""
         return critical_ratios(lambda *asked: [radius for _, radius in self.loops(*asked)], present, search)
-
-
-def _model(controller: Controller) -> tuple[LinearController, Any] | None:
-    """Return the model in contact of a law that defines one, and the law."""
-    law: Any = controller.laws[0]
-    if not hasattr(law, "linear"):
-        return None
-    return law.linear(*(np.array(float(one)) for one in (law.stiffness, law.damping))), law
 
 
 def _margins(scene: WallScene) -> dict[str, float]:

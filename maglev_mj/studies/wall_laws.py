@@ -13,7 +13,6 @@ from maglev_mj.control import (
     HalfSampleWall,
     Law,
     LowPass,
-    ObserverWall,
     PassivityController,
     VelocityEstimator,
     VirtualCoupling,
@@ -131,12 +130,6 @@ LAWS: Mapping[str, WallLaw] = {
         "changed",
         "Colgate & Schenkel 1997 (as quoted by others, not verified); with a delay K = b/least_passive_damping(1)",
         gains=_passive,
-    ),
-    "observer": WallLaw(
-        ObserverWall,
-        "f = -K x' - B v', x' and v' from a deadbeat observer with the delay as states",
-        "own",
-        "after Vlaar 1994, as reported by Salcudean & Vlaar 1997",
     ),
 }
 """Laws by name."""

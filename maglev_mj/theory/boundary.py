@@ -2,11 +2,11 @@
 
 The boundary is the critical stiffness: all softer walls are stable. Stable ranges above it are islands.
 
-The characteristic polynomial of a wall's closed loop is linear in the gains, p0(z) + k p1(z) + b p2(z), for every
-design here: PD with any linear velocity estimate or prediction, and the observer. For an eigenvalue on the unit circle,
-z = exp(i theta), it gives two real equations, so k and b are explicit in theta: ratios of polynomials in x = cos theta.
-At a fixed damping, the stiffnesses at which a pole crosses the circle are the roots of one such polynomial, so none is
-missed. A circle of another radius gives the boundary for a margin.
+The characteristic polynomial of a wall's closed loop is linear in the gains, p0(z) + k p1(z) + b p2(z), for PD with any
+linear velocity estimate or prediction. For an eigenvalue on the unit circle, z = exp(i theta), it gives two real
+equations, so k and b are explicit in theta: ratios of polynomials in x = cos theta. At a fixed damping, the stiffnesses
+at which a pole crosses the circle are the roots of one such polynomial, so none is missed. A circle of another radius
+gives the boundary for a margin.
 
 Passivity needs damping of the device itself. The levitated flotor has almost none, so no wall on it is passive, but
 many are stable.

@@ -410,7 +410,7 @@ def _loop(near: Linearised, axes: tuple[int, ...], own: Array, previous: list[_L
 
 
 def _alike(first: Array, second: Array) -> bool:
-    return bool(np.abs(first - second).max() <= _ROUNDING * np.abs(second).max())
+    return len(first) == len(second) and bool(np.abs(first - second).max() <= _ROUNDING * np.abs(second).max())
 
 
 def _own_spectral_radius(roots: NDArray[np.complex128], still: int) -> float:

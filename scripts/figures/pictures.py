@@ -239,7 +239,7 @@ def device_walls(path: Path) -> None:
 
 
 _PAPER = {2: "stability", 3: "drop", 4: "phase_plane", 6: "press", 8: "stick_slip", 9: "six_axes"}
-_LAWS = "--law pd --law pulse --law half-sample --law observer --law mine.py".split()
+_LAWS = "--law pd --law pulse --law half-sample --law mine.py".split()
 _STUDIES = {
     "stability_steps": "stability_steps",
     "nonlinear_walls": "stability_nonlinear",

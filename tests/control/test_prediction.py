@@ -9,27 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from maglev_mj import Controller, ExactPlant, Sample, Timing, Wall, drive
-from maglev_mj.control import HalfSampleWall, Law, ObserverWall, PassivityController
-from maglev_mj.errors import ParameterError
+from maglev_mj.control import HalfSampleWall, Law, PassivityController
 from maglev_mj.plants.hand import exponential
 from maglev_mj.plants.trace import PassivityObserver, actuator_work
 from maglev_mj.scenes.figures import perceived_hardness
-from maglev_mj.spec import GRAVITY
-from maglev_mj.theory.closed_loop import Design, SampledLoop, rendered_stiffness
 from tests.sweeps import sweep
-from tests.theory.impacts import limited_drop
 
 T, M = 0.005, 0.7
 PHASES = 12
-
-
-def observer(stiffness: float, damping: float, **options: Any) -> ObserverWall:
-    chosen: dict[str, Any] = {"axes": "z", "inertia": M, "period": T, "delay": 0.0015} | options
-    return ObserverWall(stiffness=stiffness, damping=damping, **chosen)
-
-
-def design_of(law: ObserverWall) -> Design:
-    return lambda stiffness, damping, period: law.linear(stiffness, damping)
 
 
 def bounce(laws: list[Law], delay: float) -> tuple[NDArray[np.float64], PassivityObserver, Any]:
@@ -69,51 +56,6 @@ def test_the_line_across_the_edge_counts_for_its_part_inside() -> None:
         line = place - 1e-3 + speed * time
         mean = np.where(line <= 0.0, -3000.0 * line - 20.0 * speed, 0.0).mean()
         assert wrench[2] == pytest.approx(mean, abs=2e-3)
-
-
-@pytest.mark.parametrize(("pole", "delay"), sweep([0.0, 0.2, 0.4, 0.6], [0.0, 0.0015, 0.005, 0.0125], every=4))
-def test_observer_wall_moves_and_yields_as_its_matrix_says(pole: float, delay: float) -> None:
-    # From the same state, sample for sample; and at rest it has sunk by weight over rendered stiffness.
-    law = observer(2000.0, 60.0, pole=pole, delay=delay)
-    loop = SampledLoop(period=T, delay=delay, design=design_of(law))
-    spectral_radius = float(loop.spectral_radius(2000.0, 60.0))
-    assert spectral_radius < 1.0
-    static = float(rendered_stiffness(law.linear(np.asarray(2000.0), np.asarray(60.0))))
-    assert static < 2000.0
-    plant = ExactPlant(Timing(period=T, delay=delay), pose=[0.0, 0.0, -M * GRAVITY / static, 0.0, 0.0, 0.0])
-    heights: list[float] = []
-    drive(plant, Controller([law], period=T), 1200, observe=lambda s, _: heights.append(s.position[2]))
-    assert heights[-1] == pytest.approx(-M * GRAVITY / static, rel=1e-6)
-
-
-def test_observer_poles_are_where_they_were_asked_for() -> None:
-    # With a model that is right, the closed loop's eigenvalues are those of the observer and of the state feedback.
-    for pole in (0.3, 0.6):
-        law = observer(3000.0, 70.0, pole=pole)
-        loop = SampledLoop(period=T, delay=0.0015, design=design_of(law))
-        values = np.linalg.eigvals(loop.matrix(3000.0, 70.0))
-        feedback = np.array([[1.0, T], [0.0, 1.0]]) - np.outer([0.5 * T * T / M, T / M], [3000.0, 70.0])
-        wanted = [*np.linalg.eigvals(feedback), pole, pole]
-        for value in wanted:  # several poles in one place come out to the square root of rounding
-            assert np.abs(values - value).min() < 1e-4
-
-
-@pytest.mark.parametrize("limits", [(8.0,), pytest.param((8.0, 10.0, 20.0, 60.0), marks=pytest.mark.study)])
-def test_saturation_throws_the_observer_wall_out_unless_its_model_knows_the_limit(limits: tuple[float, ...]) -> None:
-    # It settles from low drops only; the region grows with the limit; the PD wall settles from anywhere.
-    heights = np.array([3e-4, 3e-3, 4.5e-3])
-    stiff = {"stiffness": 27097.0, "damping": 238.0}
-
-    def settles(law: Law, limit: float) -> list[bool]:
-        swing = limited_drop(heights[:, None], law, np.arange(4) / 4, force_limit=limit).swing
-        return [bool(one < 1e-6) for one in swing.max(axis=1)]
-
-    assert settles(observer(**stiff), 60.0) == [True, True, False]
-    assert sum(settles(observer(**stiff), 20.0)) < 2
-    assert all(settles(observer(**stiff, force_limit=60.0), 60.0))
-    paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
-    for limit in limits:  # the weight is 6.9 N
-        assert all(settles(paper, limit))
 
 
 @pytest.mark.parametrize(("stiffness", "delay"), sweep([500.0, 2000.0, 4000.0], [0.0, 0.0015, 0.005], every=4))
@@ -179,12 +121,3 @@ def test_hardness_of_an_analog_wall_is_stiffness_and_damping_over_the_window() -
     assert hard.rate == pytest.approx((-3000.0 * place - 10.0 * speed) / window, rel=0.02)
     assert hard.rate == pytest.approx(3000.0 + 10.0 / window, rel=0.1)
     assert hard.extended >= hard.rate
-
-
-def test_a_delay_and_a_limit_that_are_none_are_refused() -> None:
-    for options, words in (
-        ({"force_limit": 0.0}, "wall force_limit must be above 0 [(]got 0.0"),
-        ({"delay": -0.001}, "delay must be"),
-    ):
-        with pytest.raises(ParameterError, match=words):
-            observer(1000.0, 10.0, **options)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, ObserverWall, ParameterError, Timing, Wall, diagnose, drive, find_scene, stability
+from maglev_mj import Controller, ParameterError, Timing, VirtualCoupling, Wall, diagnose, drive, find_scene, stability
 from maglev_mj.cli import main
 from maglev_mj.plants import ExactPlant
 from maglev_mj.result import number_text, plain
@@ -381,17 +381,18 @@ def test_device_options_reach_the_loop_of_every_command(command: str, tmp_path: 
     assert best["stiffness"] == pytest.approx(float(known.stiffness), rel=2e-3)
 
 
-class Observed(Drop):
-    """Drop on a wall with an observer, which has memory and declares no gains."""
+class Coupled(Drop):
+    """Drop on a wall that declares no gains, and has memory: PD in contact, with a virtual mass in free air."""
 
     def laws(self) -> list[Any]:
-        gains: Any = {"stiffness": 2e4, "damping": 150.0, "pole": 0.4, "inertia": 0.7}
-        return [ObserverWall(axes="z", lower=0.0, period=self.period, delay=self.delay, **gains)]
+        gains: Any = {"stiffness": 4000.0, "damping": 40.0, "inertia": 0.2}
+        return [VirtualCoupling(axes="z", lower=0.0, period=self.period, **gains)]
 
 
 def test_a_law_with_memory_is_linearised_exactly() -> None:
-    found, verdict = diagnose(Observed()), stability(Observed())
+    found, verdict = diagnose(Coupled()), stability(Coupled())
     assert found.spectral_radius == pytest.approx(verdict.spectral_radius, rel=1e-6)
+    assert found.spectral_radius == pytest.approx(float(spectral_radius(4000.0, 40.0)), rel=1e-6)
     assert "with its memory" in found.assumptions[0]
     edges = found.critical_stiffness * np.array([0.999, 1.001])
     assert (found.loop.sampled.spectral_radius(edges, found.loop.damping) < 1.0).tolist() == [True, False]

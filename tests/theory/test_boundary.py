@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.control import LinearController, LowPass, ObserverWall, Window
+from maglev_mj.control import LinearController, LowPass, Window
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants.hand import Hand, get_hand
@@ -210,16 +210,6 @@ def test_the_stiffest_wall_is_found_where_rounding_moves_the_extreme_of_the_curv
     for share in (np.linspace(0.98, 1.02, 11), np.linspace(0.5, 1.5, 31)):
         dense = boundary_of(loop, float(found.damping) * share)
         assert float(found.stiffness) >= dense.max() * (1.0 - 1e-8)
-
-
-def test_an_observer_has_its_boundary_too() -> None:
-    wall = ObserverWall(axes="z", stiffness=1.0, damping=1.0, inertia=0.7, period=0.005, delay=0.0015)
-    loop = SampledLoop(design=lambda stiffness, damping, period: wall.linear(stiffness, damping))
-    damping = np.linspace(20.0, 260.0, 13)
-    found = boundary_of(loop, damping)
-    assert is_stable(loop.spectral_radius(found * (1.0 - 1e-7), damping)).all()
-    assert not is_stable(loop.spectral_radius(found * (1.0 + 1e-7), damping)).any()
-    assert found.max() > 2.0 * float(stiffest_of(SampledLoop()).stiffness)
 
 
 def test_a_design_that_is_not_linear_in_its_gains_is_refused() -> None:

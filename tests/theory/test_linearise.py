@@ -20,7 +20,6 @@ from maglev_mj.control import (
     Hold,
     Law,
     LowPass,
-    ObserverWall,
     StickSlip,
     VelocityEstimator,
     VirtualCoupling,
@@ -220,12 +219,6 @@ def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
         assert [face[0] for face in coupled.faces()] == [0]
         found = verdict(coupled, Bias([0.0] * 6))
         assert found.stable is (stiffness < 9000.0), found.spectral_radius
-    observer = ObserverWall(**common, delay=DELAY, stiffness=4000.0, inertia=INERTIA[0], pole=0.4)
-    loop: Any = {"period": T, "delay": DELAY, "mass": INERTIA[0], "design": lambda k, b, _: observer.linear(k, b)}
-    (near,) = linearise(Controller([observer], period=T), [[-0.0045, 0, 0, 0, 0, 0]])
-    assert near.closed_loop(delay=DELAY, axes="x").spectral_radius == pytest.approx(
-        float(spectral_radius(4000.0, 80.0, **loop)), abs=1e-6
-    )
 
 
 def test_a_start_on_an_edge_is_moved_off_it_and_jumps_are_counted() -> None:

@@ -1,4 +1,4 @@
-"""Walls: PD wall with braking pulse, half-sample prediction, virtual coupling, observer, passivity controller."""
+"""Walls: PD wall with braking pulse, half-sample prediction, virtual coupling, passivity controller."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.laws.base import Answer, AxisLaw, Face, Gains, LinearController, choose, gain, setting
+from maglev_mj.control.laws.base import Answer, AxisLaw, Face, Gains, choose, gain, setting
 from maglev_mj.control.timeline import check_delay
 from maglev_mj.errors import ParameterError, check_one_of
-from maglev_mj.frames import AXES, ZERO, Array, Component, DeviceWall, Six, clipped
+from maglev_mj.frames import AXES, ZERO, Component, DeviceWall, Six, clipped
 from maglev_mj.parameters import flag, number, store
 from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 
@@ -296,128 +296,6 @@ class VirtualCoupling(_LowerWall):
         y = y + self.period * w
         free = y > gains.lower
         return -pull, (choose(free, y, gains.lower + 0.0 * y), choose(free, w, 0.0 * w))
-
-
-class _Estimate(NamedTuple):
-    """Observer state at a sample; forces newest first: those still delayed, the one in effect, the one before."""
-
-    position: Component
-    velocity: Component
-    forces: tuple[Component, ...]
-
-
-class ObserverWall(_LowerWall):
-    """Wall with state feedback from a delay-compensating observer.
-
-    f = -k x' - b v', with x' and v' predicted for the instant at which the command takes effect.
-
-    The model is a mass under the law's own forces, including the delayed ones, so that the delay is part of the state.
-    An observer with equal poles corrects it at each sample. An unmodelled force, such as that of a hand, biases the
-    estimate and softens the wall.
-
-    Each gain is a number, one number per axis, or (N, axes) for N devices.
-
-    Args:
-        axes: Names from AXES; all six by default.
-        lower: The wall fills x <= lower [m, rad].
-        stiffness: Gain k on the predicted position [N/m, N m/rad].
-        damping: Gain b on the predicted velocity [N s/m, N m s/rad].
-        inertia: Mass or moment of inertia in the model [kg, kg m²].
-        period: Sample period [s].
-        delay: Transport delay in the model [s].
-        pole: Observer poles, all equal, in [0, 1); 0 for deadbeat.
-        force_limit: Force limit [N, N m]; a number. Without it the model assumes forces above saturation, and a hard
-            impact throws the flotor out.
-
-    Raises:
-        ParameterError: If a value is outside its bounds or shapes do not match.
-
-    Source: design of Vlaar 1994 as reported by Salcudean & Vlaar 1997, with the delay as poles at the origin; feedback
-        gains and observer are this project's, with the observer gains of a fading-memory filter.
-
-    Example:
-        >>> from maglev_mj import Controller, ObserverWall, Sample
-        >>> wall = ObserverWall(axes="z", stiffness=12000.0, damping=150.0, inertia=0.7, period=0.005, delay=0.0015)
-        >>> round(Controller([wall], period=0.005).step(Sample(0, 0.0, [0, 0, -0.001, 0, 0, 0])).force[2], 3)
-        12.0
-    """
-
-    damping: ArrayLike = gain(unit="N s/m, N m s/rad")
-    inertia: ArrayLike = gain(unit="kg, kg m²", above=0.0)
-    period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
-    delay: float
-    pole: float = setting(default=0.0, at_least=0.0, below=1.0)
-    force_limit: float = math.inf
-
-    _split: tuple[int, float] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        store(self, _split=check_delay(self.delay, self.period))
-        if not self.force_limit > 0.0:
-            raise ParameterError(f"wall force_limit must be above 0 (got {self.force_limit!r})")
-
-    def force(self, x: Component, v: Component, gains: Any, state: _Estimate | None) -> tuple[Component, _Estimate]:
-        """Return the force on one axis and its observer state.
-
-        The observer starts at rest at the first sample; the controller's velocity estimate is not used.
-        """
-        offset = x - gains.lower
-        if state is None:
-            estimate = _Estimate(offset, 0.0, (0.0,) * (self._split[0] + 2))
-        else:
-            estimate = self._corrected(state, offset, gains.inertia)
-        position, velocity = self._at_effect(estimate, gains.inertia)
-        force = (position <= 0.0) * -(gains.stiffness * position + gains.damping * velocity)
-        applied = force if self.force_limit == math.inf else clipped(force, self.force_limit)
-        return force, estimate._replace(forces=(applied, *estimate.forces[:-1]))
-
-    def skip(self, position: Six, velocity: Six, state: Any) -> Any:
-        """Predict the estimates over a lost sample, with the forces held; see `Law`."""
-        after = [self._corrected(estimate, None, gains.inertia) for (_, gains), estimate in zip(self._each, state)]
-        return [estimate._replace(forces=(estimate.forces[0], *estimate.forces[:-1])) for estimate in after]
-
-    def linear(self, stiffness: Array, damping: Array) -> LinearController:
-        """Return the state space model of the law in contact, for gains (...,) and the inertia of its first axis.
-
-        Its state is position, velocity, and the forces, newest first.
-        """
-        inertia = np.asarray(self._each[0][1].inertia)
-        size = 2 + self._split[0] + 2
-        shape = np.broadcast_shapes(stiffness.shape, damping.shape, inertia.shape)
-        columns = []
-        for unit in np.eye(size + 1):  # unit vectors of the state, then the position
-            state = _Estimate(unit[0], unit[1], tuple(unit[2:size]))
-            estimate = self._corrected(state, unit[size], inertia)
-            position, velocity = self._at_effect(estimate, inertia)
-            force = -(stiffness * position + damping * velocity)
-            rows = (estimate.position, estimate.velocity, force, *estimate.forces[:-1], force)
-            columns.append(np.stack([np.broadcast_to(row, shape) for row in rows], axis=-1))
-        matrix = np.stack(columns, axis=-1)
-        return LinearController(
-            matrix[..., :size, :size], matrix[..., :size, size], matrix[..., size, :size], matrix[..., size, size]
-        )
-
-    def _corrected(self, estimate: _Estimate, measured: Component | None, inertia: Component) -> _Estimate:
-        """Predict the state over one period and correct it by the measured position, if any."""
-        x, v, forces = estimate
-        pole, period, remainder = self.pole, self.period, self._split[1]
-        x, v = _propagate(x, v, forces[-1] / inertia, remainder)
-        x, v = _propagate(x, v, forces[-2] / inertia, period - remainder)
-        residual = 0.0 * x if measured is None else measured - x
-        return _Estimate(x + (1.0 - pole**2) * residual, v + (1.0 - pole) ** 2 / period * residual, forces)
-
-    def _at_effect(self, estimate: _Estimate, inertia: Component) -> tuple[Component, Component]:
-        """Predict position and velocity for the instant at which the command takes effect."""
-        x, v, forces = estimate
-        x, v = _propagate(x, v, forces[-2] / inertia, self._split[1])
-        for force in forces[-3::-1]:
-            x, v = _propagate(x, v, force / inertia, self.period)
-        return x, v
-
-
-def _propagate(x: Component, v: Component, acceleration: Component, duration: float) -> tuple[Component, Component]:
-    return x + duration * (v + 0.5 * duration * acceleration), v + duration * acceleration
 
 
 _AxisState: TypeAlias = tuple[Component, Component, tuple[Component, ...]]
