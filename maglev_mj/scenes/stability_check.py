@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from time import thread_time as _clock
 from typing import Any
@@ -15,12 +15,13 @@ from numpy.typing import ArrayLike
 from maglev_mj import theory
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
-from maglev_mj.frames import AXES, ZERO, Sample, Six, components
+from maglev_mj.frames import AXES, ZERO, Array, Mask, Sample, Six, components
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
+from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.margin import Margin, acting_words
 from maglev_mj.theory.verdict import axis_loops, stability, stated_gains, stated_spectral_radii
 
@@ -147,40 +148,28 @@ def critical_ratios(
         present: Spectral radius of each loop at its present gain, N.
         search: FINE or ROUGH.
     """
-    begin, most = _clock(), _SEARCH * len(present)
-    searches = {index: _search(radius < 1.0, *search) for index, radius in enumerate(present) if radius == radius}
-    result, ratios = [math.nan] * len(present), {index: next(one) for index, one in searches.items()}
-    with suppress(ParameterError):  # out of bounds
-        while ratios and _clock() - begin <= most:
-            asked, ratios = ratios, {}
-            for index, radius in zip(asked, radii([*asked], [*asked.values()]), strict=True):
-                try:
-                    ratios[index] = searches[index].send(radius)
-                except StopIteration as end:
-                    result[index] = end.value
-    return result
+    factor, most, halvings = search
+    begin, stable = _clock(), np.array(present) < 1.0
+    valid = ~np.isnan(present)
 
+    def changed(ratios: Array) -> Mask:
+        """Return True where stability at a ratio above 0 differs from the present; not valid if not computed."""
+        asked = np.flatnonzero((ratios > 0.0) & valid)
+        found, result = np.full(asked.shape, math.nan), np.zeros(ratios.shape, dtype=bool)
+        if asked.size and _clock() - begin <= _SEARCH * len(present):
+            with suppress(ParameterError):  # out of bounds
+                found[:] = radii(asked.tolist(), ratios[asked].tolist())
+        valid[asked] = ~np.isnan(found)
+        result[asked] = valid[asked] & ((found < 1.0) != stable[asked])
+        return result
 
-def _search(stable: bool, factor: float, most: int, halvings: int) -> Generator[float, float, float]:
-    """Yield ratios to try, and return the critical one; see `critical_ratios`."""
-    same, other = 1.0, None
+    before, after = np.ones(len(present)), np.full(len(present), math.inf)
     for step in range(1, most):
-        ratio = (factor if stable else 1.0 / factor) ** step
-        radius = yield ratio
-        if math.isnan(radius):
-            return math.nan
-        if (radius < 1.0) != stable:
-            other = ratio
-            break
-        same = ratio
-    if other is None:
-        return math.inf if stable else 0.0
-    for _ in range(halvings):
-        radius = yield (middle := 0.5 * (same + other))
-        if math.isnan(radius):
-            return math.nan
-        same, other = (same, middle) if (radius < 1.0) != stable else (middle, other)
-    return other
+        ratios = np.where(np.isinf(after), np.where(stable, factor**step, (1.0 / factor) ** step), 0.0)
+        crossed = changed(ratios)
+        before, after = np.where(np.isinf(after) & ~crossed, ratios, before), np.where(crossed, ratios, after)
+    critical = bisect(changed, before, after, halvings)
+    return np.where(valid, np.where(np.isinf(critical) & ~stable, 0.0, critical), math.nan).tolist()
 
 
 def check_step(present: Controller, new: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:

@@ -20,13 +20,13 @@ from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, TooManyCallsError
-from maglev_mj.frames import AXES, ZERO, Array, unit_of
+from maglev_mj.frames import AXES, ZERO, Array, Mask, unit_of
 from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import Body
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_DELAY_PERIODS, RANGE
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.closed_loop import SampledLoop, bisect
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
 from maglev_mj.theory.poses import POINTS, edges_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device, rates_of
@@ -672,15 +672,15 @@ def stated_spectral_radii(
 
 def _margin(spectral_radius: Callable[[float], float], period: float) -> float:
     """Return the first delay at which a spectral radius reaches 1 [s]."""
+
+    def stable(delay: Array) -> Mask:
+        return np.array(spectral_radius(float(delay)) < 1.0 - _ROUNDING)
+
     grid = np.arange(0.0, min(_LONGEST, MAX_DELAY_PERIODS * period) + 1e-12, max(period / _PER_PERIOD, _FINEST))
-    first = next((index for index, delay in enumerate(grid) if spectral_radius(delay) >= 1.0 - _ROUNDING), None)
+    first = next((index for index, delay in enumerate(grid) if not stable(delay)), None)
     if not first:
         return math.inf if first is None else 0.0
-    low, high = grid[first - 1], grid[first]
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if spectral_radius(middle) >= 1.0 - _ROUNDING else (middle, high)
-    return float(low)
+    return float(bisect(stable, grid[first], grid[first - 1], _HALVINGS))
 
 
 def _memory(response: Array) -> int:
