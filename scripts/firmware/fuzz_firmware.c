@@ -4,6 +4,9 @@
           scripts/firmware/maglev_firmware.c -o fuzz_firmware
        fuzz_firmware [FRAMES [SEED]]      1 000 000 without a key and as many with one, by default
 
+   Then random inputs as libFuzzer's. The same guided by coverage, with libFuzzer: clang -fsanitize=fuzzer,address,undefined and these two files, then
+       fuzz_firmware -max_len=8192 CORPUS
+
    Exit status 1 if a current flows outside ACTIVE or exceeds its limit, an answer is too long, or the enable line is
    toggled outside ACTIVE; sanitizers abort on memory and arithmetic errors. */
 #include <stdio.h>
@@ -24,11 +27,16 @@ static struct maglev_profile profile = {
     .pose = {[0] = 1.0, [7] = 1.0, [14] = 1.0, [21] = 1.0, [28] = 1.0, [35] = 1.0},
     .current = {[0] = 0.5, [7] = 0.5, [14] = 0.5, [21] = 0.5, [28] = 0.5, [35] = 0.5}};
 static uint64_t now, state_of_random;
+static const uint8_t *input; /* of libFuzzer, while numbers are drawn from it, and the bytes left */
+static size_t left;
 static uint32_t number;
 static double flowing[COILS], added[COILS], peak[COILS];
 static unsigned long done, driven, flights, stopped, pushed;
 
-static uint64_t draw(uint64_t below) { /* xorshift64* */
+static uint64_t draw(uint64_t below) { /* bytes of the input, or xorshift64* */
+    uint64_t value = 0;
+    for (uint64_t most = below - 1; input && left && most; most >>= 8) value = value << 8 | *input++, left--;
+    if (input) return value % below;
     state_of_random ^= state_of_random >> 12, state_of_random ^= state_of_random << 25;
     state_of_random ^= state_of_random >> 27;
     return (state_of_random * UINT64_C(2685821657736338717) >> 11) % below;
@@ -172,42 +180,78 @@ static void look(size_t length) {
         require(flowing[i] == 0.0 && added[i] == 0.0, "a current after a cut");
 }
 
-static void run(unsigned long count) {
+/* Frame, then perhaps a sample. Exact lengths, so that a sanitizer detects every access beyond them. */
+static void feed(const uint8_t *data, size_t length) {
+    uint8_t *answer = malloc(MAGLEV_LARGEST), *exact = malloc(length ? length : 1), before = device.state;
+    require(answer && exact, "no memory");
+    memcpy(exact, data, length);
+    now += draw(PERIOD / 4);
+    look(maglev_receive(&device, exact, length, draw(50) ? 0 : draw(3), answer));
+    flights += before == MAGLEV_INACTIVE && device.state == MAGLEV_ACTIVE;
+    if (draw(3) == 0) {
+        number += draw(100) ? 1 : (uint32_t)draw(15), now += PERIOD;
+        before = device.state;
+        look(maglev_sample(&device, answer));
+        for (int i = 0; i < 4 && device.walled; i++) now += PERIOD / 5, maglev_wall(&device), look(0);
+        stopped += before == MAGLEV_ACTIVE && device.state != MAGLEV_ACTIVE;
+    }
+    if (draw(5000) == 0) memset(device.rises, 0, sizeof device.rises), now += UINT64_C(2000000000); /* it cools */
+    free(exact), free(answer);
+}
+
+static void start(uint32_t key_length) {
+    profile.key_length = key_length;
+    for (int i = 0; i < MAGLEV_KEY; i++) profile.key[i] = (uint8_t)i;
     memset(&device, 0, sizeof device);
     require(maglev_start(&device, &profile, &hardware), "it does not start");
-    for (unsigned long end = done + count; done < end; done++) {
-        /* exact length, so that a sanitizer detects every access beyond it */
-        uint8_t data[MAGLEV_LARGEST], *answer = malloc(MAGLEV_LARGEST);
-        size_t length = make(data);
-        uint8_t *exact = malloc(length ? length : 1);
-        require(answer && exact, "no memory");
-        memcpy(exact, data, length);
-        uint8_t before = device.state;
-        now += draw(PERIOD / 4);
-        look(maglev_receive(&device, exact, length, draw(50) ? 0 : draw(3), answer));
-        flights += before == MAGLEV_INACTIVE && device.state == MAGLEV_ACTIVE;
-        if (draw(3) == 0) {
-            number += draw(100) ? 1 : (uint32_t)draw(15), now += PERIOD;
-            before = device.state;
-            look(maglev_sample(&device, answer));
-            for (int i = 0; i < 4 && device.walled; i++) now += PERIOD / 5, maglev_wall(&device), look(0);
-            stopped += before == MAGLEV_ACTIVE && device.state != MAGLEV_ACTIVE;
-        }
-        if (draw(5000) == 0) memset(device.rises, 0, sizeof device.rises), now += UINT64_C(2000000000); /* it cools */
-        free(exact), free(answer);
+}
+
+static void run(uint32_t key_length, unsigned long count) {
+    uint8_t data[MAGLEV_LARGEST];
+    start(key_length);
+    for (unsigned long end = done + count; done < end && (left || !input); done++) feed(data, make(data));
+}
+
+/* Bytes of a serial line: each frame gets the session and a valid CRC. */
+static void hear(const uint8_t *data, size_t size) {
+    struct maglev_line line = {.length = 0};
+    start(0);
+    for (; size; data++, size--) {
+        size_t length = maglev_unstuff(&line, *data);
+        if (length > 24 && line.data[3] != MAGLEV_HELLO) memcpy(line.data + 4, &device.session, 4);
+        if (length > 24) seal(line.data, length - 4);
+        if (length) feed(line.data, length), done++;
     }
 }
+
+/* libFuzzer's entry: the first byte selects the frames that are drawn, without a key or with one, or a serial line. */
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+    if (!size) return 0;
+    now = number = 0, state_of_random = 1;
+    input = *data % 3 < 2 ? data + 1 : NULL, left = size - 1;
+    if (input) run(*data % 3 ? MAGLEV_KEY : 0, left);
+    else hear(data + 1, left);
+    return 0;
+}
+
+#ifndef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION /* libFuzzer has its own */
 
 int main(int count, char **arguments) {
     unsigned long each = count > 1 ? strtoul(arguments[1], NULL, 10) : 1000000;
     state_of_random = (count > 2 ? strtoul(arguments[2], NULL, 10) : 1) * 2 + 1;
-    run(each);
-    profile.key_length = 32;
-    for (int i = 0; i < 32; i++) profile.key[i] = (uint8_t)i;
-    run(each);
+    run(0, each);
+    run(MAGLEV_KEY, each);
     printf("%lu frames, %lu flights, %lu commands driven, %lu flights ended by a guard at a sample, %lu wall currents\n",
            done, flights, driven, stopped, pushed);
     for (int i = 0; i < MAGLEV_REASONS; i++)
         printf("%s %lu%s", maglev_reasons[i], (unsigned long)device.counts[i], i + 1 < MAGLEV_REASONS ? ", " : "\n");
+    uint8_t bytes[4096];
+    done = flights = 0;
+    for (unsigned long i = 0; i < each / 50; i++) {
+        for (size_t k = 0; k < sizeof bytes; k++) bytes[k] = (uint8_t)(rand() >> 8);
+        LLVMFuzzerTestOneInput(bytes, sizeof bytes);
+    }
+    printf("%lu frames of random inputs, %lu flights\n", done, flights);
     return 0;
 }
+#endif
