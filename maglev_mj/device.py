@@ -316,6 +316,12 @@ class Device:
         return _frozen(np.round(self.coils.current_limit / np.abs(inverse).max(axis=0), 12))
 
     @cached_property
+    def coil_radius(self) -> float:
+        """Largest distance of a coil from the vertical axis through the centre of mass [m]; 0 without coils."""
+        places = np.zeros((1, 3)) if self.coils is None else np.array(self.coils.points) - self.body.centre_of_mass
+        return float(np.hypot(places[:, 0], places[:, 1]).max())
+
+    @cached_property
     def escape(self) -> float:
         """Distance from the centre at which a simulation counts as diverged [m]: ten ranges, or 1 m without one."""
         largest = max(self.range.translation)

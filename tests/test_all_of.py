@@ -19,7 +19,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, components
 from maglev_mj.plants import SampledPlant, Sensor
 from maglev_mj.plants.trace import PassivityObserver, Trace, actuator_work
-from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 from tests.all_of import (
     LAWS,
@@ -34,6 +33,7 @@ from tests.all_of import (
     VELOCITIES,
     controller_of,
 )
+from tests.published import WEIGHT
 from tests.sweeps import sweep
 
 ALONE: dict[str, Any] = {name: laws[-1] for name, laws in LAWS.items() if laws}

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from foxglove import Channel, Context, Schema, messages
 from foxglove.channels import FrameTransformsChannel, LogChannel, SceneUpdateChannel
 
 from maglev_mj.colours import DEVICE, HAND, WALL
-from maglev_mj.device import Knob
+from maglev_mj.device import PUBLISHED, Device, Knob
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, MIN_ARROW_FORCE, Shape, arrow_start, shapes, wall_box
 from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, SEGMENT, SEGMENT_NUMBER, descriptor, packed
@@ -25,7 +26,6 @@ FRAMES, SHAPES, ARROWS, LOG = "/tf", "/maglev/shapes", "/maglev/arrows", "/log"
 
 _FRAME_RATE = 60.0  # poses per second for 3D views [Hz]
 _WALL_OPACITY = 0.16
-_KNOB = Knob()  # of the drawn device, the published joystick
 _UPRIGHT = 1.0, 0.0, 0.0, 0.0
 _SHAFT, _HEAD, _HEAD_LENGTH = 0.0032, 0.0064, 0.25
 _LEVELS = {
@@ -78,13 +78,9 @@ class Messages:
 
     Args:
         context: Destination of the messages.
-        model: Model of the drawn device, see `maglev_mj.plants.model.load_model`.
-
-    Raises:
-        ModelError: If the model cannot be used.
     """
 
-    def __init__(self, context: Context, *, model: str = "maglev") -> None:
+    def __init__(self, context: Context) -> None:
         segment = "start of a segment with its plant and controller; stator axes"
         event = "event for the user"
         self._segment_channel = Channel(SEGMENT, schema=_schema("Segment", _SEGMENT_FIELDS, segment), context=context)
@@ -96,7 +92,7 @@ class Messages:
         self._shapes = SceneUpdateChannel(SHAPES, context=context)
         self._arrows = SceneUpdateChannel(ARROWS, context=context)
         self._log = LogChannel(LOG, context=context)
-        self._device = _device(shapes(model))
+        self._knob = Knob()
         self._segment, self._tick = -1, 0
         self._start = self._now = 0
         self._first: float | None = None
@@ -110,6 +106,9 @@ class Messages:
         Args:
             setup: Setup of plant and controller, with the metadata as `run`.
             began_ns: Start time since 1970 [ns].
+
+        Raises:
+            ParameterError: If the device of the setup is not valid.
         """
         self._segment += 1
         self._first, self._frame = None, -1
@@ -118,12 +117,14 @@ class Messages:
         run = setup["run"]
         metadata = RunMetadata.from_json(run)
         self._totals = Totals(metadata)
-        plates = wall_box(metadata.faces, _KNOB)[0].values()
+        device = device_of(setup)
+        self._knob = device.knob
+        plates = wall_box(metadata.faces, device.knob)[0].values()
         walls = [Shape(False, "box", half, centre, _UPRIGHT, (*WALL, _WALL_OPACITY)) for centre, half in plates]
         self._stick = None
         construction = {name: part for name, part in setup.items() if name != "run"}
         self._send(self._segment_channel, {"segment": self._segment, "setup": construction, **run})
-        self._draw(self._shapes, [*self._device, ("stator", "walls", _primitives(walls))])
+        self._draw(self._shapes, [*_entities(device), ("stator", "walls", _primitives(walls))])
         self._log_text(messages.LogLevel.Info, f"segment {self._segment + 1}: {metadata.name or setup.get('kind', '')}")
 
     def stick(self, position: Sequence[float] | None) -> None:
@@ -169,7 +170,7 @@ class Messages:
         position, stamp = values["position"], _stamp(self._now)
         frames = [
             ("stator", "flotor", position[:3], quaternion(position[3:])),
-            ("flotor", "hand", _KNOB.centre, _UPRIGHT),
+            ("flotor", "hand", self._knob.centre, _UPRIGHT),
         ]
         if self._stick is not None:
             stuck = [free if math.isnan(held) else held for held, free in zip(self._stick, position)]
@@ -185,9 +186,12 @@ class Messages:
             for parent, child, offset, rotation in frames
         ]
         self._frames.log(messages.FrameTransforms(transforms=transforms), log_time=self._now)
-        knob = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ _KNOB.centre
+        knob = self._knob
+        place = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ knob.centre
         forces = ("force of the hand", values["hand"], HAND), ("force of the device", values["applied"], DEVICE)
-        arrows = [("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces]
+        arrows = [
+            ("stator", name, {"arrows": _arrow(place, force[:3], colour, knob)}) for name, force, colour in forces
+        ]
         self._draw(self._arrows, arrows)
 
     def _draw(self, channel: SceneUpdateChannel, entities: Sequence[tuple[str, str, Mapping[str, Any]]]) -> None:
@@ -226,8 +230,17 @@ def _color(colour: Sequence[float]) -> messages.Color:
     return messages.Color(r=red, g=green, b=blue, a=opacity)
 
 
-def _device(parts: Sequence[Shape]) -> list[tuple[str, str, Mapping[str, Any]]]:
-    """Return the entities stator and flotor."""
+def device_of(setup: Setup) -> Device:
+    """Return the device of a segment; the published joystick if the segment does not state one."""
+    model = setup.get("plant", {}).get("model")
+    stated = model.get("device") if isinstance(model, dict) else None
+    return Device.load(setup.get("parameters", {}).get("device") or stated or PUBLISHED)
+
+
+@lru_cache(maxsize=8)
+def _entities(device: Device) -> list[tuple[str, str, Mapping[str, Any]]]:
+    """Return the entities stator and flotor of a device."""
+    parts = shapes("maglev", device)
     return [
         (frame, frame, _primitives([shape for shape in parts if shape.moves == moves]))
         for frame, moves in (("stator", False), ("flotor", True))
@@ -249,7 +262,7 @@ def _primitives(parts: Sequence[Shape]) -> dict[str, Any]:
     return primitives
 
 
-def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list[messages.ArrowPrimitive]:
+def _arrow(place: Array, force: Sequence[float], colour: Sequence[float], knob: Knob) -> list[messages.ArrowPrimitive]:
     """Return a force arrow; an empty list if it is too small or NaN."""
     size = math.hypot(*force)
     if not MIN_ARROW_FORCE <= size < math.inf:
@@ -258,7 +271,7 @@ def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list
     x, y, z = force[0] / size + 1.0, force[1] / size, force[2] / size
     length = math.hypot(x, y, z)
     x, y, z = (x / length, y / length, z / length) if length > 1e-9 else (0.0, 0.0, 1.0)
-    start = arrow_start(knob, np.array(force), _KNOB)
+    start = arrow_start(place, np.array(force), knob)
     return [
         messages.ArrowPrimitive(
             pose=messages.Pose(position=_vector(start), orientation=messages.Quaternion(w=0.0, x=x, y=y, z=z)),

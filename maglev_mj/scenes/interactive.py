@@ -10,7 +10,6 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj import spec
 from maglev_mj.control import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError, check_one_of, named
@@ -20,16 +19,6 @@ from maglev_mj.plants.hand import SpringHand, Trajectory
 from maglev_mj.plants.model import body_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, hold
-from maglev_mj.spec import GRAVITY, Spec
-
-MASS = Spec.moving_mass.value
-"""Moving mass [kg]."""
-
-INERTIA = np.array(spec.INERTIA)
-"""Mass and moments of inertia [kg, kg m²], (6,)."""
-
-WEIGHT = (0.0, 0.0, MASS * GRAVITY, 0.0, 0.0, 0.0)
-"""Wrench that compensates the flotor's weight [N, N m]."""
 
 LEAST_STIFFNESS = 1.0
 """Least stiffness of walls and friction [N/m]."""
@@ -131,8 +120,8 @@ def spring(
     *,
     stiffness: float,
     damping: float,
+    inertia: Array,
     target: ArrayLike = 0.0,
-    inertia: Array = INERTIA,
 ) -> Hold:
     """Return a soft spring and damper; translational gains [N/m, N s/m] are scaled by inertia [kg, kg m²], (6,)."""
     share = _share(axes, inertia)

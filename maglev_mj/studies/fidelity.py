@@ -16,6 +16,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from maglev_mj.device import Device
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
@@ -451,7 +452,7 @@ def measure_fidelity(
         def distances_of(row: StepResult, level: str = level.level) -> list[float]:
             options: Any = {"integrator": row.integrator, "longest_step": row.step}
             stepped = {case: run_case(scene, level, cases[case], **options) for case in motions[index]}
-            return list(distances_above([stepped, *motions[index:]], 0).values())
+            return list(distances_above([stepped, *motions[index:]], 0, scene.hardware).values())
 
         screened_error = worst_of(screen[index], over.share)
         if not unscreened and screen[index].max() < _ROUNDING:
@@ -494,7 +495,7 @@ def run_levels(
         for index in range(DEAR):
             measure(index, case)
     # by the distances of the falloff level: those of lower levels sum up too many other effects
-    errors = distances_above(motions, level_index("falloff"))
+    errors = distances_above(motions, level_index("falloff"), scene.hardware)
     ordered = sorted(range(1, len(cases)), key=lambda case: -errors[case])
     for case in (0, *ordered[: DEAR_CASES - 1]):
         for index in range(DEAR, len(LEVELS)):
@@ -516,13 +517,10 @@ def measure_levels(scene: str | Scene | Preset, *, repeats: int = 3) -> tuple[Le
     return level_results(preset.scene, motions, none, preset.tolerance, repeats=repeats)
 
 
-def distances_above(motions: Motions, index: int) -> dict[int, float]:
-    """Return a level's distances from those above [m].
-
-    The largest in each case.
-    """
+def distances_above(motions: Motions, index: int, device: Device) -> dict[int, float]:
+    """Return a level's largest distance from those above in each case [m]."""
     return {
-        case: max((distance(motion, above[case]) for above in motions[index + 1 :] if case in above), default=0.0)
+        case: max((distance(motion, up[case], device) for up in motions[index + 1 :] if case in up), default=0.0)
         for case, motion in motions[index].items()
     }
 
@@ -573,12 +571,12 @@ def level_results(
     rows = []
     for index, level in enumerate(LEVELS):
         motion, below = firsts[index], firsts[max(index - 1, 0)]
-        errors = list(distances_above(motions, index).values())
+        errors = list(distances_above(motions, index, scene.hardware).values())
         rows.append(
             LevelResult(
                 level=level.name,
                 adds=level.adds,
-                changes=distance(motion, below),
+                changes=distance(motion, below, scene.hardware),
                 worst=max(*errors, float(screen[index].max())),
                 missing=max(worst_of(errors, share), worst_of(screen[index], share)),
                 keeps=float(min(np.mean(np.array(errors) <= tolerance), np.mean(screen[index] <= tolerance))),
@@ -618,7 +616,10 @@ def measure_steps(
         partial(level_parts, scene, level, phase=phase, integrator=kind, longest_step=step) for kind, step in seconds
     ]
     costs = dict(zip(seconds, measure_costs(makers, list(seconds.values()), repeats), strict=True))
-    return tuple(StepResult(*key, distance(motion, truth), costs.get(key, math.inf)) for key, motion in motions.items())
+    return tuple(
+        StepResult(*key, distance(motion, truth, scene.hardware), costs.get(key, math.inf))
+        for key, motion in motions.items()
+    )
 
 
 def _choose(

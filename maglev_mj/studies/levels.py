@@ -284,14 +284,11 @@ def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> Motion
     return Motion(pose, twist, float(np.max(forces, axis=0)[:3].max()), met_stops, seconds)
 
 
-def apart(one: Array, other: Array) -> Array:
-    """Return the largest coil displacement between two motions [m].
-
-    (...,), from poses (K, ..., 6).
-    """
+def apart(one: Array, other: Array, device: Device) -> Array:
+    """Return the largest coil displacement between two motions of a device [m], (...,), from poses (K, ..., 6)."""
     difference = one - other
     moved, turned = (np.linalg.norm(part, axis=-1) for part in (difference[..., :3], difference[..., 3:]))
-    return np.asarray((moved + Spec.coil_radius.value * turned).max(axis=0))
+    return np.asarray((moved + device.coil_radius * turned).max(axis=0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -479,12 +476,9 @@ def run_case(scene: Scene, level: str, case: Case, **options: Any) -> Motion | N
             return None
 
 
-def distance(one: Motion | None, other: Motion | None) -> float:
-    """Return the largest coil displacement between two motions [m].
-
-    It is infinite if one diverged.
-    """
-    return math.inf if one is None or other is None else float(apart(one.pose, other.pose))
+def distance(one: Motion | None, other: Motion | None, device: Device) -> float:
+    """Return the largest coil displacement between two motions of a device [m]; infinite if one diverged."""
+    return math.inf if one is None or other is None else float(apart(one.pose, other.pose, device))
 
 
 def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -> Array:
@@ -547,7 +541,7 @@ def _screen(points: Sequence[tuple[Scene, float]]) -> Array:
         for index in first:
             if index not in motions:
                 motions[index] = run_together(points, LEVELS[index].name, seed)
-        distances.append(_distances([motions[index] for index in first]))
+        distances.append(_distances([motions[index] for index in first], device))
     return np.concatenate(distances, axis=1)
 
 
@@ -556,15 +550,12 @@ def _equal_on_exact(one: Level, other: Level, device: Device) -> bool:
     return (exact_options(one.name, device), *one[3:]) == (exact_options(other.name, device), *other[3:])
 
 
-def _distances(motions: Sequence[Array]) -> Array:
-    """Return each motion's largest distance from those above [m].
-
-    (levels, N), from poses (K, N, 6).
-    """
+def _distances(motions: Sequence[Array], device: Device) -> Array:
+    """Return each motion's largest distance from those above [m], (levels, N), from poses (K, N, 6)."""
     distances = np.zeros((len(motions), motions[0].shape[1]))
     for index, motion in enumerate(motions):
         different = {id(above): above for above in motions[index + 1 :] if above is not motion}
-        distances[index] = np.max([apart(motion, above) for above in different.values()], axis=0, initial=0.0)
+        distances[index] = np.max([apart(motion, above, device) for above in different.values()], axis=0, initial=0.0)
     return distances
 
 

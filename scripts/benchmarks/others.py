@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.device import published_device
 from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.studies.levels import apart
 from peers import Simulate, Task, available
@@ -65,7 +66,7 @@ def measure(quick: bool) -> dict[str, Any]:
     methods, missing = prepared(task)
     truth = np.array(our_run(ExactPlant, task)())
     poses = {name: np.array(prepare()()) for name, prepare in methods.items()}
-    errors = {name: float(apart(motion, truth)) for name, motion in poses.items()}
+    errors = {name: float(apart(motion, truth, published_device())) for name, motion in poses.items()}
     costs: dict[str, list[float]] = {name: [] for name in methods}
     for turn in range(3 if quick else _TURNS):
         for name, prepare in methods.items():

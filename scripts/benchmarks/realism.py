@@ -82,7 +82,8 @@ def measure(quick: bool) -> dict[str, Any]:
     """Return each piece's cost over plain, cost [µs a simulated ms] and change [µm]."""
     plain = {kind: Piece(kind, {}) for kind in _MAKERS}
     truth = {kind: motion_of(*parts(piece)).pose for kind, piece in plain.items()}
-    moved = {name: apart(motion_of(*parts(piece)).pose, truth[piece.plant]) for name, piece in PIECES.items()}
+    device = Drop().hardware
+    moved = {name: apart(motion_of(*parts(piece)).pose, truth[piece.plant], device) for name, piece in PIECES.items()}
     runs = 2 if quick else _RUNS
     work = {name: partial(cost, piece, runs) for name, piece in {**plain, **PIECES}.items()}
     drops = in_turns(work, 1 if quick else _TURNS)

@@ -117,14 +117,14 @@ def our_methods(name: str, scene: Scene, quick: bool) -> list[Method]:
     }
     exact = partial(level_parts, scene, "axes")
     truth, duration = truths["body"], exact()[2] * scene.period
-    error = float(apart(motion_of(*exact()).pose, truth.pose))
+    error = float(apart(motion_of(*exact()).pose, truth.pose, scene.hardware))
     methods = [Method("exact", "exact plant", partial(closed_loop, exact), error, duration, "exact", None, 0.0)]
     for level, group, integrator, step in single_methods(quick):
         make = partial(level_parts, scene, level, integrator=integrator, longest_step=step)
         motion = motion_of(*make())
         method = stepping_name(integrator, step) + (", coils" if level == "turning" else "")
         energy = energy_error(motion, truths[level]) if name.startswith("drop") else None
-        error = float(apart(motion.pose, truths[level].pose))
+        error = float(apart(motion.pose, truths[level].pose, scene.hardware))
         methods.append(Method(method, group, partial(closed_loop, make), error, duration, integrator, step, energy))
     count = 100 if quick else 1000
     many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
@@ -134,7 +134,7 @@ def our_methods(name: str, scene: Scene, quick: bool) -> list[Method]:
     )
     for method, group, kind, options in many:
         many_parts = partial(batch_of, scene, kind, count, **options)
-        error = float(apart(poses_of(*many_parts()), truth.pose))
+        error = float(apart(poses_of(*many_parts()), truth.pose, scene.hardware))
         methods.append(
             Method(
                 f"{method}, {count} at once",
@@ -165,7 +165,7 @@ def peer_methods(scene: Scene, task: Task, quick: bool) -> tuple[list[Method], l
         poses = simulate()
         if quick and time.perf_counter() - start > 0.05:
             continue
-        error = float(apart(poses, truth))
+        error = float(apart(poses, truth, scene.hardware))
         methods.append(Method(variant.name, PEERS[variant.peer], partial(_same, simulate), error, task.duration))
     return methods, missing
 

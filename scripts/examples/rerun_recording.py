@@ -13,8 +13,8 @@ import rerun.blueprint as rrb
 from rerun.chunk import DeriveLens, McapReader, Selector
 
 from maglev_mj import Recording
-from maglev_mj.device import Knob
 from maglev_mj.plants.shapes import Shape, shapes, wall_box
+from maglev_mj.recording.messages import device_of
 
 PLOTTED = "position.z", "applied.z"
 
@@ -42,9 +42,11 @@ recording.save(path.with_suffix(".rrd"), default_blueprint=rrb.Horizontal(space,
 recording.send_chunks(reader.stream())
 for field in PLOTTED:
     recording.send_chunks(scalars(reader, field))
-plates = wall_box(Recording.load(path).segments[0].metadata.faces, Knob())[0].values()
+segment = Recording.load(path).segments[0]
+device = device_of(segment.setup)
+plates = wall_box(segment.metadata.faces, device.knob)[0].values()
 walls = [Shape(False, "box", half, place, (1.0, 0.0, 0.0, 0.0), (0.25, 0.47, 0.85, 0.16)) for place, half in plates]
-for number, one in enumerate([*shapes("maglev"), *walls]):
+for number, one in enumerate([*shapes("maglev", device), *walls]):
     w, *axis = one.turn
     about = {"centers": [one.position], "quaternions": [[*axis, w]], "colors": [one.colour], "fill_mode": "solid"}
     long = {"lengths": [2.0 * one.half[2]], "radii": [one.half[0]]}

@@ -50,7 +50,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.scenes.interactive import INERTIA, WEIGHT
+from maglev_mj.scenes.interactive import Joystick
 
 AT, TIMES = 2.0, 5
 """Time of a fault [s] and number of tries."""
@@ -61,7 +61,7 @@ FLOODS = {
     "valid CMDs": Codec().encode(5, 5, 5, Currents(5, 0, ZERO, ZERO, 0.0)),
     "HELLOs": Codec().encode(0, 0, 0, Hello(5, bytes(16))),
 }
-LAWS = Bias(WEIGHT), Hold.critically_damped(inertia=INERTIA, period=0.005, delay=0.003)
+LAWS = Bias(Joystick().lift), Hold.critically_damped(period=0.005, delay=0.003)
 
 Act = Callable[[RemotePlant, str], float | None]
 

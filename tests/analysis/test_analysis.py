@@ -30,7 +30,7 @@ from maglev_mj.recording import MemoryFile, Recording, RecordingError, Segment, 
 from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import perceived_hardness, summarise_bounce
-from maglev_mj.scenes.interactive import INERTIA, MASS, Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene
@@ -42,6 +42,7 @@ from maglev_mj.views.page import panel
 from maglev_mj.views.readings import Charts
 from maglev_mj.views.window.screen import Plots, status_rows
 from tests.bridge.impaired import ImpairedLine, Impairment
+from tests.published import INERTIA, MASS
 
 ZERO = (0.0,) * 6
 TOUR = Trajectory(

@@ -24,8 +24,8 @@ from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, SpotSensor
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 from tests.bridge.impaired import ImpairedLine, Impairment
+from tests.published import INERTIA, WEIGHT
 from tests.recorded import command_row
 from tests.sweeps import further
 

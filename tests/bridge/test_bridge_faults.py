@@ -27,9 +27,9 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.scenes.interactive import WEIGHT
 from tests.bridge.impaired import Impairment
 from tests.bridge.test_bridge import BAD, BAD_REACH, CENTRE, REACH, TOUR, ZERO, Rig, hover
+from tests.published import WEIGHT
 from tests.sweeps import further, sweep
 
 AWAY = Fault.FLOTOR_OVERSPEED | Fault.BOUNDARY | Fault.SENSOR_OUT_OF_RANGE

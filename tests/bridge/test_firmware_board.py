@@ -23,11 +23,12 @@ from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
 from maglev_mj.recording.recording import Segment
-from maglev_mj.scenes.interactive import CENTRING, WEIGHT, Joystick
+from maglev_mj.scenes.interactive import CENTRING, Joystick
 from tests.bridge.firmware_core import FOLDER
 from tests.bridge.test_simulated_device import PROFILE, built, write_plant
 from tests.bridge.test_wire import KEY
 from tests.processes import Program as Child
+from tests.published import WEIGHT
 
 BUILD = FOLDER / "boards" / "build.py"
 QEMU = "qemu-system-arm -M {} -icount shift=6 -nographic -monitor none"

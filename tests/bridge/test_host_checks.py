@@ -14,9 +14,9 @@ from maglev_mj.bridge.wire import Fault, Flag, State, StateReport, fault_names
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import PlantError, SensingError
-from maglev_mj.scenes.interactive import WEIGHT
 from tests.bridge.impaired import Impairment
 from tests.bridge.test_bridge import CENTRE, Rig
+from tests.published import WEIGHT
 
 
 def doctored(rig: Rig, change: Callable[[StateReport], StateReport]) -> None:

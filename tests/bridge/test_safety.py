@@ -24,7 +24,7 @@ from maglev_mj.bridge.safety import (
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command
-from maglev_mj.scenes.interactive import WEIGHT
+from tests.published import WEIGHT
 
 NONE = Fault(0)
 PERIOD = 0.005

@@ -18,8 +18,8 @@ from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample
 from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.interactive import WEIGHT
 from tests.bridge.test_bridge import Rig
+from tests.published import WEIGHT
 from tests.sweeps import sweep
 
 RATES = [0.005, 0.001, 0.00025]

@@ -13,8 +13,9 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.interop.navigation import Navigation, Navigator
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.scenes.interactive import CENTRING, WEIGHT, Joystick
+from maglev_mj.scenes.interactive import CENTRING, Joystick
 from maglev_mj.session import live_plant
+from tests.published import WEIGHT
 from tests.sweeps import sweep
 
 FRAME = 1.0 / 60.0

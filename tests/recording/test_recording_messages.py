@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 
 from maglev_mj import colours
 from maglev_mj.cli.output import LAYOUT
-from maglev_mj.device import Knob
+from maglev_mj.device import Device, Knob
 from maglev_mj.frames import ZERO, quaternion
 from maglev_mj.plants.shapes import ARROW, shapes
 from maglev_mj.recording import open_recording
@@ -30,7 +30,12 @@ from tests.recorded import decoder, exported, load, messages_in
 TOPICS = ("/maglev/segment", "/maglev/sample", "/maglev/event", "/tf", "/maglev/shapes", "/maglev/arrows", "/log")
 
 
-RUNS: dict[str, Scene] = {"press": Press(hits=1), "stick-slip turned": StickSlip(axis="ry")}
+RUNS: dict[str, Scene] = {
+    "press": Press(hits=1),
+    "stick-slip turned": StickSlip(axis="ry"),
+    "stage": Press(hits=1, interval=0.1, device="stage"),
+    "arm": Press(hits=1, interval=0.1, device="arm"),
+}
 together = pytest.mark.xdist_group("recorded messages")
 
 
@@ -62,7 +67,7 @@ def numbers(message: dict[str, float]) -> list[float]:
 
 
 @together
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", ["press", "stick-slip turned"])
 def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(name: str, tmp_path: Path) -> None:
     from maglev_mj.session.replay import rebuild, stick_positions_of
 
@@ -123,6 +128,25 @@ def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path
                 assert near < 1e-9
                 most += 1
     assert most > 20
+
+
+@together
+@pytest.mark.parametrize("name", ["stage", "arm"])
+def test_the_scene_has_the_device_in_use(name: str, tmp_path: Path) -> None:
+    path, device = tmp_path / "run.mcap", Device.load(name)
+    path.write_bytes(file_of(name))
+    found = found_in(path)
+    entities = {entity["id"]: entity for entity in found["/maglev/shapes"][0]["entities"]}
+    sizes = [numbers(part["size"]) for kind in ("cylinders", "spheres") for part in entities["flotor"][kind]]
+    own = [(2.0 * shape.half).tolist() for shape in shapes("maglev", device) if shape.moves]
+    assert sorted(sizes) == sorted(own) and (2.0 * device.knob.half).tolist() in own
+    assert not entities["stator"]["cubes"] and not entities["flotor"]["cubes"]  # parts of the published joystick
+    (wall,) = entities["walls"]["cubes"]
+    assert wall["size"]["x"] == pytest.approx(device.knob.radius * 32.0 / 11.0)
+    hand = next(frame for frame in found["/tf"][0]["transforms"] if frame["child_frame_id"] == "hand")
+    assert numbers(hand["translation"]) == device.knob.centre.tolist()
+    arrows = [arrow for update in found["/maglev/arrows"] for entity in update["entities"] for arrow in entity["arrows"]]
+    assert arrows and max(abs(arrow["pose"]["position"]["x"]) for arrow in arrows) <= device.knob.radius + 1e-3
 
 
 def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:

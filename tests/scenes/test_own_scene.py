@@ -17,9 +17,9 @@ from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge, main
 from maglev_mj.device import Device
 from maglev_mj.recording import Recording
-from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.versions import hash_of
 from tests.bridge.conftest import InProcess
+from tests.published import WEIGHT
 
 EXAMPLE = Path(__file__).parents[2] / "scripts" / "examples" / "detents.py"
 

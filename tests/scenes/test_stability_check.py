@@ -17,7 +17,7 @@ from maglev_mj.parameters import param
 from maglev_mj.plants.model import model_path
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.interactive import INERTIA, MASS, Box, Corner, InteractiveScene, Joystick, Table
+from maglev_mj.scenes.interactive import Box, Corner, InteractiveScene, Joystick, Table
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.stability_check import stability_warning, started, unstable, wall_margin
 from maglev_mj.session import STEP_FORCE, check_step, unstable_loop
@@ -25,6 +25,7 @@ from maglev_mj.session.margin import margin
 from maglev_mj.spec import RANGE
 from maglev_mj.theory import largest_stable_stiffness, stability
 from tests.bridge.test_preflight import GOOD
+from tests.published import INERTIA, MASS
 from tests.sweeps import sweep
 from tests.theory.test_linearise import WEIGHTS, Detent, Echo
 

@@ -22,7 +22,7 @@ from maglev_mj.recording.verify import verify
 from maglev_mj.recording.writer import JournalFile
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.interactive import INERTIA, Joystick, wall
+from maglev_mj.scenes.interactive import Joystick, wall
 from maglev_mj.scenes.press import Press
 from maglev_mj.session import (
     Pacer,
@@ -39,6 +39,7 @@ from maglev_mj.spec import RANGE, Spec
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import readings
 from maglev_mj.views.viewer_process import RemoteViewer
+from tests.published import INERTIA
 from tests.session.test_session_states import Program
 
 FRAME = 1.0 / 60.0

@@ -15,13 +15,14 @@ import pytest
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Scene, Start, Timing, drive
 from maglev_mj.cli import main
 from maglev_mj.control import Bias, Hold, Law, Wall
+from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
 from maglev_mj.parameters import param
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.free import SixAxes, Twist
-from maglev_mj.scenes.interactive import WEIGHT, InteractiveScene
+from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.spec import Spec
 from maglev_mj.studies import levels
@@ -66,6 +67,7 @@ from maglev_mj.studies.levels import (
     screen_levels,
 )
 from maglev_mj.theory.closed_loop import SampledLoop
+from tests.published import WEIGHT
 from tests.sweeps import sweep
 
 LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
@@ -116,7 +118,7 @@ def unseen_distances(result: FidelityResult, count: int) -> Array:
     options = {"integrator": best.integrator, "longest_step": best.step} if level_index(level) else {}
     cases = scattered_cases(scene, count, result.over.around, seed=10_000)
     pairs = [(run_case(scene, level, case, **options), run_case(scene, LEVELS[-1].name, case)) for case in cases]
-    return np.array([distance(*pair) for pair in pairs])
+    return np.array([distance(*pair, scene.hardware) for pair in pairs])
 
 
 @pytest.mark.study
@@ -254,13 +256,23 @@ def test_the_shift_of_the_boundary_is_that_of_the_levels_drivers() -> None:
     assert boundary_shift("closed form", 1e-3, body) == 0.0
 
 
+@pytest.mark.parametrize(("name", "radius"), [("ubc", 0.046), ("stage", 0.03), ("arm", 0.0)])
+def test_a_distance_counts_rotations_by_the_radius_of_the_device_s_coils(name: str, radius: float) -> None:
+    device, poses = Device.load(name), np.zeros((2, 6))
+    poses[1] = [3e-4, 0.0, 4e-4, 0.0, 0.0, 2e-3]
+    turned = Motion(poses, poses, 0.0, False, 0.0)
+    rest = turned._replace(pose=np.zeros((2, 6)))
+    assert distance(turned, rest, device) == pytest.approx(5e-4 + radius * 2e-3, rel=1e-12)
+    assert distance(None, rest, device) == math.inf
+
+
 @pytest.mark.parametrize("wall", [(6000.0, 40.0), (6000.0, 80.0)])
 def test_stops_that_the_motion_meets_are_told(wall: tuple[float, float]) -> None:
     scene = Drop(stiffness=wall[0], damping=wall[1], pulse=0.0)
     motions = [run_case(scene, level, itself()) for level in ("jitter", "stops")]
     met = [motion is not None and motion.met_stops for motion in motions]
     assert met == [False, wall != (6000.0, 80.0)]
-    assert (distance(*motions) > 1e-4) == met[1]
+    assert (distance(*motions, scene.hardware) > 1e-4) == met[1]
 
 
 @pytest.mark.parametrize("pulse", [0.0, 220.0])
@@ -436,7 +448,7 @@ def test_every_level_can_be_built_for_every_scene() -> None:
     scene = SixAxes()
     for level in ("body", "turning"):
         corrected, exact = (motion_of(*level_parts(scene, level, integrator=kind)) for kind in ("corrected", "rk4"))
-        assert 0.0 < apart(corrected.pose, exact.pose) < 2e-6
+        assert 0.0 < apart(corrected.pose, exact.pose, scene.hardware) < 2e-6
     # a delay that leaves no room for jitter has less of it
     for delay in (0.0, 0.005):
         assert math.isfinite(measure_levels(Drop(delay=delay, duration=0.02), repeats=1)[-1].changes)
