@@ -219,7 +219,7 @@ def limits_finding(drops: Panel, sensors: Panel) -> str:
     """Return the headline of force limits and of a coarse sensor."""
     name, _, depths = max(drops.curves, key=lambda curve: curve[2].max())
     swing = max(swing.max() for _, _, swing in sensors.curves)
-    return f"{name}: up to {1e-3 * depths.max():.2g} m from the centre; friction ends a swing of {swing:.0f} µm"
+    return f"{name}: up to {depths.max():.0f} mm from the centre; friction ends a swing of {swing:.0f} µm"
 
 
 def hands_finding(held: Panel, thrown: Panel) -> str:

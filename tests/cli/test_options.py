@@ -41,7 +41,7 @@ class Lever(Parameters):
     ends: tuple[float, float] = param("ends", default=(0.0, 1.0), parse=tuple)
 
 
-def parser(parameters: Lever | type[Lever], **keywords: list[str]) -> Parser:
+def parser(parameters: Lever | type[Lever], **keywords: Any) -> Parser:
     made = Parser(prog="lever")
     add_parameters(made, parameters, **keywords)
     return made

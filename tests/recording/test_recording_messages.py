@@ -145,7 +145,9 @@ def test_the_scene_has_the_device_in_use(name: str, tmp_path: Path) -> None:
     assert wall["size"]["x"] == pytest.approx(device.knob.radius * 32.0 / 11.0)
     hand = next(frame for frame in found["/tf"][0]["transforms"] if frame["child_frame_id"] == "hand")
     assert numbers(hand["translation"]) == device.knob.centre.tolist()
-    arrows = [arrow for update in found["/maglev/arrows"] for entity in update["entities"] for arrow in entity["arrows"]]
+    arrows = [
+        arrow for update in found["/maglev/arrows"] for entity in update["entities"] for arrow in entity["arrows"]
+    ]
     assert arrows and max(abs(arrow["pose"]["position"]["x"]) for arrow in arrows) <= device.knob.radius + 1e-3
 
 
@@ -179,13 +181,13 @@ def test_an_arrow_points_along_its_force_and_none_is_drawn_of_a_force_too_small_
     from maglev_mj.recording.messages import _arrow
 
     for force in FORCES:
-        entity = SceneEntity(arrows=_arrow(Knob().centre, force, (1.0, 1.0, 1.0, 1.0)))
+        entity = SceneEntity(arrows=_arrow(Knob().centre, force, (1.0, 1.0, 1.0, 1.0), Knob()))
         (arrow,) = decoder(entity.get_schema())(entity.encode())["arrows"]
         x, y, z, w = (arrow["pose"]["orientation"][name] for name in "xyzw")
         along = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
         assert np.abs(along - np.array(force) / np.linalg.norm(force)).max() < 1e-9
     for force in (ZERO[:3], (0.01, 0.0, 0.0), (np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0)):
-        assert _arrow(Knob().centre, force, (1.0, 1.0, 1.0, 1.0)) == []
+        assert _arrow(Knob().centre, force, (1.0, 1.0, 1.0, 1.0), Knob()) == []
 
 
 def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording() -> None:
