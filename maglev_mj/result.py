@@ -106,6 +106,11 @@ class Table(NamedTuple):
         return [f"Warning: {text}" for text in self.warnings]
 
 
+def capitalised(text: str) -> str:
+    """Return a text with a capital first letter; units in it keep theirs."""
+    return text[:1].upper() + text[1:]
+
+
 def _with_headline(method: _Method) -> _Method:
     """Add the headline to a method that returns a table or a mapping for JSON."""
 

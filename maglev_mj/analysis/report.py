@@ -22,7 +22,7 @@ from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Segment
 from maglev_mj.recording.recording import SEGMENT_TYPE
 from maglev_mj.recording.setup import MEASURED, UNCONTROLLED, scripted
-from maglev_mj.result import Result, Table, plain
+from maglev_mj.result import Result, Table, capitalised, plain
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import recorded_scene
 from maglev_mj.scenes.stability_check import wall_margin
@@ -161,7 +161,7 @@ class SegmentReport(Result):
     def _headline(self) -> str:
         axis, compared = self.axis(), "" if self.comparison is None else f"; {self.comparison.sentence}"
         travel = f"{1e3 * self.recorded.figures.travel[axis]:.3g} {unit_of('mm', axis)} of travel on {AXES[axis]}"
-        return f"{self.metadata.name.capitalize()}: {travel}{compared}"
+        return f"{capitalised(self.metadata.name)}: {travel}{compared}"
 
     @property
     def run_title(self) -> str:

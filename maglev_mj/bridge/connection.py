@@ -394,7 +394,9 @@ class Connection:
         match answer.status:
             case HelloStatus.CALIBRATION:
                 theirs, ours = answer.calibration.hex(), hello.calibration.hex()
-                raise HandshakeError(f"calibration mismatch: device {theirs}, host {ours}")
+                raise HandshakeError(
+                    f"calibration mismatch: device {theirs}, host {ours}; start both with the same device file"
+                )
             case HelloStatus.WELCOME:
                 self._session, self._handshake_time = frame.session, frame.time
                 return answer

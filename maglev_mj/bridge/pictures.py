@@ -24,7 +24,7 @@ def last_cycles(record: FaultRecord) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    head = _shortened(record.headline), f"{_shortened(record.faults)}, {1.0 / record.period:g} Hz"
+    head = printable(record.headline), f"{printable(record.faults)}, {1.0 / record.period:g} Hz"
     figure, axes = new_figure(head, 4, 1, 8.6, sharex=True, height_ratios=[2, 2, 3, 2])
     time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.values
     _curves(axes[0], time, pose[:, :3], AXES[:3], "position (mm)")
@@ -49,8 +49,3 @@ def _curves(axis: Any, time: Array, values: Array, names: Any, label: str) -> No
         axis.plot(time, values[:, index], color=SERIES[index], linewidth=1.4, label=name)
     axis.set_ylabel(label)
     axis.legend(**BESIDE)
-
-
-def _shortened(text: str) -> str:
-    text = printable(text)
-    return text if len(text) <= 70 else text[:69] + "…"

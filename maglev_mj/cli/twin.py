@@ -70,7 +70,8 @@ def twin(
     push: Annotated[
         list[str],
         option(
-            "hand force along x, y, z [N] or torque about rx, ry, rz [N m], from START to END [s], such as z:-5@2-3",
+            "hand force along x, y, z [N] or torque about rx, ry, rz [N m], from START to END on the "
+            "device's clock, which starts with the twin [s], such as z:-5@2-3",
             _HANDS,
             "AXIS:NEWTONS@START-END",
         ),

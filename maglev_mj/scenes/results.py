@@ -19,7 +19,7 @@ from maglev_mj.parameters import flag, number
 from maglev_mj.pictures import save
 from maglev_mj.plants.limits import LIMITS, excess_of, peaks_of, verdicts
 from maglev_mj.plants.trace import Trace
-from maglev_mj.result import Result, Table, number_text, plain
+from maglev_mj.result import Result, Table, capitalised, number_text, plain
 
 _MOST_SHOWN = 4
 _SHARES = 50.0, 5.0, 95.0
@@ -402,7 +402,7 @@ class Variants(Result):
 
     def _headline(self) -> str:
         scene, texts = self.first.scene, list[str]()
-        subject = scene.name.capitalize() + (f" on {scene.stiffness:g} N/m" if hasattr(type(scene), "wall") else "")
+        subject = capitalised(scene.name) + (f" on {scene.stiffness:g} N/m" if hasattr(type(scene), "wall") else "")
         each = self.phases or {label: result.over_phases() for label, result in self.runs.items()}
         over = f", median of {len(next(iter(each.values())).phases)} phases" if self.phases else ""
         for name, one in scene.figures.items():

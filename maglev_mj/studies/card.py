@@ -19,7 +19,7 @@ from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.plants.model import body_of
-from maglev_mj.result import Result, Table, with_unit
+from maglev_mj.result import Result, Table, capitalised, with_unit
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
@@ -30,6 +30,7 @@ from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
 _WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10
 _LOSS = math.sqrt(0.5)
+_WIDE = 0.3  # radius of gyration of a handle or stage that hints at a wrong unit [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,27 @@ class DeviceFigures(Result):
 
     def _headline(self) -> str:
         force, stiffness = self.force_limit[2], self.critical_stiffness[0]
-        return f"{self.device.name.capitalize()}: {force:.3g} N along z; walls up to {stiffness:.4g} N/m without a hand"
+        return f"{capitalised(self.device.name)}: {force:.3g} N along z; walls up to {stiffness:.0f} N/m without a hand"
+
+    @property
+    def warnings(self) -> list[str]:
+        """See `Result`."""
+        device, found = self.device, list[str]()
+        load = np.abs(body_of({"model": device}).load)
+        if device.coils is None:
+            needed, limits, unit = load[:3], [("force limit", device.force_limit[:3])], "N"
+        else:
+            coils = device.coils
+            limits = [("current limit", coils.current_limit), ("continuous current", coils.continuous_current)]
+            needed, unit = np.abs(self.hover), "A"
+        for name, limit in limits:
+            if np.any(needed > limit):
+                found.append(f"weight needs {needed.max():.3g} {unit}, above the {name} of {np.min(limit):.3g} {unit}")
+                break
+        radius = float(np.sqrt(device.inertia[3:].max() / device.mass))
+        if radius > _WIDE:
+            found.append(f"radius of gyration is {radius:.3g} m: are mass and inertia in kg and kg m²?")
+        return found
 
     def columns(self) -> dict[str, Array]:
         """Return mass and moments of inertia, range and force limit of each axis, (6,) each."""
@@ -79,7 +100,7 @@ class DeviceFigures(Result):
         rows = [(axis, *row) for axis, row in zip(AXES, np.transpose([*self.columns().values()]).tolist())]
         title = f"{device.name}: {device.mass:g} kg, {device.loop.rate:g} Hz, delay {device.delay * 1e3:g} ms"
         head = ("axis", "inertia [kg, kg m²]", "range [m, rad]", "force limit [N, N m]")
-        return Table(title, head, rows, "\n".join(notes))
+        return Table(title, head, rows, "\n".join(notes), warnings=self.warnings)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from maglev_mj.errors import DivergenceError, ParameterError, TooManyCallsError,
 from maglev_mj.frames import Array
 from maglev_mj.keywords import with_period
 from maglev_mj.parameters import number, param, whole
-from maglev_mj.result import Table, plain, with_unit
+from maglev_mj.result import Table, capitalised, plain, with_unit
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.results import Figure, Variants, figure_head
 from maglev_mj.scenes.run import run_phases, run_variants
@@ -217,7 +217,7 @@ class LawSweep(Sweep):
             return super()._headline()
         most = zip(self.varied["law"], np.fmax.reduce(self.figure(_MAPPED)))
         stiffest = ", ".join(f"{law} {stiffness:.0f}" for law, stiffness in most)
-        return f"{self.scene.name.capitalize()}: stiffest stable wall {stiffest} N/m"
+        return f"{capitalised(self.scene.name)}: stiffest stable wall {stiffest} N/m"
 
     def table(self) -> Table:
         """Return the figure of each law at each value, marked where its wall is unstable."""

@@ -20,7 +20,7 @@ from maglev_mj.device import Device
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
-from maglev_mj.result import Result, Table, number_text
+from maglev_mj.result import Result, Table, capitalised, number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import get_scene
 from maglev_mj.scenes.press import Press
@@ -240,7 +240,7 @@ class FidelityResult(Result):
 
     def _headline(self) -> str:
         level = "no level" if self.level is None else f"level {self.level.level}"
-        return f"{self.preset.name.capitalize()}: {level} meets the tolerance of {_micro(self.tolerance):g} µm"
+        return f"{capitalised(self.preset.name)}: {level} meets the tolerance of {_micro(self.tolerance):g} µm"
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return the figures of each level."""

@@ -26,7 +26,7 @@ from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, c
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.keywords import with_period
 from maglev_mj.parameters import parsed_number
-from maglev_mj.result import Result, Table, plain
+from maglev_mj.result import Result, Table, capitalised, plain
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, reference_of, scene_from_reference, text_of
 from maglev_mj.scenes.names import installed_scenes
@@ -77,7 +77,7 @@ class Sweep(Result):
     picture: ClassVar = "maglev_mj.studies.pictures:sweep"
 
     def _headline(self) -> str:
-        subject, columns, units = self.scene.name.capitalize(), self.columns(), self.units
+        subject, columns, units = capitalised(self.scene.name), self.columns(), self.units
         for name in filter(self.is_number, self.names):
             one, values = self.shown(name), columns[name]
             least, most = (one.text(end.reduce(values)) for end in (np.fmin, np.fmax))
