@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -17,7 +19,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
-from maglev_mj.scenes.stability_check import wall_margin
+from maglev_mj.scenes.stability_check import ROUGH, critical_ratios, wall_margin
 from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.session import Snapshot
 from maglev_mj.session import margin as session_margin
@@ -79,6 +81,19 @@ def test_what_remembers_too_long_is_not_known(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)
     monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:100])
     assert str(wall_margin(Echoing())) == "stability not computed"
+
+
+def test_critical_ratios_are_searched_together_and_not_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits = [1.7, 0.3, math.nan, 1e9, 1e-9]  # of the ratio
+
+    def radii(indices: Sequence[int], ratios: Sequence[float]) -> list[float]:
+        return [ratio / limits[index] for index, ratio in zip(indices, ratios, strict=True)]
+
+    present = radii(range(5), [1.0] * 5)
+    found = critical_ratios(radii, present, ROUGH)
+    assert found == pytest.approx([1.7, 0.3, math.nan, math.inf, 0.0], rel=1e-3, nan_ok=True)
+    monkeypatch.setattr("maglev_mj.scenes.stability_check._SEARCH", -1.0)
+    assert all(map(math.isnan, critical_ratios(radii, present, ROUGH)))
 
 
 def test_without_a_stiff_wall_there_is_none() -> None:
