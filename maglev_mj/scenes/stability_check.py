@@ -169,7 +169,8 @@ def critical_ratios(
         crossed = changed(ratios)
         before, after = np.where(np.isinf(after) & ~crossed, ratios, before), np.where(crossed, ratios, after)
     critical = bisect(changed, before, after, halvings)
-    return np.where(valid, np.where(np.isinf(critical) & ~stable, 0.0, critical), math.nan).tolist()
+    critical = np.where(np.isinf(critical) & ~stable, 0.0, critical)
+    return [*map(float, np.where(valid, critical, math.nan))]
 
 
 def check_step(present: Controller, new: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:

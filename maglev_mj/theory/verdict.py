@@ -673,7 +673,7 @@ def stated_spectral_radii(
 def _margin(spectral_radius: Callable[[float], float], period: float) -> float:
     """Return the first delay at which a spectral radius reaches 1 [s]."""
 
-    def stable(delay: Array) -> Mask:
+    def stable(delay: Any) -> Mask:
         return np.array(spectral_radius(float(delay)) < 1.0 - _ROUNDING)
 
     grid = np.arange(0.0, min(_LONGEST, MAX_DELAY_PERIODS * period) + 1e-12, max(period / _PER_PERIOD, _FINEST))
