@@ -53,6 +53,26 @@ _LEAST, _SAMPLES = 1e-9, 4096
 MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
 
 
+class LinearisedLaw(NamedTuple):
+    """Law linearised at a stiffness and damping, as a `Design`.
+
+    With other gains its memory scales with the stiffness and keeps its length in samples; a finite difference adds the
+    rest of the damping.
+    """
+
+    controller: LinearController
+    stiffness: float
+    damping: float
+
+    def __call__(self, stiffness: Array, damping: Array, period: Array) -> LinearController:
+        """Return the law with other gains."""
+        law, share = self.controller, np.asarray(stiffness / self.stiffness)
+        more = (damping - share * self.damping) / period
+        advance = np.pad(law.advance, (0, 1))
+        give = np.concatenate([share[..., None] * law.give, more[..., None]], axis=-1)
+        return LinearController(advance, np.append(law.take, 1.0), give, share * law.direct - more)
+
+
 class DiagnosedLoop(DeviceParameters):
     """One axis of a device that renders a wall, a spring or any stiffness with damping.
 
@@ -75,8 +95,8 @@ class DiagnosedLoop(DeviceParameters):
     )
     hand: str = param(f"hand: {', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_...]", default="none")
     target: float = param("wanted ratio of critical to requested stiffness", default=2.0, above=1.0, at_most=100.0)
-    law: LinearController | None = param(
-        "law with memory on the axis, linearised at these gains", default=None, optional=True, parse=lambda law: law
+    law: LinearisedLaw | None = param(
+        "law with memory on the axis, linearised at some gains", default=None, optional=True, parse=lambda law: law
     )
 
     def check(self) -> None:
@@ -126,26 +146,14 @@ class DiagnosedLoop(DeviceParameters):
         other = self.device_law
         if not self.on_host:
             other = DeviceLaw(0.0, self.damping, self.period, self.delay, self.cutoff) if self.damping else None
-        design = None if self.law is None else partial(_scaled, self.law, *self.gains)
         velocity = None if self.cutoff is None else LowPass(cutoff=self.cutoff)
         around = self.around | {"mass": self.body, "hand": get_hand(self.hand), "device": other}
-        around |= {"velocity": velocity, "design": design}
+        around |= {"velocity": velocity, "design": self.law}
         return SampledLoop(period=self.value("period"), delay=self.value("delay"), **around)
 
     def critical(self) -> float:
         """Return the critical stiffness at the present damping."""
         return float(boundary_of(self.sampled, np.asarray(self.gains[1])))
-
-
-def _scaled(
-    law: LinearController, present: float, damper: float, stiffness: Array, damping: Array, period: Array
-) -> LinearController:
-    """Return a law whose memory scales with the stiffness, and plus a finite difference for other dampings."""
-    share = np.asarray(stiffness / present)
-    more = (damping - share * damper) / period
-    advance = np.pad(law.advance, (0, 1))
-    give = np.concatenate([share[..., None] * law.give, more[..., None]], axis=-1)
-    return LinearController(advance, np.append(law.take, 1.0), give, share * law.direct - more)
 
 
 def _rough_damping(loop: DiagnosedLoop) -> float:

@@ -12,6 +12,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import Parameters
 from maglev_mj.scenes.find import get_scene
+from maglev_mj.studies.diagnosis import LinearisedLaw
 from maglev_mj.theory.closed_loop import pd
 from maglev_mj.theory.margin import worst_axis
 from maglev_mj.theory.two_rates import laws_on_device
@@ -67,7 +68,8 @@ def scene_values(
     state = f" ({', '.join(acting)})" if acting else ""
     reason = "stiffest wall on the device" if rendered else "the one with the smallest margin"
     assumptions.append(f"axis {AXES[index]} of {found.name}{state}, {reason}")
-    result: dict[str, Any] = {"stiffness": k, "damping": max(b, 0.0), "law": law}
+    b = max(b, 0.0)
+    result: dict[str, Any] = {"stiffness": k, "damping": b, "law": None if law is None else LinearisedLaw(law, k, b)}
     result |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) and law is None else {}
     if stated.get("inertia") is None:
         result["inertia" if index > 2 else "mass"] = float(body[index])

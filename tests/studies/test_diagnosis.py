@@ -19,7 +19,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.names import scene_names
 from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis, _least
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
-from maglev_mj.theory import DeviceLaw, Mode, spectral_radius, stiffest_wall
+from maglev_mj.theory import DeviceLaw, Mode, largest_stable_stiffness, spectral_radius, stiffest_wall
 
 T60 = 1.0 / 60.0
 CASES: dict[str, tuple[dict[str, Any], tuple[float, ...], tuple[float, float] | None, str]] = {
@@ -394,5 +394,7 @@ def test_a_law_with_memory_is_linearised_exactly() -> None:
     assert found.spectral_radius == pytest.approx(verdict.spectral_radius, rel=1e-6)
     assert found.spectral_radius == pytest.approx(float(spectral_radius(4000.0, 40.0)), rel=1e-6)
     assert "with its memory" in found.assumptions[0]
+    (damped,) = (one for one in found.remedies if one.cost == "gains")  # in contact it is PD
+    assert damped.critical_stiffness == pytest.approx(float(largest_stable_stiffness(damped.change["damping"])))
     edges = found.critical_stiffness * np.array([0.999, 1.001])
     assert (found.loop.sampled.spectral_radius(edges, found.loop.damping) < 1.0).tolist() == [True, False]
