@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
 from operator import attrgetter
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.errors import ModelError, ParameterError, check_one_of
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import LAG, Parameters, numbers, param, read_file, transport_delay
 from maglev_mj.spec import GRAVITY, MAX_PERIOD, MIN_PERIOD, RANGE
@@ -24,7 +24,7 @@ PUBLISHED = "ubc"
 """Name of the default device, the published joystick."""
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
-"""Actuator names of a model, in the order of the six currents."""
+"""Actuator names of a model's first six coils, in the order of the currents; see `coil_names`."""
 
 _FOLDER = MODELS / "devices"
 _UNIT_LENGTH = 1e-6
@@ -38,8 +38,6 @@ def _array(name: str, shape: str, unit: str, default: Any = None, *, optional: b
 
 def _parsed(name: str, shape: str, bounds: Mapping[str, Any], value: Any) -> Any:
     """Return a checked array as nested tuples."""
-    if name == "points" and isinstance(value, Sequence) and len(value) != len(COILS):
-        raise ParameterError(f"points must be six, as the protocol carries six currents (got {len(value)})")
     array = numbers(name, value, shape=shape, **bounds)
     if name in ("directions", "across"):
         lengths = np.linalg.norm(array, axis=-1)
@@ -63,11 +61,11 @@ class Body(Parameters):
 
 
 class Coils(Parameters):
-    """Six coils on the body: points and unit directions of their forces (fixed axes), and limits."""
+    """Six or more coils on the body: points and unit directions of their forces (fixed axes), and limits."""
 
-    points: Any = _array("points", "(6, 3)", "m")
-    directions: Any = _array("directions", "(6, 3)", "")
-    force_constants: Any = _array("force_constants", "(6,)", "N/A")
+    points: Any = _array("points", "(N, 3)", "m")
+    directions: Any = _array("directions", "(N, 3)", "")
+    force_constants: Any = _array("force_constants", "(N,)", "N/A")
     current_limit: float = param("current limit", "A", default=None, above=0.0, at_most=20.0)
     continuous_current: float = param("", "A", default=None, derive=lambda coils: coils.current_limit, above=0.0)
     thermal_time: float = param("thermal time constant", "s", default=10.0, at_least=0.01, at_most=1e7)
@@ -79,13 +77,39 @@ class Coils(Parameters):
             raise ParameterError(
                 f"continuous_current must be at most current_limit, {most:g} A (got {self.continuous_current:g})"
             )
-        if np.linalg.matrix_rank(self.wrench_per_current(_ZERO)) < len(AXES):
-            raise ParameterError("points and directions must allow every wrench: the coil map is singular")
+        wrench_map(*map(np.array, (self.points, self.directions, self.force_constants)))
 
-    def wrench_per_current(self, centre: Sequence[float]) -> Array:
-        """Return the map from currents to a wrench about a point [N/A, N m/A], (6, 6)."""
-        forces = np.array(self.directions) * np.array(self.force_constants)[:, None]
-        return np.asarray(np.concatenate([forces.T, np.cross(np.array(self.points) - centre, forces).T]))
+
+def wrench_map(points: Array, directions: Array, force_constants: Array) -> Array:
+    """Return the map from N coil currents to a wrench about the origin of the points [N/A, N m/A], (6, N).
+
+    Raises:
+        ModelError: If there are fewer than six coils, or they cannot give every wrench; the axes are named.
+    """
+    count = max(len(points), len(AXES))
+    for name, part in (("points", points), ("directions", directions), ("force_constants", force_constants)):
+        if len(part) != count:
+            raise ModelError(f"{name} must have {count} entries, one for each of six or more coils (got {len(part)})")
+    forces = directions * force_constants[:, None]
+    upright = np.concatenate([forces.T, np.cross(points, forces).T])
+    vectors = np.linalg.svd(upright)[0][:, np.linalg.matrix_rank(upright) :]  # wrenches that no currents give
+    if axes := [axis for axis, row in zip(AXES, vectors) if np.linalg.norm(row) > _UNIT_LENGTH]:
+        why = f"the coil map is singular, {count} coils cannot drive {', '.join(axes)} alone"
+        raise ModelError(f"points and directions must allow every wrench: {why}")
+    return np.asarray(upright)
+
+
+def inverse_map(wrench_per_current: Array) -> Array:
+    """Return the pseudoinverse of coil maps (..., 6, N), (..., N, 6): currents of least norm, unique for six coils."""
+    if wrench_per_current.shape[-1] == len(AXES):
+        return np.asarray(np.linalg.inv(wrench_per_current))
+    turned = np.swapaxes(wrench_per_current, -1, -2)
+    return np.asarray(turned @ np.linalg.inv(wrench_per_current @ turned))
+
+
+def coil_names(count: int) -> tuple[str, ...]:
+    """Return the actuator names of coils: `COILS`, and `coil6`, `coil7` and so on above six."""
+    return (*COILS, *(f"coil{index}" for index in range(len(COILS), count)))
 
 
 class Force(Parameters):
@@ -311,7 +335,9 @@ class Device:
         if self.coils is None:
             assert self.force is not None
             return _frozen([*self.force.limit, 0.0, 0.0, 0.0])
-        inverse = np.linalg.inv(self.coils.wrench_per_current(self.body.centre_of_mass))
+        part = self.coils
+        points = np.array(part.points) - self.body.centre_of_mass
+        inverse = inverse_map(wrench_map(points, np.array(part.directions), np.array(part.force_constants)))
         # rounded, since a limit is compared and printed: 60 N, not its neighbour in floating point
         return _frozen(np.round(self.coils.current_limit / np.abs(inverse).max(axis=0), 12))
 
@@ -359,7 +385,7 @@ class Device:
         parts, actuators = [_rod(0.5 * self.knob.radius, self.knob.centre)], list[str]()
         if (part := self.coils) is not None:
             rows = zip(
-                COILS,
+                coil_names(len(part.points)),
                 np.array(part.points) - self.body.centre_of_mass,
                 part.directions,
                 part.force_constants,

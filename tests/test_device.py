@@ -26,6 +26,7 @@ from maglev_mj.session import Session
 from maglev_mj.session.session import device_controller
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, INERTIA, RANGE, RESOLUTION, Spec
 from maglev_mj.studies.stability_map import RestingWall, _controller
+from tests.published import EIGHT
 
 DEVICES = {name: Device.load(name) for name in devices()}
 COILS = [name for name, device in DEVICES.items() if device.coils is not None]
@@ -228,10 +229,22 @@ def test_the_firmware_s_header_has_the_limits_of_the_device(name: str, capsys: p
     assert bytes(map(int, members["calibration"].strip("{}").split(", "))) == device.digest
 
 
-def test_seven_coils_are_refused_in_one_line() -> None:
-    text = DEVICES["stage"].toml().replace("points = [[", "points = [[0.0, 0.0, 0.0], [")
-    with pytest.raises(ParameterError, match=r"^coils.points must be six, as .* six currents \(got 7\)$"):
-        Device.parse(text)
+@pytest.mark.parametrize("count", [5, 7])
+def test_each_coil_needs_a_point_a_direction_and_a_constant(count: int) -> None:
+    points = np.zeros((count, 3)).tolist()
+    name, needed = ("points", 6) if count < 6 else ("directions", 7)
+    with pytest.raises(ParameterError, match=f"^{name} must have {needed} entries, one for each of six or more coils"):
+        DEVICES["stage"].change("coils", points=points)
+
+
+UP, ALONG = [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(("directions", "axes"), [([UP] * 8, "x, y, rz"), ([UP] * 5 + [ALONG] * 3, "y")])
+def test_coils_that_cannot_give_every_wrench_are_refused_by_axis(directions: Any, axes: str) -> None:
+    why = f"the coil map is singular, 8 coils cannot drive {axes} alone"
+    with pytest.raises(ParameterError, match=f"^points and directions must allow every wrench: {why}$"):
+        EIGHT.change("coils", directions=directions)
 
 
 def test_the_position_limit_of_a_pose_sensor_covers_the_range() -> None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _TABLE, _DEVICE = "table", "device"
 _VALUES = (
-    "column of each value: time, pose x to rz, wrench fx to frz, of a hand hx to hrz, currents i0 to i5, "
+    "column of each value: time, pose x to rz, wrench fx to frz, of a hand hx to hrz, currents i0, i1, ..., "
     "quaternion=xyzw:A+B+C+D, euler=ZYX:A+B+C; those of a table without names are 1, 2, ..."
 )
 

@@ -11,9 +11,9 @@ from typing import Self, cast
 
 import numpy as np
 
-from maglev_mj.device import Device
-from maglev_mj.errors import ModelError, ParameterError
-from maglev_mj.frames import Array, Command
+from maglev_mj.device import Device, inverse_map, wrench_map
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array, Command, rotation_matrix
 from maglev_mj.parameters import number, numbers, store
 
 UPRIGHT = 1e-9
@@ -22,19 +22,19 @@ UPRIGHT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class CoilMap:
-    """Linear map between six coil currents and the wrench.
+    """Linear map between the currents of N coils, six or more, and the wrench; `len` is N.
 
     The magnets are fixed to the stator and the coils to the flotor: a force keeps its direction in stator axes, and its
-    point of application rotates with the flotor. Methods without an angle use the map of the upright flotor.
+    point of application rotates with the flotor. Methods without an angle use the map of the upright flotor. The
+    currents of a wrench are those of least norm, by the pseudoinverse of the map: for six coils, the only ones.
 
     Args:
-        points: Point of application of each coil's force, from the flotor's centre of mass, in flotor axes [m], (6, 3).
-        directions: Unit direction of each force in stator axes, (6, 3).
-        force_constants: Force constants [N/A], (6,).
+        points: Point of application of each coil's force, from the flotor's centre of mass, in flotor axes [m], (N, 3).
+        directions: Unit direction of each force in stator axes, (N, 3).
+        force_constants: Force constants [N/A], (N,).
 
     Raises:
-        ParameterError: If there are not six coils.
-        ModelError: If their map is singular.
+        ModelError: If there are fewer than six coils, or their map is singular.
 
     Example:
         >>> from maglev_mj import Calibration
@@ -57,20 +57,22 @@ class CoilMap:
 
     def __post_init__(self) -> None:
         for name in ("points", "directions", "force_constants"):
-            shape = "(6,)" if name == "force_constants" else "(6, 3)"
+            shape = "(N,)" if name == "force_constants" else "(N, 3)"
             store(self, **{name: np.array(numbers(name, getattr(self, name), shape=shape))})
-        forces = self.directions * self.force_constants[:, None]
-        upright = np.concatenate([forces.T, np.cross(self.points, forces).T])
-        if np.linalg.matrix_rank(upright) < len(upright):
-            raise ModelError("the coil map is singular: the six coils cannot produce every wrench")
+        upright = wrench_map(self.points, self.directions, self.force_constants)
+        forces = upright[:3].T
         # torque a of coil j is linear in the rotation matrix: eps_abc R_bk p_jk f_jc
         levi_civita = np.cross(np.eye(3)[:, None], np.eye(3))  # [b, c, a]
-        turning = np.einsum("bca,jk,jc->ajbk", levi_civita, self.points, forces).reshape(18, 9)
-        store(self, wrench_per_current=upright, current_per_wrench=np.linalg.inv(upright), _turning=turning)
-        blocks, spread = _blocks_of(self.current_per_wrench, turning)
-        store(self, _blocks=blocks, _spread=spread)
+        turning = np.einsum("bca,jk,jc->ajbk", levi_civita, self.points, forces).reshape(-1, 9)
+        store(self, wrench_per_current=upright, current_per_wrench=inverse_map(upright), _turning=turning)
+        if len(self) == len(AXES):
+            blocks, spread = _blocks_of(self.current_per_wrench, turning)
+            store(self, _blocks=blocks, _spread=spread)
         for array in (self.points, self.directions, self.force_constants, upright, self.current_per_wrench):
             array.setflags(write=False)  # shared by many plants
+
+    def __len__(self) -> int:
+        return len(self.force_constants)
 
     @classmethod
     def of(cls, device: Device) -> Self:
@@ -85,23 +87,25 @@ class CoilMap:
         return cls(points, np.array(coils.directions), np.array(coils.force_constants))
 
     def inverse_at(self, rotation: Array) -> Array:
-        """Return the inverse coil map [A/N, A/(N m)], (6, 6) or (N, 6, 6), at rotation matrices (9,) or (N, 9)."""
+        """Return the inverse coil map [A/N, A/(N m)], (N, 6) or (M, N, 6), at rotation matrices (9,) or (M, 9)."""
         if rotation.ndim > 1:
             maps = np.repeat(self.wrench_per_current[None], len(rotation), axis=0)
-            maps[:, 3:] = (rotation @ self._turning.T).reshape(-1, 3, 6)
-            return cast(Array, np.linalg.inv(maps))
+            maps[:, 3:] = (rotation @ self._turning.T).reshape(-1, 3, len(self))
+            return inverse_map(maps)
         rotated = self.wrench_per_current.copy()
-        rotated[3:] = self._turning.dot(rotation).reshape(3, 6)
-        return cast(Array, np.linalg.inv(rotated))
+        rotated[3:] = self._turning.dot(rotation).reshape(3, len(self))
+        return inverse_map(rotated)
 
     def inverse_at_angle(self, rx: float, ry: float, rz: float) -> Array:
-        """Return the inverse coil map [A/N, A/(N m)], (6, 6), at a rotation vector [rad].
+        """Return the inverse coil map [A/N, A/(N m)], (N, 6), at a rotation vector [rad].
 
-        Equal to `inverse_at` to rounding, in half the time; see `_blocks_of`.
+        Equal to `inverse_at` to rounding, for six coils in half the time; see `_blocks_of`.
         """
         square = rx * rx + ry * ry + rz * rz
         if square <= UPRIGHT * UPRIGHT:
             return self.current_per_wrench
+        if len(self) > len(AXES):  # the inverse of M W is W⁻¹ M⁻¹ for square W only
+            return self.inverse_at(rotation_matrix(np.array([rx, ry, rz])).ravel())
         angle = math.sqrt(square)
         half = math.sin(0.5 * angle) / angle
         w, x, y, z = math.cos(0.5 * angle), half * rx, half * ry, half * rz
@@ -112,12 +116,12 @@ class CoilMap:
         return cast(Array, self._spread.dot(np.frombuffer(lower)).reshape(6, 6))
 
     def currents(self, wrench: Array) -> Array:
-        """Return the currents [A] for a wrench [N, N m], (..., 6) each."""
+        """Return the currents [A], (..., N), of least norm for a wrench [N, N m], (..., 6)."""
         return numbers("wrench", wrench, shape="(..., 6)") @ self.current_per_wrench.T
 
     def wrench(self, currents: Array) -> Array:
-        """Return the wrench [N, N m] of currents [A], (..., 6) each."""
-        return numbers("currents", currents, shape="(..., 6)") @ self.wrench_per_current.T
+        """Return the wrench [N, N m], (..., 6), of currents [A], (..., N)."""
+        return numbers("currents", currents, shape=f"(..., {len(self)})") @ self.wrench_per_current.T
 
     def largest_wrench(self, current: float) -> Array:
         """Return the largest force or torque on each axis, with zero on all others [N, N m], (6,).
@@ -139,8 +143,10 @@ class CoilMap:
 def limited_wrench(inverse_map: Array, force: Sequence[float], limit: float) -> tuple[Sequence[float], list[float]]:
     """Saturate the currents of a wrench; return the resulting wrench and its currents.
 
+    Six currents are clipped, each alone. More are scaled together: clipped ones are not of least norm.
+
     Args:
-        inverse_map: Inverse coil map [A/N, A/(N m)], (6, 6).
+        inverse_map: Inverse coil map [A/N, A/(N m)], (N, 6).
         force: Wrench [N, N m], six; the same object is returned if no current saturates.
         limit: Largest current in any coil [A].
     """
@@ -148,8 +154,18 @@ def limited_wrench(inverse_map: Array, force: Sequence[float], limit: float) -> 
     listed: list[float] = currents.tolist()
     if max(listed) <= limit and min(listed) >= -limit:
         return force, listed
+    if len(listed) > len(force):
+        share = limit / float(np.abs(currents).max())
+        return [share * part for part in force], [share * current for current in listed]
     saturated = np.linalg.solve(inverse_map, np.clip(currents, -limit, limit))
     return saturated.tolist(), inverse_map.dot(saturated).tolist()
+
+
+def wrench_of(inverse_map: Array, currents: Array) -> Array:
+    """Return the wrench [N, N m], (..., 6), of currents [A], (..., N), by inverse coil maps, (..., N, 6)."""
+    if inverse_map.shape[-2] > len(AXES):
+        return np.asarray(np.linalg.pinv(inverse_map) @ currents[..., None])[..., 0]
+    return np.asarray(np.linalg.solve(inverse_map, currents[..., None]))[..., 0]
 
 
 def _blocks_of(upright: Array, turning: Array) -> tuple[Array, Array]:
@@ -201,13 +217,13 @@ class CoilDrive:
         limit: Largest current in any coil [A]; None for no limit.
 
     Attributes:
-        inverse_map: Inverse coil map at the last angle of `follow` [A/N, A/(N m)], (6, 6).
+        inverse_map: Inverse coil map at the last angle of `follow` [A/N, A/(N m)], (N, 6).
     """
 
     def __init__(self, coils: CoilMap, limit: float | None) -> None:
         self._coils, self._limit = coils, limit
         self.inverse_map = self._upright = coils.current_per_wrench
-        self._wrench, self._currents = np.zeros(6), np.zeros(6)
+        self._wrench, self._currents = np.zeros(6), np.zeros(len(coils))
         # equivalent to self._wrench[:] = force, in half the time
         self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
         self._cached: tuple[Sequence[float] | None, list[float]] = None, []
@@ -227,7 +243,7 @@ class CoilDrive:
         return before is self._upright is self.inverse_map
 
     def currents(self, force: Sequence[float]) -> list[float]:
-        """Return the currents [A] for a wrench [N, N m], six each."""
+        """Return the N currents [A] for a wrench [N, N m], six."""
         wrench, currents = self._cached
         if force is wrench:  # already computed by the limiter
             return currents

@@ -12,7 +12,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.device import COILS
 from maglev_mj.errors import ModelError, PlantError, check_one_of
 from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.lazy import has_engine, mujoco
@@ -22,7 +21,7 @@ from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import CompiledModel, Model, acceleration, load_model, reference_state
 
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
-"""Commanded wrench, or (None, six currents); engine controls; inverse coil map, None without coils."""
+"""Commanded wrench, or (None, N currents); engine controls; inverse coil map, None without coils."""
 
 STOP_TIME = 0.02
 """Time constant of friction along a metal stop [s]; assumed."""
@@ -242,9 +241,9 @@ class Steps:
         self, device: CompiledModel, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False
     ) -> None:
         self._options = device.model.opt
-        controls = data.xfrc_applied[device.flotor] if device.coils is None else data.ctrl[: len(COILS)]
+        controls = data.xfrc_applied[device.flotor] if device.coils is None else data.ctrl[: len(device.coils)]
         # equivalent to controls[:] = values, in half the time
-        self._control = partial(struct.Struct("6d").pack_into, controls.data, 0)
+        self._control = partial(struct.Struct(f"{len(controls)}d").pack_into, controls.data, 0)
         self._drive: Drive | None = None
         self.stops = _DampedStops(device, data) if stop_damping else None
         step = self.stops or partial(mujoco.mj_step, device.model, data)
@@ -386,13 +385,15 @@ class _Falloff:
 
     def __init__(self, device: CompiledModel, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
         self._model, self._data, self._falloff, self._step = device.model, data, falloff, step
-        self._centre = reference_state(device.model).actuator_length[: len(COILS)].copy()
-        self._flat = device.model.actuator_gainprm[: len(COILS), 0].copy()
+        assert device.coils is not None  # required by the plant
+        self._coils = slice(len(device.coils))
+        self._centre = reference_state(device.model).actuator_length[self._coils].copy()
+        self._flat = device.model.actuator_gainprm[self._coils, 0].copy()
         self._range = float(device.range[:3].max())
 
     def __call__(self, steps: int = 1) -> None:
         """Step `steps` times."""
-        model, data, coils = self._model, self._data, slice(len(COILS))
+        model, data, coils = self._model, self._data, self._coils
         gains = model.actuator_gainprm[coils, 0]
         length, speed = data.actuator_length[coils], data.actuator_velocity[coils]
         half = 0.5 * model.opt.timestep
@@ -403,9 +404,9 @@ class _Falloff:
             self._step()
 
     def share(self) -> Array:
-        """Return the relative force constant of each coil at present, (6,)."""
+        """Return the relative force constant of each coil at present, (N,)."""
         mujoco.mj_fwdPosition(self._model, self._data)
-        return self._share(self._data.actuator_length[: len(COILS)])
+        return self._share(self._data.actuator_length[self._coils])
 
     def _share(self, length: Array) -> Array:
         stroke = (length - self._centre) / self._range

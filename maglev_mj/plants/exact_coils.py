@@ -82,28 +82,28 @@ class ExactCoilPlant(ExactPlant):
         self._switch(tuple, currents, pulsed, width, after)
 
     def _raised(self, drive: Sequence[float], currents: Sequence[float]) -> Sequence[float]:
-        """Return a drive with currents added to its own [A], six."""
+        """Return a drive with currents added to its own [A], N."""
         return tuple([own + extra for own, extra in zip(drive, currents)])
 
     def open_coil(self, coil: int) -> None:
-        """Disconnect a coil (0 to 5), as by a broken wire."""
+        """Disconnect a coil, counted from 0, as by a broken wire."""
         self._constants[coil] = 0.0
 
     @property
     def currents(self) -> Array:
-        """Commanded coil currents at the last sample [A], (6,)."""
+        """Commanded coil currents at the last sample [A], (N,)."""
         return np.array(self._timeline.now() if self._walls is None else self._walls.drive)
 
     @property
     def intervals(self) -> list[Interval]:
-        """Durations [s] and six currents [A] of the last period, in order."""
+        """Durations [s] and N currents [A] of the last period, in order."""
         return self._last_intervals
 
     def _prepare(self, force: Six) -> Any:
         return tuple(self._coils.inverse_at_angle(*self._pose[3:]).dot(force).tolist())
 
     def _wrench(self, currents: Sequence[float], ahead: Component = 0.0) -> Array:
-        """Return the wrench [N, N m] of currents [A], (6,), at the angle extrapolated by `ahead` [s]."""
+        """Return the wrench [N, N m] of currents [A], (N,), at the angle extrapolated by `ahead` [s]."""
         forces = self._coils.directions * (self._constants * currents)[:, None]
         angle = np.array(self._pose[3:]) + ahead * np.array(self._velocity[3:])
         arms = self._coils.points @ rotation_matrix(angle).T

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.device import COILS, Device, published_device
+from maglev_mj.device import Device, coil_names, published_device
 from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_message
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
@@ -105,7 +106,7 @@ class CompiledModel:
         flotor: Body index of the flotor.
         position_address: Index of x in qpos; y, z and the quaternion follow.
         velocity_address: Index of the x velocity in qvel; five more follow.
-        coils: Coil map of the first six actuators, at the centre; None without coils.
+        coils: Coil map of the first actuators, at the centre; None without coils.
         driver_time_constant: Time constant of the drivers [s], also with their lag disabled; NaN if the model has none.
     """
 
@@ -131,7 +132,8 @@ class CompiledModel:
     @property
     def current_limit(self) -> float:
         """Smallest current limit of the coils [A]; the published one where they have none."""
-        limited, currents = self.model.actuator_ctrllimited[: len(COILS)], self.model.actuator_ctrlrange[: len(COILS)]
+        coils = slice(0 if self.coils is None else len(self.coils))
+        limited, currents = self.model.actuator_ctrllimited[coils], self.model.actuator_ctrlrange[coils]
         return float(np.where(limited, currents[:, 1], Spec.peak_current.value).min())
 
     @property
@@ -177,7 +179,7 @@ def load_model(
 
     Args:
         model: Device with the bodies `flotor` and, on it, `handle`; the flotor's joints `x`, `y`, `z` (slides) and
-            `rotation` (ball), in this order; COILS as its first six actuators.
+            `rotation` (ball), in this order; coils as its first actuators, see `maglev_mj.device.coil_names`.
         lean: Remove sensors, and sites without an actuator, which the equations of motion do not use.
         driver_lag: Add the first-order lag of its driver to every coil.
         driver_time_constant: Time constant of the lag [s], instead of the model's.
@@ -263,7 +265,8 @@ def check_model(model: Model, device: Device) -> None:
         "range": (loaded.range, range_ if device.range.stops else loaded.range, "m, rad"),
     }
     if part is not None and (coils := loaded.coils) is not None:
-        for index, name in enumerate(COILS):
+        values["number of coils"] = len(coils), len(part.points), ""
+        for index, name in enumerate(coil_names(min(len(coils), len(part.points)))):
             point = np.array(part.points[index]) - device.body.centre_of_mass
             values[f"point of coil {name} from the centre of mass"] = coils.points[index], point, "m"
             values[f"direction of coil {name}"] = coils.directions[index], part.directions[index], ""
@@ -396,7 +399,8 @@ def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> CompiledModel
             model = spec.compile()
         flotor = model.body("flotor").id
         joints = [model.joint(joint) for joint in JOINTS]
-        order = [model.actuator(coil).id for coil in COILS] if options.coils else []
+        names = coil_names(coil_count(model))
+        order = [model.actuator(coil).id for coil in names] if options.coils else []
     except ParameterError:
         raise
     except (ValueError, KeyError) as error:
@@ -406,7 +410,7 @@ def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> CompiledModel
     if addresses != [first, first + 1, first + 2, first + 3]:
         raise ModelError(f"model {name!r} must define the flotor's joints in the order {', '.join(JOINTS)}")
     if order != list(range(len(order))):
-        raise ModelError(f"model {name!r} must define its coils first, in the order {', '.join(COILS)}")
+        raise ModelError(f"model {name!r} must define its coils first, in the order {', '.join(names)}")
     if options.mass is not None:
         _share_out(model, flotor, options.mass)
     device = CompiledModel(
@@ -414,7 +418,7 @@ def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> CompiledModel
         flotor=flotor,
         position_address=first,
         velocity_address=int(joints[0].dofadr[0]),
-        coils=_coil_map(model, flotor) if options.coils else None,
+        coils=_coil_map(model, flotor, len(order)) if order else None,
         driver_time_constant=constant,
     )
     hand, inertia = options.hand, options.inertia
@@ -438,7 +442,7 @@ def _check_names(name: str, spec: mujoco.MjSpec, options: _Options) -> None:
             label = "ball" if kind == mujoco.mjtJoint.mjJNT_BALL else "slide"
             raise invalid_model(name, f"the flotor has no {label} joint {joint!r}")
     names = [actuator.name for actuator in spec.actuators]
-    if missing := [coil for coil in COILS if options.coils and coil not in names]:
+    if missing := [coil for coil in coil_names(0) if options.coils and coil not in names]:
         raise invalid_model(name, f"no actuator {', '.join(missing)} among its {len(names)} actuators")
 
 
@@ -532,16 +536,22 @@ def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
         joint.damping[0], joint.stiffness[0] = damping, stiffness
 
 
-def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
+def coil_count(model: mujoco.MjModel) -> int:
+    """Return the number of a model's coils, by the names of its actuators."""
+    names = {model.actuator(index).name for index in range(model.nu)}
+    return next(count for count in itertools.count(len(coil_names(0))) if f"coil{count}" not in names)
+
+
+def _coil_map(model: mujoco.MjModel, flotor: int, count: int) -> CoilMap:
     """Return the coil map at the model's reference pose."""
     data = reference_state(model)
-    coils, magnets = model.actuator_trnid[: len(COILS)].T
-    gear = model.actuator_gear[: len(COILS), :3]
+    coils, magnets = model.actuator_trnid[:count].T
+    gear = model.actuator_gear[:count, :3]
     axes = data.site_xmat[magnets].reshape(-1, 3, 3)
     return CoilMap(
         points=data.site_xpos[coils] - data.subtree_com[flotor],
         directions=np.einsum("jab,jb->ja", axes, gear),
-        force_constants=model.actuator_gainprm[: len(COILS), 0].copy(),
+        force_constants=model.actuator_gainprm[:count, 0].copy(),
     )
 
 
@@ -549,9 +559,11 @@ def _put_coils(device: CompiledModel, coils: CoilMap) -> None:
     """Replace the model's coils by a coil map."""
     model, present = device.model, device.coils
     assert present is not None
-    data = reference_state(model)
-    sites, magnets = model.actuator_trnid[: len(COILS)].T
+    if len(coils) != len(present):
+        raise ParameterError(f"coil_map must have the model's {len(present)} coils (got {len(coils)})")
+    data, own = reference_state(model), slice(len(coils))
+    sites, magnets = model.actuator_trnid[own].T
     model.site_pos[sites] += coils.points - present.points
     axes = data.site_xmat[magnets].reshape(-1, 3, 3)
-    model.actuator_gear[: len(COILS), :3] = np.einsum("jba,jb->ja", axes, coils.directions)
-    model.actuator_gainprm[: len(COILS), 0] = coils.force_constants
+    model.actuator_gear[own, :3] = np.einsum("jba,jb->ja", axes, coils.directions)
+    model.actuator_gainprm[own, 0] = coils.force_constants

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Timing
-from maglev_mj.device import COILS
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, Six, components, join, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers, whole
 from maglev_mj.plants import engine
 from maglev_mj.plants.base import PlantKeywords, SampledPlant, restore, states_of
-from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap
+from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap, wrench_of
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import Model, load_model
 from maglev_mj.plants.sensor import Measure
@@ -48,7 +47,7 @@ class MuJoCoPlant(SampledPlant):
         twist: Velocity at release [m/s, rad/s], (6,).
         gravity: Gravitational acceleration along -z, or in stator axes (3,) for a tilted base [m/s²], instead of the
             model's.
-        coils: True applies each wrench by the six coils, with the coil map at the flotor's angle at the sample (as
+        coils: True applies each wrench by the coils, with the coil map at the flotor's angle at the sample (as
             measured, if there is a sensor); False applies it to the flotor directly, as an ideal actuator.
         coil_map: Coils instead of the model's, such as calibrated ones.
         current_limit: Largest current in any coil [A]; None for no limit. Without coils, the wrench is limited as by
@@ -217,8 +216,8 @@ class MuJoCoPlant(SampledPlant):
         Bit-identical to `write` for equal currents and switching times.
 
         Args:
-            currents: Currents after the pulse [A], six.
-            pulsed: Currents during the first `width` seconds [A], six.
+            currents: Currents after the pulse [A], N.
+            pulsed: Currents during the first `width` seconds [A], N.
             width: Pulse width [s]; 0 for no pulse.
             after: Delay from the last sample to the switch [s]; the timing's delay by default.
 
@@ -230,12 +229,12 @@ class MuJoCoPlant(SampledPlant):
         self._switch(_of_currents, currents, pulsed, width, after)
 
     def _raised(self, drive: engine.Drive, currents: Sequence[float]) -> engine.Drive:
-        """Return a drive with currents added to its own [A], six."""
+        """Return a drive with currents added to its own [A], N."""
         return _of_currents([own + extra for own, extra in zip(drive[1], currents)])
 
     def open_coil(self, coil: int) -> None:
-        """Disconnect a coil (0 to 5), as by a broken wire."""
-        self._model.actuator_gainprm[whole("coil", coil, at_most=5), 0] = 0.0
+        """Disconnect a coil, counted from 0, as by a broken wire."""
+        self._model.actuator_gainprm[whole("coil", coil, at_most=len(self.currents) - 1), 0] = 0.0
 
     @cached_property
     def inertia(self) -> Array:
@@ -262,14 +261,14 @@ class MuJoCoPlant(SampledPlant):
 
     @property
     def currents(self) -> Array:
-        """Commanded coil currents at the last sample [A], (6,), without driver lag.
+        """Commanded coil currents at the last sample [A], (N,), without driver lag.
 
         Raises:
             PlantError: If the plant has no coils.
         """
         if self._coils is None:
             raise PlantError("no currents: the plant was created with coils=False")
-        return np.array(self._data.ctrl[: len(COILS)])
+        return np.array(self._data.ctrl[: len(self._coils)])
 
     def saved(self) -> tuple[Any, ...]:
         """Return the present state between two ticks, for `restore`.
@@ -297,7 +296,7 @@ class MuJoCoPlant(SampledPlant):
 
     @property
     def intervals(self) -> list[tuple[float, Sequence[float]]]:
-        """Durations [s] and six commanded currents [A] (wrenches without coils) of the last period, in order."""
+        """Durations [s] and N commanded currents [A] (wrenches without coils) of the last period, in order."""
         return [(duration, drive[1]) for duration, drive in self._last_intervals]
 
     def _limited(self, command: Command) -> Command:
@@ -415,7 +414,7 @@ class MuJoCoPlant(SampledPlant):
         if inverse is None:
             mujoco.mju_quat2Mat(self._rotation, np.array(position[3:]))
             inverse = self._coils.inverse_at(self._rotation)
-        wrench: list[float] = np.linalg.solve(inverse, currents).tolist()
+        wrench: list[float] = wrench_of(inverse, np.array(currents)).tolist()
         return wrench
 
     def _snapshot(self, drive: engine.Drive) -> _Snapshot:
@@ -442,10 +441,10 @@ def _of_currents(currents: Sequence[float]) -> engine.Drive:
 
 
 _BatchDrive: TypeAlias = tuple[Array, Array]
-"""Wrenches (N, 6) and engine controls (N, 6)."""
+"""Wrenches (N, 6) and engine controls, (N, 6) or one per coil."""
 
 _BatchSnapshot: TypeAlias = tuple[Sequence[Component], Array, Array, Array, Array | None, Array | None]
-"""Position x y z and quaternion, MuJoCo's quaternion (N, 4), velocities (N, 6), wrenches (N, 6), currents (N, 6),
+"""Position x y z and quaternion, MuJoCo's quaternion (N, 4), velocities (N, 6), wrenches (N, 6), currents,
 inverse coil maps."""
 
 
@@ -520,14 +519,14 @@ class MuJoCoBatchPlant(SampledPlant):
         self._qpos = self._engine.bind("qpos")[:, self.device.position_address :][:, :7]
         self._qvel = self._engine.bind("qvel")[:, self.device.velocity_address :][:, :6]
         self._controls = (
-            self._engine.bind("ctrl")[:, : len(COILS)]
-            if coils
+            self._engine.bind("ctrl")[:, : len(self.device.coils)]
+            if self.device.coils is not None
             else self._engine.bind("xfrc_applied").reshape(len(start), -1, 6)[:, self.device.flotor]
         )
         self._timestep = self._engine.expand("opt.timestep")
         self._efforts = self._engine.bind("qfrc_applied")
         self._effort_addresses = engine.hand_addresses(self.device, hand)
-        # inverse coil maps, (N, 6, 6) while any flotor is rotated; None without coils
+        # inverse coil maps, one each while any flotor is rotated; None without coils
         self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
             keywords["longest_step"] = engine.longest_step(self.device, driver_lag, hand)
@@ -609,8 +608,7 @@ class MuJoCoBatchPlant(SampledPlant):
         position, quaternions, velocity, wrench, currents, inverse_map = snapshot
         spin = np.einsum("nab,nb->na", _matrices(quaternions).reshape(-1, 3, 3), velocity[:, 3:])
         if currents is not None:
-            maps = np.broadcast_to(np.asarray(inverse_map), (*self.batch, 6, 6))
-            wrench = np.linalg.solve(maps, currents[..., None])[..., 0]
+            wrench = wrench_of(np.asarray(inverse_map), currents)
         return join(_pose(position)), np.column_stack([velocity[:, :3], spin]), wrench
 
 

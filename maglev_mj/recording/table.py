@@ -43,7 +43,6 @@ _GROUPS = {
     "position": dict(zip(AXES, ["length"] * 3 + ["angle"] * 3)),
     "command": {f"f{axis}": ("force", "torque")[index > 2] for index, axis in enumerate(AXES)},
     "hand": {f"h{axis}": ("force", "torque")[index > 2] for index, axis in enumerate(AXES)},
-    "current": {f"i{index}": "current" for index in range(6)},
 }
 _ORDERS = {"quaternion": "xyzw:qx+qy+qz+qw", "euler": "ZYX:yaw+pitch+roll"}  # with an example
 _QUANTITIES = {"time": "time", "quaternion": "", "euler": "angle"}
@@ -141,8 +140,8 @@ def import_table(
     Args:
         path: The file.
         columns: Column of each value: time; x to rz, pose; fx to frz, wrench of the actuators; hx to hrz, wrench of
-            the hand; i0 to i5, currents. In place of rx, ry, rz: quaternion, such as "xyzw:qx+qy+qz+qw", or euler, such
-            as "ZYX:yaw+pitch+roll", each about the axes turned by those before it.
+            the hand; i0, i1 and so on, currents of all coils. In place of rx, ry, rz: quaternion, such as
+            "xyzw:qx+qy+qz+qw", or euler, such as "ZYX:yaw+pitch+roll", each about the axes turned by those before it.
         units: Unit of each quantity, see `UNITS`.
         mass: Moving mass [kg].
         delay: Delay from a sample to the effect of its command [s]; one period by default.
@@ -183,7 +182,7 @@ def import_table(
             inside = np.append(np.diff(time), 0.0)[before] <= _LONGEST_STEP * period  # not in a gap
             tick, parts = tick[inside], {name: part[before[inside]] for name, part in parts.items()}
             parts["position"] = np.array([path_of.at(at) for at in (tick * period).tolist()])
-        if inertia is None and any(_QUANTITIES[key] in ("torque", "current") for key in columns):
+        if inertia is None and any(_QUANTITIES.get(key, "current") in ("torque", "current") for key in columns):
             raise ParameterError("inertia must be given for torques and currents [kg m²]")
         moments = np.broadcast_to(
             numbers("inertia", 1e-3 if inertia is None else inertia, shape="() or (3,)", above=0.0), 3
@@ -222,8 +221,12 @@ def _in_si(
     table: TextTable, columns: _Words, units: _Words, scale: Mapping[str, float], coils: CoilMap | None
 ) -> tuple[Array | None, dict[str, Array]]:
     """Return time [s], (N,), None without it, and the fields in use, (N, 6) each, zero for axes without a column."""
+    currents = [f"i{index}" for index in range(len(coils or AXES))]
+    quantities = _QUANTITIES | dict.fromkeys(currents, "current")
+    for key in columns:
+        check_one_of("columns", quantities, key)
     sources = {key: _orders_and_names(key, text) for key, text in columns.items()}
-    used = {name: _QUANTITIES[key] for key, (_, names) in sources.items() for name in names}
+    used = {name: quantities[key] for key, (_, names) in sources.items() for name in names}
     for quantity, unit in units.items():
         check_one_of("quantity of units", UNITS, quantity)
         check_one_of(f"unit of {quantity}", UNITS[quantity], unit)
@@ -245,10 +248,11 @@ def _in_si(
     zero, parts = [np.zeros(len(table.rows))], {}
     for field in [field for field, keys in _GROUPS.items() if {*keys} & {*read}]:
         parts[field] = np.column_stack([read.get(key, zero)[0] for key in _GROUPS[field]])
-    if "current" in parts:
-        if coils is None or "command" in parts or {*_GROUPS["current"]} - {*read}:
-            raise ParameterError("columns of currents must be i0 to i5, with a calibration and without a wrench")
-        parts["command"] = parts.pop("current") @ coils.wrench_per_current.T
+    if {*currents} & {*read}:
+        if coils is None or "command" in parts or {*currents} - {*read}:
+            names = f"i0 to {currents[-1]}"
+            raise ParameterError(f"columns of currents must be {names}, with a calibration and without a wrench")
+        parts["command"] = np.column_stack([read[key][0] for key in currents]) @ coils.wrench_per_current.T
     if not parts:
         raise ParameterError("columns must include a pose or a wrench (got time alone)")
     return time, parts
@@ -256,7 +260,6 @@ def _in_si(
 
 def _orders_and_names(key: str, text: str) -> tuple[str, list[str]]:
     """Return the columns of a value, several for a quaternion or Euler angles, whose order is stated before them."""
-    check_one_of("columns", _QUANTITIES, key)
     if key not in _ORDERS:
         return "", [text]
     order, _, rest = text.partition(":")

@@ -558,5 +558,5 @@ class _PlayedSegment:
 
 @cache
 def _current_per_wrench(device: Device) -> Array:
-    """Return the coil currents per wrench [A/N, A/(N m)], (6, 6); zero without coils."""
+    """Return the coil currents per wrench [A/N, A/(N m)], (N, 6); zero without coils."""
     return np.zeros((6, 6)) if device.coils is None else CoilMap.of(device).current_per_wrench

@@ -78,7 +78,7 @@ class Snapshot:
         stops: Wrench of the metal stops [N, N m], (6,); zeros if not measured.
         target: Target pose of the hand's spring [m, rad]; None if released or following a path.
         hand_stiffness: Stiffness of that spring [N/m].
-        currents: Currents in the coils [A], (6,).
+        currents: Currents in the coils [A], one each.
         faces: Planes of all walls: index into AXES, normal, edge.
         anchors: Stick positions [m, rad], (6,), NaN on axes that do not stick; None without friction.
         beside: Centres [m] and quaternions of the scene's shapes beside the device, (N, 7).

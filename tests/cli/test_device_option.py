@@ -14,6 +14,7 @@ from maglev_mj.cli.program import COMMANDS
 from maglev_mj.device import devices
 from maglev_mj.recording import Recording
 from tests.cli.test_options import NEEDED
+from tests.published import EIGHT
 
 LINES = {
     "drop": "drop --plant exact --duration 0.05",
@@ -41,23 +42,32 @@ def test_every_command_of_a_device_takes_the_option() -> None:
     assert taking == {line.split()[0] for line in LINES.values()} | COILS | SLOW
 
 
-@pytest.mark.parametrize("device", devices())
+@pytest.mark.parametrize("device", [*devices(), "eight.toml"])
 @pytest.mark.parametrize("line", LINES.values())
 def test_a_command_works_with_each_device(
     line: str, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    Path("eight.toml").write_text(EIGHT.toml())
     rows = (f"{0.005 * tick},{1e-6 * tick * tick},0.1" for tick in range(32))
     Path("a.csv").write_text("\n".join(["t,z,f", *rows]))
     assert cli.main([*line.split(), "--device", device]) == 0, capsys.readouterr()
     if line.startswith("import"):
         (segment,) = Recording.load("a.maglev").segments
-        assert segment.metadata.inertia[0] == {"arm": 0.15, "stage": 0.3, "ubc": 0.7}[device]
+        assert segment.metadata.inertia[0] == {"arm": 0.15, "ubc": 0.7}.get(device, 0.3)
 
 
-@pytest.mark.parametrize("command", sorted(COILS))
-def test_a_command_for_coils_refuses_a_device_without_any(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([command, *NEEDED.get(command, "").split(), "--device", "arm"]) == 2
+@pytest.mark.parametrize("device", ["arm", "eight.toml"])
+@pytest.mark.parametrize("command", [*sorted(COILS), "info --header"])
+def test_a_command_for_coils_refuses_a_device_without_any_or_with_more_than_six(
+    command: str, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("eight.toml").write_text(EIGHT.toml())
+    assert cli.main([*command.split(), *NEEDED.get(command, "").split(), "--device", device]) == 2
     out, error = capsys.readouterr()
-    text = " ".join(error.split())
-    assert not out and text == f"maglev-mj {command}: device 'arm' has no coils, which flights and their twin need"
+    why = "no coils, which flights and their twin need"
+    if device != "arm":
+        why = "8 coils, but a frame of the protocol carries six currents: simulate it without twin and bridge"
+    text = f"maglev-mj {command.split()[0]}: device '{device.removesuffix('.toml')}' has {why}"
+    assert not out and " ".join(error.split()) == text

@@ -15,15 +15,17 @@ from maglev_mj import Recording, analyse, rebuild, record_run
 from maglev_mj.analysis import identify
 from maglev_mj.cli import main
 from maglev_mj.cli.scenes import _path_of
+from maglev_mj.device import Device, published_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import quaternions, rotation_matrix
+from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import GuidedHand
-from maglev_mj.plants.model import load_model
 from maglev_mj.recording import InvalidRecordingError, import_table
 from maglev_mj.recording.export import EXPORTS, export
 from maglev_mj.recording.table import read_table
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
+from tests.published import EIGHT
 
 TURN = np.array([0.02, -0.03, 0.04])
 W, X, Y, Z = (float(part) for part in quaternions(TURN))
@@ -142,12 +144,15 @@ def test_stamps_off_a_grid_are_resampled_and_identify_no_delay(tmp_path: Path) -
     assert found.axes["z"].delay.why == found.axes["z"].noise.why == "resampled"
 
 
-def test_currents_give_the_wrench_of_the_coils(tmp_path: Path) -> None:
-    coils = load_model("drop").coils
-    assert coils is not None
+@pytest.mark.parametrize("device", [published_device(), EIGHT])
+def test_currents_give_the_wrench_of_the_coils(device: Device, tmp_path: Path) -> None:
+    coils = CoilMap.of(device)
     (tmp_path / "log.csv").write_text(lines("", [[k, *coils.currents(np.arange(6.0)).tolist()] for k in range(16)]))
-    columns = {"time": "1", **{f"i{k}": str(k + 2) for k in range(6)}}
+    columns = {"time": "1", **{f"i{k}": str(k + 2) for k in range(len(coils))}}
     units = {"time": "ms", "current": "A"}
+    for wrong in ({"i7" if len(coils) == 6 else "i8": "2"}, {"i0": "2"}):
+        with pytest.raises(ParameterError, match=f"column.* i{len(coils) - 1}"):
+            import_table(tmp_path / "log.csv", {"time": "1"} | wrong, units, mass=0.7, inertia=1e-3, coils=coils)
     segment = import_table(tmp_path / "log.csv", columns, units, mass=0.7, inertia=1e-3, coils=coils).segments[0]
     assert_allclose(segment.applied, np.tile(np.arange(6.0), (16, 1)), atol=1e-12)
 

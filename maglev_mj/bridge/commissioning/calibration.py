@@ -13,9 +13,9 @@ import numpy as np
 from maglev_mj.bridge.safety import WallMaps
 from maglev_mj.bridge.wire import CUT
 from maglev_mj.device import PUBLISHED, Device
-from maglev_mj.errors import MaglevError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.files import atomic_path
-from maglev_mj.frames import Array
+from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import numbers
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.model import Body, body_of
@@ -67,6 +67,9 @@ class Calibration:
     name: str = PUBLISHED
 
     def __post_init__(self) -> None:
+        if (count := len(self.coils)) > len(AXES):
+            why = "a frame of the protocol carries six currents: simulate it without twin and bridge"
+            raise ParameterError(f"device {self.name!r} has {count} coils, but {why}")
         for name in ("spot_offsets", "inertia", "gravity"):
             values = np.array(numbers(name, getattr(self, name)))
             values.setflags(write=False)
@@ -78,7 +81,7 @@ class Calibration:
         """Return the calibration that a device file states.
 
         Raises:
-            ParameterError: If the device has no coils.
+            ParameterError: If the device has no coils, or more than six.
         """
         return cls(
             coils=CoilMap.of(device),
