@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -77,7 +77,11 @@ class Coils(Parameters):
             raise ParameterError(
                 f"continuous_current must be at most current_limit, {most:g} A (got {self.continuous_current:g})"
             )
-        wrench_map(*map(np.array, (self.points, self.directions, self.force_constants)))
+        self.wrench_per_current(_ZERO)
+
+    def wrench_per_current(self, centre: Sequence[float]) -> Array:
+        """Return the map from currents to a wrench about a point [N/A, N m/A], (6, N); see `wrench_map`."""
+        return wrench_map(np.array(self.points) - centre, np.array(self.directions), np.array(self.force_constants))
 
 
 def wrench_map(points: Array, directions: Array, force_constants: Array) -> Array:
@@ -102,9 +106,9 @@ def wrench_map(points: Array, directions: Array, force_constants: Array) -> Arra
 def inverse_map(wrench_per_current: Array) -> Array:
     """Return the pseudoinverse of coil maps (..., 6, N), (..., N, 6): currents of least norm, unique for six coils."""
     if wrench_per_current.shape[-1] == len(AXES):
-        return np.asarray(np.linalg.inv(wrench_per_current))
+        return cast(Array, np.linalg.inv(wrench_per_current))
     turned = np.swapaxes(wrench_per_current, -1, -2)
-    return np.asarray(turned @ np.linalg.inv(wrench_per_current @ turned))
+    return cast(Array, turned @ np.linalg.inv(wrench_per_current @ turned))
 
 
 def coil_names(count: int) -> tuple[str, ...]:
@@ -335,9 +339,7 @@ class Device:
         if self.coils is None:
             assert self.force is not None
             return _frozen([*self.force.limit, 0.0, 0.0, 0.0])
-        part = self.coils
-        points = np.array(part.points) - self.body.centre_of_mass
-        inverse = inverse_map(wrench_map(points, np.array(part.directions), np.array(part.force_constants)))
+        inverse = inverse_map(self.coils.wrench_per_current(self.body.centre_of_mass))
         # rounded, since a limit is compared and printed: 60 N, not its neighbour in floating point
         return _frozen(np.round(self.coils.current_limit / np.abs(inverse).max(axis=0), 12))
 

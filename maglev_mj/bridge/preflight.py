@@ -395,8 +395,8 @@ def judge_change(
 
 
 def _critical_delay(scene: Scene, inertia: Array) -> float:
-    around: Any = {"pose": scene.start().pose, "inertia": inertia, "device": scene.timing().device}
-    margins = delay_margins(device_controller(scene), list(HANDS), **around)
+    around: Any = {"inertia": inertia, "reach": scene.body.bounded.range, "device": scene.timing().device}
+    margins = delay_margins(device_controller(scene), list(HANDS), pose=scene.start().pose, **around)
     return float(np.min([*margins.values()]))
 
 

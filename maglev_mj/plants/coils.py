@@ -13,7 +13,7 @@ import numpy as np
 
 from maglev_mj.device import Device, inverse_map, wrench_map
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Command, rotation_matrix
+from maglev_mj.frames import AXES, Array, Command
 from maglev_mj.parameters import number, numbers, store
 
 UPRIGHT = 1e-9
@@ -93,7 +93,7 @@ class CoilMap:
             maps[:, 3:] = (rotation @ self._turning.T).reshape(-1, 3, len(self))
             return inverse_map(maps)
         rotated = self.wrench_per_current.copy()
-        rotated[3:] = self._turning.dot(rotation).reshape(3, len(self))
+        rotated[3:] = self._turning.dot(rotation).reshape(3, -1)
         return inverse_map(rotated)
 
     def inverse_at_angle(self, rx: float, ry: float, rz: float) -> Array:
@@ -104,14 +104,14 @@ class CoilMap:
         square = rx * rx + ry * ry + rz * rz
         if square <= UPRIGHT * UPRIGHT:
             return self.current_per_wrench
-        if len(self) > len(AXES):  # the inverse of M W is W⁻¹ M⁻¹ for square W only
-            return self.inverse_at(rotation_matrix(np.array([rx, ry, rz])).ravel())
         angle = math.sqrt(square)
         half = math.sin(0.5 * angle) / angle
         w, x, y, z = math.cos(0.5 * angle), half * rx, half * ry, half * rz
         xx, yy, zz = 2.0 * x * x, 2.0 * y * y, 2.0 * z * z
         xy, xz, yz, wx, wy, wz = 2.0 * x * y, 2.0 * x * z, 2.0 * y * z, 2.0 * w * x, 2.0 * w * y, 2.0 * w * z
         rows = [1.0 - yy - zz, xy - wz, xz + wy, xy + wz, 1.0 - xx - zz, yz - wx, xz - wy, yz + wx, 1.0 - xx - yy]
+        if len(self) > len(AXES):  # the inverse of M W is W⁻¹ M⁻¹ for square W only
+            return self.inverse_at(np.array(rows))
         lower = struct.pack("19d", *_lower_rows(self._blocks.dot(rows).tolist()))  # packed: half the time of np.array
         return cast(Array, self._spread.dot(np.frombuffer(lower)).reshape(6, 6))
 

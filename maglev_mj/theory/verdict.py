@@ -436,7 +436,7 @@ class _Loops(NamedTuple):
     """True if each axis has a loop, and no pose is unknown."""
 
 
-def _linearised(controller: Controller, pose: Array, body: Array, reach: ArrayLike = RANGE) -> _Loops:
+def _linearised(controller: Controller, pose: Array, body: Array, reach: ArrayLike) -> _Loops:
     loops: list[_Loop] = []
     away: list[_Loop] = []
     previous: list[_Loop] = []
@@ -605,6 +605,7 @@ def delay_margins(
     *,
     pose: ArrayLike = ZERO,
     inertia: ArrayLike = INERTIA,
+    reach: ArrayLike = RANGE,
     device: ArrayLike = (DEVICE_PERIOD, DEVICE_DELAY),
 ) -> dict[str, float]:
     """Return the critical delay of a controller's loops, free and in each hand [s].
@@ -616,6 +617,7 @@ def delay_margins(
         hands: Names of hands; "none" for a free flotor.
         pose: Start of the flotor [m, rad], (6,).
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
+        reach: Range of motion [m, rad], (6,).
         device: Sample period and delay of walls on the device [s], (2,).
 
     Returns:
@@ -639,7 +641,7 @@ def delay_margins(
     if gains is None:
         linear = None
         with suppress(TooManyCallsError):
-            linear = None if laws else _linearised(controller, start, body)
+            linear = None if laws else _linearised(controller, start, body, reach)
         if linear is None or not linear.complete:
             return dict.fromkeys(hands, math.nan)
         loops = [*_grouped(linear.loops)]

@@ -14,15 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AxisLaw, Controller, Hold, Wall, find_scene, judge
+from maglev_mj import AxisLaw, Controller, Hold, Law, Wall, find_scene, judge
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
 from maglev_mj.bridge.landing import LANDING_DELAY, Leader, Swing
 from maglev_mj.bridge.observer import HandObserver
+from maglev_mj.bridge.preflight import _critical_delay
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.frames import Command
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
 from tests.bridge.slow_lines import SHAPES, ChangedLaw, fly
@@ -74,6 +76,26 @@ class Jumping(AxisLaw):
 
     def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
         return -1000.0 * x - 2.0 * np.sign(v)
+
+
+class StiffOutside(AxisLaw):
+    """Law that is soft within 3 mm and too stiff outside."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -x - 0.1 * v - 1e5 * np.sign(x) * np.maximum(np.abs(x) - 0.003, 0.0)
+
+
+class Outside(Joystick):
+    """Scene of that law."""
+
+    def laws(self) -> list[Law]:
+        return [StiffOutside(axes="z")]
+
+
+@pytest.mark.parametrize(("name", "delay"), [("ubc", 0.0), ("stage", math.inf), ("arm", 0.0)])
+def test_margins_are_those_within_the_range_of_the_device(name: str, delay: float) -> None:
+    scene = Outside(device=name, period=0.005)
+    assert _critical_delay(scene, scene.body.inertia) == delay
 
 
 def test_margins_may_be_zero_infinite_or_nan() -> None:
