@@ -71,15 +71,14 @@ class DeviceFigures(Result):
         """See `Result`."""
         device, found = self.device, list[str]()
         load = np.abs(body_of({"model": device}).load)
-        if device.coils is None:
-            needed, limits, unit = load[:3], [("force limit", device.force_limit[:3])], "N"
-        else:
-            coils = device.coils
-            limits = [("current limit", coils.current_limit), ("continuous current", coils.continuous_current)]
+        needed, unit, limits = load[:3], "N", {"force limit": device.force_limit[:3]}
+        if (coils := device.coils) is not None:
             needed, unit = np.abs(self.hover), "A"
-        for name, limit in limits:
+            limits = {name: np.array(getattr(coils, name)) for name in ("current_limit", "continuous_current")}
+        for name, limit in limits.items():
             if np.any(needed > limit):
-                found.append(f"weight needs {needed.max():.3g} {unit}, above the {name} of {np.min(limit):.3g} {unit}")
+                limited = f"{name.replace('_', ' ')} of {limit.min():.3g} {unit}"
+                found.append(f"weight needs {needed.max():.3g} {unit}, above the {limited}")
                 break
         radius = float(np.sqrt(device.inertia[3:].max() / device.mass))
         if radius > _WIDE:

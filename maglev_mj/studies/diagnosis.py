@@ -239,6 +239,17 @@ class Diagnosis(Result):
         return f"{self.margin.verdict}, {self.motion}"
 
     @property
+    def setting(self) -> str:
+        """Gains, rate, delay and body in words."""
+        loop, (stiffness, damping) = self.loop, self.loop.gains
+        rate, delay = 1.0 / loop.value("period"), 1e3 * loop.value("delay")
+        where = loop.described if loop.on_host else " on the device"
+        return (
+            f"{stiffness:g} {self.unit('N/m')}, {damping:g} {self.unit('N s/m')}, {rate:.4g} Hz, delay {delay:.4g} ms, "
+            f"{loop.body:g} {self.unit('kg')}{where}"
+        )
+
+    @property
     def motion(self) -> str:
         """Spectral radius, ringing frequency and growth in words."""
         text = f"spectral radius {self.spectral_radius:.4f}"
@@ -246,13 +257,15 @@ class Diagnosis(Result):
             text += f", rings at {self.frequency:.3g} Hz"
         word = "halves" if self.doubling_time < 0.0 else "doubles"
         if math.isfinite(self.doubling_time):
-            text += f", amplitude {word} in {1e3 * abs(self.doubling_time):.3g} ms"
+            span = abs(self.doubling_time)
+            text += f", amplitude {word} in " + (f"{span:.3g} s" if span >= 1.0 else f"{1e3 * span:.3g} ms")
         return text
 
     def _headline(self) -> str:
         unit, word = self.unit("N/m"), "Stable" if self.stable else "Unstable"
         present, critical = number_text(self.loop.gains[0]), number_text(self.critical_stiffness)
-        first = f". Change first: {self.remedies[0].words}" if self.remedies and not self.stable else ""
+        goal = f"For {self.loop.target:g} times the stiffness" if self.stable else "Change first"
+        first = f". {goal}: {self.remedies[0].words}" if self.remedies else ""
         return f"{word}: {present} {unit}, critical stiffness {critical} {unit}{first}"
 
     def unit(self, unit: str) -> str:
@@ -274,7 +287,7 @@ class Diagnosis(Result):
         """Return margins, remedies and notes."""
         k, b, late = self.unit("N/m"), self.unit("N s/m"), self.critical_delay
         rows = [
-            ("stiffness", f"up to {number_text(self.critical_stiffness)} {k} (x {short(self.margin.ratio)})"),
+            ("stiffness", f"up to {number_text(self.critical_stiffness)} {k} (x {self.margin.ratio:.3g})"),
             ("damping", _interval(self.damping_range, b)),
             ("delay", _interval((math.nan, 1e3 * late), "ms") if late else "unstable without delay"),
             ("rate, same delay", _interval(self.rate_range, "Hz")),
@@ -287,11 +300,14 @@ class Diagnosis(Result):
         head = ("", "ratio", f"critical [{k}]", "cost", "remedy")
         without = "no help" if self.stable else "not enough to end it"
         notes = [f"{without}: {'; '.join(self.ineffective)}" if self.ineffective else "", *self._notes()]
-        title = "What helps, best first; ratio of critical to requested stiffness"
+        title = (
+            f"What helps, the cheapest that reaches a ratio of {self.loop.target:g} first "
+            "(critical over requested stiffness)"
+        )
         if _has_room(self.loop, self.stable, self.critical_stiffness):
             title = f"No change needed: critical over requested stiffness is at least {self.loop.target:g}"
         found = Table(title, head, remedies, "\n".join(notes))
-        return Table(self.motion[0].upper() + self.motion[1:], ("stable for", ""), rows, below=[found])
+        return Table(f"{self.setting}: {self.motion}", ("stable for", ""), rows, below=[found])
 
     def _notes(self) -> Iterable[str]:
         if math.isfinite(self.amplitude_limit):

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, on_white
+from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, Colour, on_white
 from maglev_mj.pictures import TITLE, name_curves, new_figure
 from maglev_mj.studies.diagnosis import Diagnosis, short
 from maglev_mj.theory.boundary import boundary_of
 
 _POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS = 160, 8.0, 600, 30.0, 8
+_TOP, _ROW = 3.4, 0.165  # heights of the panels above, and of a line of names [inch]
+_GROUND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 _NAMES, _LETTERS = 0.45, 50
 """Share of the bars' width for the names of the remedies, and letters in a line of it."""
 
@@ -24,21 +28,19 @@ def diagnosis(result: Diagnosis) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    loop = result.loop
-    (stiffness, damping), where = loop.gains, "" if loop.on_host else " on the device"
-    gains = f"{stiffness:g} {result.unit('N/m')}, {damping:g} {result.unit('N s/m')}{where}"
-    rate, delay = 1.0 / loop.value("period"), 1e3 * loop.value("delay")
-    timing = f"{rate:.4g} Hz, delay {delay:.4g} ms, {loop.body:g} {result.unit('kg')}"
-    timing += loop.described if loop.on_host else ""
+    shown = result.remedies[:_BARS]
+    names = ["now", *(f"{index}  {_unbroken(one.words)}" for index, one in enumerate(shown, 1))]
+    names = [textwrap.fill(name, _LETTERS) for name in names]
+    low = _ROW * sum(name.count("\n") + 2 for name in names) + 0.7
     figure, (region, response, bars, empty) = new_figure(
-        (result.headline, f"{gains}, {timing}", result.summary), 2, 2, 7.0
+        (result.headline, result.setting, result.summary), 2, 2, _TOP + low, height_ratios=(_TOP, low)
     )
     _region(region, result)
     _response(response, result)
     empty.set_axis_off()
     grid = bars.get_gridspec()
     bars.set_subplotspec(grid[1, :])
-    _bars(bars, result)
+    _bars(bars, result, names)
     return figure
 
 
@@ -50,7 +52,7 @@ def _region(panel: Any, result: Diagnosis) -> None:
     boundary = boundary_of(loop.sampled, damping)
     panel.plot(damping, boundary, color=STOP, label="stability boundary")
     panel.plot(damping, 0.5 * boundary, color=REFERENCE, linestyle="--", label="half of it")
-    colour = on_white(GOOD if result.stable else BAD)
+    colour = on_white(_colour(result.margin.ratio, loop.target))
     panel.plot(damper, stiffness, "o", color=colour, markersize=8, label="present gains")
     for index, one in enumerate(result.remedies, 1):
         to = tuple(one.change.get(loop.name(word), loop.value(word)) for word in ("damping", "stiffness"))
@@ -72,7 +74,7 @@ def _response(panel: Any, result: Diagnosis) -> None:
     span = min(span, _MOST_SAMPLES * loop.period)
     if result.doubling_time > 0.0 and math.isfinite(result.doubling_time):
         span = min(span, math.log2(_MOST_GROWTH) * result.doubling_time)
-    colours = on_white(GOOD if result.stable else BAD), SERIES[0]
+    colours = on_white(_colour(result.margin.ratio, loop.target)), SERIES[0]
     first = [loop.replace(**one.change) for one in result.remedies[:1]]
     names = "now", "with remedy 1"
     for changed, colour, name in zip((loop, *first), colours, names):
@@ -83,20 +85,28 @@ def _response(panel: Any, result: Diagnosis) -> None:
     name_curves(panel)
 
 
-def _bars(panel: Any, result: Diagnosis) -> None:
+def _colour(ratio: float, target: float) -> Colour:
+    """Return the colour of an unstable wall, of a stable one, and of one that reaches the target."""
+    return BAD if ratio < 1.0 else GOOD if ratio >= target * (1.0 - 1e-9) else SERIES[4]
+
+
+def _unbroken(text: str) -> str:
+    """Return a text that is wrapped neither inside a unit nor between it and its number."""
+    return re.sub(r"(?<=[\dNm]) (?=N|m\b|s/|ms|Hz|kg)", "\u00a0", text)
+
+
+def _bars(panel: Any, result: Diagnosis, names: Sequence[str]) -> None:
     """Draw the ratio of critical to requested stiffness, now and with each remedy, on a logarithmic axis."""
     loop = result.loop
     present = result.margin.ratio
-    shown = result.remedies[:_BARS]
-    names = ["now", *(f"{index}  {one.words}" for index, one in enumerate(shown, 1))]
-    ratios = [max(present, 1e-3), *(one.ratio for one in shown)]
-    colours = [on_white(GOOD if ratio >= 1.0 else BAD, 3.0) for ratio in ratios]
+    ratios = [max(present, 1e-3), *(one.ratio for one in result.remedies[: len(names) - 1])]
+    colours = [on_white(_colour(ratio, loop.target), 3.0) for ratio in ratios]
     places = np.arange(len(names))[::-1]
     start, end = 0.5 * min(0.5, *ratios), 2.0 * max(loop.target, *ratios)
     panel.barh(places, np.array(ratios) - start, left=start, color=colours, height=0.6)
     panel.set_xscale("log")
     panel.set_xlim(start * (start / end) ** (_NAMES / (1.0 - _NAMES)), end)
-    panel.set_yticks(places, [textwrap.fill(name, _LETTERS) for name in names], fontsize=8.5)
+    panel.set_yticks(places, names, fontsize=8.5)
     panel.spines["left"].set_position(("data", start))  # the names are within the axes
     panel.spines["bottom"].set_bounds(start, end)
     ticks = [10.0**power for power in range(-3, 9) if start <= 10.0**power <= end]
@@ -105,7 +115,8 @@ def _bars(panel: Any, result: Diagnosis) -> None:
     for level, name, side in ((1.0, "stable ", "right"), (loop.target, " target", "left")):
         panel.axvline(level, color=REFERENCE, linewidth=1.0, linestyle=":")
         panel.annotate(name, (level, len(names) - 0.45), fontsize=8.5, ha=side, va="center", color=REFERENCE)
+    beside: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 8.5, "bbox": _GROUND}
     for place, ratio in zip(places, ratios):
-        panel.annotate(short(ratio), (ratio, place), (4, 0), textcoords="offset points", va="center", fontsize=8.5)
+        panel.annotate(short(ratio), (ratio, place), (4, 0), **beside)
     panel.grid(visible=False, axis="y")
     panel.set(xlabel="critical over requested stiffness", ylim=(-0.6, len(names) - 0.1))

@@ -145,16 +145,9 @@ def test_the_scene_has_the_device_in_use(name: str, tmp_path: Path) -> None:
     assert wall["size"]["x"] == pytest.approx(device.knob.radius * 32.0 / 11.0)
     hand = next(frame for frame in found["/tf"][0]["transforms"] if frame["child_frame_id"] == "hand")
     assert numbers(hand["translation"]) == device.knob.centre.tolist()
-<<<<<<< HEAD
-    arrows = [
-        arrow for update in found["/maglev/arrows"] for entity in update["entities"] for arrow in entity["arrows"]
-    ]
-    assert arrows and max(abs(arrow["pose"]["position"]["x"]) for arrow in arrows) <= device.knob.radius + 1e-3
-=======
     drawn = [entity["arrows"] for update in found["/maglev/arrows"] for entity in update["entities"]]
     sides = [abs(arrow["pose"]["position"]["x"]) for arrows in drawn for arrow in arrows]
     assert sides and max(sides) <= device.knob.radius + 1e-3
->>>>>>> 5fbe8ee4 (Simulate devices with more than six coils by currents of least norm, and refuse them where a frame carries six)
 
 
 def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:

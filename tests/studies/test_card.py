@@ -19,7 +19,7 @@ from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
-from maglev_mj.studies.card import DeviceCard
+from maglev_mj.studies.card import DeviceCard, DeviceFigures
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from tests.sweeps import further
 
@@ -154,3 +154,20 @@ def test_an_unstable_wall_has_a_card_without_what_it_cannot_render(
     assert (tmp_path / "card.png").exists() and max(map(len, said.splitlines()[:-2])) <= 80
     card = json.loads(data.read_text())
     assert set(card["impedance"][3]) == {None} and card["masses"][0] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("device", "section", "change", "warning"),
+    [
+        ("stage", "body", {"mass": 420.0}, "weight needs 1.25e+03 A, above the current limit of 10 A"),
+        ("ubc", "coils", {"continuous_current": 1.0}, "weight needs 1.14 A, above the continuous current of 1 A"),
+        ("arm", "body", {"gravity": (0.0, 0.0, -90.0)}, "weight needs 13.5 N, above the force limit of 8 N"),
+        ("stage", "body", {"inertia": (0.13, 0.13, 0.19)}, "radius of gyration is 0.796 m: are mass and inertia"),
+    ],
+)
+def test_a_device_that_cannot_carry_itself_is_warned_of(
+    device: str, section: str, change: dict[str, Any], warning: str
+) -> None:
+    assert DeviceFigures(Device.load(device)).warnings == []
+    (found,) = DeviceFigures(Device.load(device).change(section, **change)).warnings
+    assert found.startswith(warning)

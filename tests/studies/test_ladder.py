@@ -272,12 +272,8 @@ def test_stops_that_the_motion_meets_are_told(wall: tuple[float, float]) -> None
     motions = [run_case(scene, level, itself()) for level in ("jitter", "stops")]
     met = [motion is not None and motion.met_stops for motion in motions]
     assert met == [False, wall != (6000.0, 80.0)]
-<<<<<<< HEAD
-    assert (distance(motions[0], motions[1], scene.hardware) > 1e-4) == met[1]
-=======
     (below, above), device = motions, scene.hardware
     assert (distance(below, above, device) > 1e-4) == met[1]
->>>>>>> 5fbe8ee4 (Simulate devices with more than six coils by currents of least norm, and refuse them where a frame carries six)
 
 
 @pytest.mark.parametrize("pulse", [0.0, 220.0])
