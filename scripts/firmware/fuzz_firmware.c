@@ -4,7 +4,10 @@
           scripts/firmware/maglev_firmware.c -o fuzz_firmware
        fuzz_firmware [FRAMES [SEED]]      1 000 000 without a key and as many with one, by default
 
-   Then random inputs as libFuzzer's. The same guided by coverage, with libFuzzer: clang -fsanitize=fuzzer,address,undefined and these two files, then
+   Then random inputs as libFuzzer's. With libFuzzer itself, which selects inputs by coverage:
+
+       clang -g -O1 -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all
+          -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION (and the two files) -o fuzz_firmware
        fuzz_firmware -max_len=8192 CORPUS
 
    Exit status 1 if a current flows outside ACTIVE or exceeds its limit, an answer is too long, or the enable line is

@@ -31,7 +31,7 @@
 
 #include "simulated_flotor.h"
 
-#define AGAIN UINT64_C(20000000)       /* [ns]; lockstep: a STATE is repeated after this time without an answer */
+#define AGAIN UINT64_C(20000000)       /* [ns]; lockstep: an unanswered STATE is repeated after this time, then at double intervals */
 #define LET_GO UINT64_C(2000000000)    /* [ns]; lockstep: the host is dropped after this time */
 
 enum { WAITING = 4096 };
@@ -128,7 +128,8 @@ static void in_lockstep(uint64_t stop) {
         size_t length = maglev_sample(&device, data);
         uint64_t sent = clock_now(), again = sent;
         while (!ended && device.session == session && !(device.is_answered && device.answered == plant.number)) {
-            if (clock_now() >= again) send_to(device.peer, data, length), again = clock_now() + AGAIN;
+            uint64_t now = clock_now(), waited = now - sent;
+            if (now >= again) send_to(device.peer, data, length), again = now + (waited > AGAIN ? waited : AGAIN);
             hear(again);
             if (clock_now() - sent > LET_GO) maglev_lose_host(&device);
         }

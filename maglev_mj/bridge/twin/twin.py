@@ -439,8 +439,8 @@ class TwinServer:
     """Server of a twin: samples on schedule, receives and sends frames.
 
     In real time it samples at absolute deadlines; if it is late by whole periods, simulated time stands still for
-    them. In lockstep it takes a sample when the last one is answered, repeats it after 20 ms without an answer, and
-    drops the host after 2 s. Emergency stops are handled before all other frames.
+    them. In lockstep it takes a sample when the last one is answered, repeats it after 20, 40, 80 ms and so on without
+    an answer, and drops the host after 2 s. Emergency stops are handled before all other frames.
 
     Args:
         twin: The device.
@@ -526,7 +526,7 @@ class TwinServer:
                 twin.firmware.lose_host(max(twin.tick, 0) * self._period)
             elif now > again:
                 self._send(frame)
-                again = now + round(_AGAIN * 1e9)
+                again = now + (now - start)  # back off: repeats must not congest a slow link
 
     def _receive(self, timeout: float) -> None:
         """Receive for `timeout` [s] and handle the frames, for at most one period once the sample is due."""

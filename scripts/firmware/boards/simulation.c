@@ -3,7 +3,7 @@
 #include "device.h" /* written by build.py */
 #include "simulated_flotor.h"
 
-#define AGAIN UINT64_C(20000000)    /* [ns]; a STATE is repeated after this time without an answer */
+#define AGAIN UINT64_C(20000000)    /* [ns]; an unanswered STATE is repeated after this time, then at double intervals */
 #define LET_GO UINT64_C(2000000000) /* [ns]; the host is dropped after this time */
 
 struct plant plant = {PLANT, .fault = NO_FAULT, .random = 1};
@@ -60,7 +60,7 @@ static void run(void) {
         note(&most.sample, before);
         send(frame, length);
     } else if (now - first > LET_GO) maglev_lose_host(&device);
-    else if (now - last >= AGAIN) last = now, most.again++, send(frame, length);
+    else if (now - last >= (last > first ? last - first : AGAIN)) last = now, most.again++, send(frame, length);
 }
 
 int main(void) {
