@@ -243,11 +243,12 @@ def test_a_killed_host_is_given_up(
     host = multiprocessing.get_context("fork").Process(target=main, args=(command,))  # as patient as this process
     host.start()
     try:
-        board.wait(state=State.ACTIVE, flows=1)
+        before = board.wait(state=State.ACTIVE, flows=1)
     finally:
         host.kill()
         host.join()
-    board.wait(state=State.FAULT, flows=0, faults=Fault.WATCHDOG)
+    after = board.wait(state=State.FAULT, flows=0, faults=Fault.WATCHDOG)
+    assert after["again"] - before["again"] < 30  # of one STATE 7, at double intervals
     assert main(["bridge", board.address, "--reset", *program.options]) == 0
     assert "latched: WATCHDOG" in capsys.readouterr().out
     board.wait(state=State.INACTIVE, flows=0, faults=0)

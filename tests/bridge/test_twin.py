@@ -302,6 +302,7 @@ def test_a_silent_host_in_lockstep_is_let_go_in_every_state(state: State, monkey
     monkeypatch.setattr(twin.firmware, "lose_host", let_go)
     TwinServer(twin, queue).run(3.0, each=lambda: setattr(twin.firmware, "state", state))
     assert gone == [pytest.approx(2.0, abs=0.2)]
+    assert [data[3] for data in queue.sent] == [2, *[5] * 8]  # a STATE, repeated at double intervals
 
 
 BAD = Impairment(delay=0.02, jitter=0.01, duplicate=0.3, loss=0.2, seed=4)

@@ -524,7 +524,7 @@ class TwinServer:
             now = clock()
             if now > timeout:
                 twin.firmware.lose_host(max(twin.tick, 0) * self._period)
-            elif now > again:
+            elif now >= again:
                 self._send(frame)
                 again = now + (now - start)  # back off: repeats must not congest a slow link
 
