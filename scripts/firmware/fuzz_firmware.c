@@ -4,11 +4,8 @@
           scripts/firmware/maglev_firmware.c -o fuzz_firmware
        fuzz_firmware [FRAMES [SEED]]      1 000 000 without a key and as many with one, by default
 
-   Then random inputs as libFuzzer's. With libFuzzer itself, which selects inputs by coverage:
-
-       clang -g -O1 -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all
-          -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION (and the two files) -o fuzz_firmware
-       fuzz_firmware -max_len=8192 CORPUS
+   Then random inputs as libFuzzer's. With libFuzzer, clang -fsanitize=fuzzer,address,undefined and
+   -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION compile these files into a program for: fuzz_firmware -max_len=8192 CORPUS
 
    Exit status 1 if a current flows outside ACTIVE or exceeds its limit, an answer is too long, or the enable line is
    toggled outside ACTIVE; sanitizers abort on memory and arithmetic errors. */
@@ -30,7 +27,7 @@ static struct maglev_profile profile = {
     .pose = {[0] = 1.0, [7] = 1.0, [14] = 1.0, [21] = 1.0, [28] = 1.0, [35] = 1.0},
     .current = {[0] = 0.5, [7] = 0.5, [14] = 0.5, [21] = 0.5, [28] = 0.5, [35] = 0.5}};
 static uint64_t now, state_of_random;
-static const uint8_t *input; /* of libFuzzer, while numbers are drawn from it, and the bytes left */
+static const uint8_t *input; /* numbers are drawn from its bytes; null: at random */
 static size_t left;
 static uint32_t number;
 static double flowing[COILS], added[COILS], peak[COILS];
@@ -202,27 +199,22 @@ static void feed(const uint8_t *data, size_t length) {
     free(exact), free(answer);
 }
 
-static void start(uint32_t key_length) {
+static void run(uint32_t key_length, unsigned long count) {
+    uint8_t data[MAGLEV_LARGEST];
     profile.key_length = key_length;
     for (int i = 0; i < MAGLEV_KEY; i++) profile.key[i] = (uint8_t)i;
     memset(&device, 0, sizeof device);
     require(maglev_start(&device, &profile, &hardware), "it does not start");
-}
-
-static void run(uint32_t key_length, unsigned long count) {
-    uint8_t data[MAGLEV_LARGEST];
-    start(key_length);
     for (unsigned long end = done + count; done < end && (left || !input); done++) feed(data, make(data));
 }
 
 /* Bytes of a serial line: each frame gets the session and a valid CRC. */
 static void hear(const uint8_t *data, size_t size) {
     struct maglev_line line = {.length = 0};
-    start(0);
+    run(0, 0);
     for (; size; data++, size--) {
         size_t length = maglev_unstuff(&line, *data);
-        if (length > 24 && line.data[3] != MAGLEV_HELLO) memcpy(line.data + 4, &device.session, 4);
-        if (length > 24) seal(line.data, length - 4);
+        if (length > 24) memcpy(line.data + 4, &device.session, 4), seal(line.data, length - 4);
         if (length) feed(line.data, length), done++;
     }
 }

@@ -126,10 +126,9 @@ static void in_lockstep(uint64_t stop) {
         advance((uint64_t)plant.number * profile.period);
         uint32_t session = device.session;
         size_t length = maglev_sample(&device, data);
-        uint64_t sent = clock_now(), again = sent;
+        uint64_t sent = clock_now(), again = sent, step = AGAIN;
         while (!ended && device.session == session && !(device.is_answered && device.answered == plant.number)) {
-            uint64_t now = clock_now(), waited = now - sent;
-            if (now >= again) send_to(device.peer, data, length), again = now + (waited > AGAIN ? waited : AGAIN);
+            if (clock_now() >= again) send_to(device.peer, data, length), again = sent + step, step *= 2;
             hear(again);
             if (clock_now() - sent > LET_GO) maglev_lose_host(&device);
         }

@@ -75,10 +75,7 @@ class Line:
 
 
 class ScriptedHand:
-    """Hand that presses with a force [N], taps with 20 N, pushes with up to 15 N, or is "none".
-
-    A force with "~" has a tremor of a tenth, at 9 Hz on its axis and at 7 Hz across.
-    """
+    """Hand that presses with a force [N] ("~": with tremor, a tenth), taps with 20 N, pushes with 15 N, or is "none"."""
 
     def __init__(self, kind: str, scene: str, begin: float) -> None:
         self._kind, self._begin = kind, begin

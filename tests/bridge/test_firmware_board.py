@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
-from maglev_mj.bridge.conformance import conform, tester
+from maglev_mj.bridge.conformance import conform
 from maglev_mj.bridge.guarded import GuardedPlant
 from maglev_mj.bridge.links import SerialLink
 from maglev_mj.bridge.wire import Fault, State
@@ -136,7 +136,6 @@ Starter = Callable[..., Board]
 def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the host wait for samples of an emulator that its machine does not run."""
     monkeypatch.setitem(GuardedPlant.__init__.__kwdefaults__, "patience", PATIENCE)
-    monkeypatch.setattr(tester, "_PATIENCE", PATIENCE)
 
 
 KEY_ALONE = pytest.mark.parametrize(
