@@ -75,7 +75,7 @@ class Line:
 
 
 class ScriptedHand:
-    """Hand that presses with a force [N] ("~": with tremor, a tenth), taps with 20 N, pushes with 15 N, or is "none"."""
+    """Hand that presses with a force [N] ("~": with a tremor), taps with 20 N, pushes with 15 N, or is "none"."""
 
     def __init__(self, kind: str, scene: str, begin: float) -> None:
         self._kind, self._begin = kind, begin
