@@ -135,7 +135,7 @@ Starter = Callable[..., Board]
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the host wait for samples of an emulator that its machine does not run."""
-    monkeypatch.setitem(GuardedPlant.__init__.__kwdefaults__, "patience", PATIENCE)
+    monkeypatch.setitem(GuardedPlant.__init__.__kwdefaults__, "patience", PATIENCE)  # type: ignore[arg-type]
 
 
 KEY_ALONE = pytest.mark.parametrize(
