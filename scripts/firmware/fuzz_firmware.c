@@ -4,8 +4,8 @@
           scripts/firmware/maglev_firmware.c -o fuzz_firmware
        fuzz_firmware [FRAMES [SEED]]      1 000 000 without a key and as many with one, by default
 
-   Then random inputs as libFuzzer's. With libFuzzer, clang -fsanitize=fuzzer,address,undefined and
-   -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION compile these files into a program for: fuzz_firmware -max_len=8192 CORPUS
+   Then random inputs as libFuzzer's. For libFuzzer itself compile with clang -fsanitize=fuzzer,address,undefined, and run
+       fuzz_firmware -max_len=8192 CORPUS
 
    Exit status 1 if a current flows outside ACTIVE or exceeds its limit, an answer is too long, or the enable line is
    toggled outside ACTIVE; sanitizers abort on memory and arithmetic errors. */
@@ -229,9 +229,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     return 0;
 }
 
-#ifndef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION /* libFuzzer has its own */
-
-int main(int count, char **arguments) {
+__attribute__((weak)) int main(int count, char **arguments) { /* libFuzzer has its own */
     unsigned long each = count > 1 ? strtoul(arguments[1], NULL, 10) : 1000000;
     state_of_random = (count > 2 ? strtoul(arguments[2], NULL, 10) : 1) * 2 + 1;
     run(0, each);
@@ -249,4 +247,3 @@ int main(int count, char **arguments) {
     printf("%lu frames of random inputs, %lu flights\n", done, flights);
     return 0;
 }
-#endif

@@ -32,7 +32,9 @@
 #include "simulated_flotor.h"
 
 #define AGAIN UINT64_C(20000000)       /* [ns]; lockstep: an unanswered STATE is repeated after this time, then at double intervals */
+#ifndef LET_GO
 #define LET_GO UINT64_C(2000000000)    /* [ns]; lockstep: the host is dropped after this time */
+#endif
 
 enum { WAITING = 4096 };
 static const struct { const char *name; int count; } FAULTS[NO_FAULT] = {

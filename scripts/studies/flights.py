@@ -352,8 +352,7 @@ def fly_good(delays: dict[str, list[int]], cell: Row) -> Row:
         flown = fly(cell["scene"], delay=lambda time: delay(time + 1.0), **options)
     rms, largest = residual(flown, cell["scene"], cell["hand"], rate)
     time = rounded((flown.rows[:, 14] == 1.0).sum() / rate)
-    latency |= {"said": flown.outcome[:200]}
-    return figures(flown, flown.began) | {"time": time, "rms": rms, "largest": largest, **latency}
+    return figures(flown, flown.began) | latency | {"said": flown.outcome, "time": time, "rms": rms, "largest": largest}
 
 
 # 4. the check of the coils in takeoff

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
-from maglev_mj.bridge.conformance import conform
+from maglev_mj.bridge.conformance import conform, tester
 from maglev_mj.bridge.guarded import GuardedPlant
 from maglev_mj.bridge.links import SerialLink
 from maglev_mj.bridge.wire import Fault, State
@@ -36,7 +36,7 @@ BUILD = FOLDER / "boards" / "build.py"
 QEMU = "qemu-system-arm -M {} -icount shift=6 -nographic -monitor none"
 LINE = "-chardev pty,id=line,mux=on -echr 256 -serial chardev:line"
 LONGEST = 600.0  # [s] that an emulator may live
-PATIENCE = 60.0  # [s] of the host, for emulators on a busy machine
+PATIENCE = 60.0  # [s] of host and device for each other, on a busy machine
 INSTRUCTION = 64.0  # [ns]
 COUNTS = {"mps2_an386": 40.0, "stm32f405": 1.0}  # of each board's emulated clock [ns]
 MACHINES = {"mps2_an386": "mps2-an386", "stm32f405": "netduinoplus2"}
@@ -73,7 +73,7 @@ def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     (folder / "key").chmod(0o600)
     board, key = request.param
     options = ["--key", str(folder / "key")] if key else []
-    for name, hand in (("board.elf", ["--hand", PUSH]), ("still.elf", [])):
+    for name, hand in (("board.elf", ["--hand", PUSH, "--let-go", f"{PATIENCE:.0f}"]), ("still.elf", [])):
         command = [sys.executable, str(BUILD), "--board", board, *hand, *options, str(folder / name)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
         assert not done.returncode and not done.stderr, done.stderr
@@ -136,6 +136,8 @@ Starter = Callable[..., Board]
 def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the host wait for samples of an emulator that its machine does not run."""
     monkeypatch.setitem(GuardedPlant.__init__.__kwdefaults__, "patience", PATIENCE)  # type: ignore[arg-type]
+    monkeypatch.setattr(tester.Tester.exchange, "__defaults__", (PATIENCE,))
+    monkeypatch.setattr(tester, "RETRY_INTERVAL", 1.0)
 
 
 KEY_ALONE = pytest.mark.parametrize(
@@ -207,9 +209,9 @@ def test_a_hand_presses_the_wall_and_it_lands(
 
 def assert_same_on_pc(flight: Segment, program: Program, tmp_path: Path, *options: str) -> None:
     """Check that the same program of a PC flies the same, to the last bit."""
-    program_of_pc = built(tmp_path, ["-O2"])
+    program_of_pc = built(tmp_path, ["-O2", f"-DLET_GO={PATIENCE * 1e9:.0f}u"])
     assert program_of_pc is not None
-    known = ["--plant", str(write_plant(tmp_path / "plant.txt")), "--seconds", "60", "--lockstep", "--hand", PUSH]
+    known = ["--plant", str(write_plant(tmp_path / "plant.txt")), "--seconds", "600", "--lockstep", "--hand", PUSH]
     known += ["--calibration-hash", Calibration.nominal().digest.hex(), *program.options]
     with closing(Child(str(program_of_pc), *known, "--hover-limit", str(PROFILE.limits.hover_limit))) as device:
         port = device.wait_for(r"^listening udp://127\.0\.0\.1:(\d+)$")

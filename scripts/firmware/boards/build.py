@@ -59,6 +59,7 @@ def build(
     own: Path | None = None,
     crystal: int = 8,
     device: str = PUBLISHED,
+    let_go: int = 2,
 ) -> None:
     """Compile and link the program of a board.
 
@@ -70,6 +71,7 @@ def build(
         own: C file with a device's own functions; None for the emulated program.
         crystal: Frequency of the board's crystal [MHz].
         device: Device file or name, see `Device.load`.
+        let_go: Time after which a silent host is dropped in lockstep [s].
 
     Raises:
         CalledProcessError: If compilation fails.
@@ -81,7 +83,7 @@ def build(
     header = [profile.header(**secret, **simulated), f"#define BAUD {BAUD}", f"#define CRYSTAL_MHZ {crystal}"]
     sources = [FIRMWARE / "maglev_firmware.c", BOARDS / "board.c", BOARDS / board / "chip.c"]
     if own is None:
-        header += [macro("PLANT", plant(hand)), "#define QEMU 1"]
+        header += [macro("PLANT", plant(hand)), "#define QEMU 1", f"#define LET_GO {let_go}000000000u"]
         sources += [FIRMWARE / "simulated_flotor.c", BOARDS / "simulation.c"]
     else:
         sources += [BOARDS / board / "device.c", own]
@@ -99,6 +101,7 @@ if __name__ == "__main__":
     parser.add_argument("--own", type=Path, metavar="FILE.c", help="functions of a device, see stm32f405/own.h")
     parser.add_argument("--crystal", type=int, default=8, metavar="MHZ", help="crystal of the board (default: 8)")
     parser.add_argument("--hand", default="0,0,0,0,0,0@0:0", help="wrench [N, N m] and times [s] (default: none)")
+    parser.add_argument("--let-go", type=int, default=2, help="time until a silent host is dropped [s] (default: 2)")
     parser.add_argument("program", type=Path)
     parser.add_argument("--device", default=PUBLISHED, metavar="FILE", help="device file of --own (default: ubc)")
     options = parser.parse_args()
@@ -110,7 +113,7 @@ if __name__ == "__main__":
         parser.error(f"crystal must be 4 to 26 MHz (got {options.crystal})")
     secret = bytes.fromhex(options.key.read_text()) if options.key else b""
     try:
-        board = {name: getattr(options, name) for name in ("hand", "board", "own", "crystal", "device")}
+        board = {name: getattr(options, name) for name in ("hand", "board", "own", "crystal", "device", "let_go")}
         build(options.program.resolve(), secret, **board)
     except (subprocess.CalledProcessError, MaglevError, ValueError) as error:
         sys.exit(f"build.py: {error}")

@@ -4,7 +4,6 @@
 #include "simulated_flotor.h"
 
 #define AGAIN UINT64_C(20000000)    /* [ns]; an unanswered STATE is repeated after this time, then at double intervals */
-#define LET_GO UINT64_C(2000000000) /* [ns]; the host is dropped after this time */
 
 struct plant plant = {PLANT, .fault = NO_FAULT, .random = 1};
 struct maglev_profile profile = {PROFILE};
