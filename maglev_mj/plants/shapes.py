@@ -18,7 +18,7 @@ from maglev_mj.device import COILS, Device, Knob
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import axis_indices
-from maglev_mj.plants.model import CompiledModel, Model, drawn_model, load_model, reference_state
+from maglev_mj.plants.model import CompiledModel, Model, coil_count, drawn_model, load_model, reference_state
 from maglev_mj.plants.mujoco import MuJoCoPlant
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import GRAVITY, Spec
@@ -62,7 +62,7 @@ class Shape(NamedTuple):
         turn: Orientation, as a unit quaternion (w, x, y, z).
         colour: Red, green, blue, opacity, each from 0 to 1.
         material: Name of the material; empty for none.
-        coil: "coil0" to "coil5" for a winding; otherwise empty.
+        coil: "coil0" and so on for a winding; otherwise empty.
     """
 
     moves: bool
@@ -134,7 +134,7 @@ def coil_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, int]:
         model: Compiled model.
         data: Its state, with the flotor centred.
     """
-    places = data.site_xpos[model.actuator_trnid[: len(COILS), 0]]
+    places = data.site_xpos[model.actuator_trnid[: coil_count(model), 0]]
     windings = np.flatnonzero(model.geom_matid == model.material("copper").id).tolist()
     return {geom: int(np.linalg.norm(places - data.geom_xpos[geom], axis=1).argmin()) for geom in windings}
 

@@ -16,6 +16,7 @@ from maglev_mj.plants import MuJoCoBatchPlant
 from maglev_mj.plants.coils import CoilMap, wrench_of
 from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.plants.model import check_model, load_model
+from maglev_mj.plants.shapes import shapes
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session.replay import Replay, write_run
@@ -162,6 +163,11 @@ def test_a_model_is_checked_coil_by_coil(tmp_path: Path) -> None:
     half = CoilMap(loaded.coils.points, loaded.coils.directions, 0.5 * loaded.coils.force_constants)
     changed = load_model(path, coil_map=half).model
     np.testing.assert_array_equal(changed.actuator_gainprm[:, 0], half.force_constants)
+
+
+def test_each_coil_is_drawn_in_the_colour_of_its_own_current() -> None:
+    drawn = [shape.coil for shape in shapes("scenes/box", EIGHT) if shape.coil]
+    assert drawn == [f"coil{index}" for index in range(8)]
 
 
 def test_a_session_and_a_replay_show_the_currents_of_all_coils(tmp_path: Path) -> None:
