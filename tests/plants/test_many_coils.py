@@ -10,6 +10,7 @@ import pytest
 
 from maglev_mj import Command, Controller, Device, MuJoCoPlant, Recording, Session, Timing, drive
 from maglev_mj.control import Bias, Hold
+from maglev_mj.device import devices
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, rotation_matrix
 from maglev_mj.plants import MuJoCoBatchPlant
@@ -143,6 +144,29 @@ def test_an_open_coil_is_missing_in_the_wrench() -> None:
             plant.read()
             plant.drive([0.0] * 7 + [1.0])
         assert not np.any(plant.state()[1])
+
+
+@pytest.mark.parametrize("coil", [4, 7])
+def test_each_coil_loses_force_towards_the_end_of_the_range(coil: int) -> None:
+    coils, speeds = CoilMap.of(EIGHT), list[float]()
+    along = coils.directions[coil]
+    for falloff in (0.0, 0.5):
+        pose, timing = [*(0.002 * along), 0.0, 0.0, 0.0], Timing(period=1e-3, delay=0.0)
+        with MuJoCoPlant(timing, model=EIGHT, gravity=0.0, pose=pose, force_falloff=falloff) as plant:
+            plant.read()
+            plant.drive(np.eye(8)[coil].tolist())
+            plant.read()
+            speeds.append(float(plant.state()[1][:3] @ along))
+    assert speeds[1] / speeds[0] == pytest.approx(0.5, abs=2e-3)
+
+
+@pytest.mark.parametrize("name", devices())
+def test_a_batch_of_any_device_moves_as_single_plants(name: str) -> None:
+    device, pose = Device.load(name), [1e-4, 0.0, 2e-4, 0.0, 0.0, 0.0]
+    single, batch = MuJoCoPlant(TIMING, model=device, pose=pose), MuJoCoBatchPlant(TIMING, model=device, pose=[pose])
+    for plant in (single, batch):
+        drive(plant, Controller([Bias((0.1, 0.0, 1.0, 0.0, 0.0, 0.0))], period=TIMING.period), 10)
+    np.testing.assert_allclose(batch.state()[0][0], single.state()[0], atol=1e-15)
 
 
 def test_a_model_is_checked_coil_by_coil(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from maglev_mj import colours
 from maglev_mj.cli.output import LAYOUT
 from maglev_mj.device import Device, Knob
 from maglev_mj.frames import ZERO, quaternion
-from maglev_mj.plants.shapes import ARROW, shapes
+from maglev_mj.plants.shapes import ARROW, arrow_start, shapes
 from maglev_mj.recording import open_recording
 from maglev_mj.recording.mcap import SAMPLE
 from maglev_mj.recording.sample import FIELDS, ROW, RunMetadata, Totals
@@ -150,6 +150,19 @@ def test_the_scene_has_the_device_in_use(name: str, tmp_path: Path) -> None:
     assert sides and max(sides) <= device.knob.radius + 1e-3
 
 
+def test_the_device_is_that_of_the_scene_or_of_a_plant_recorded_without_one() -> None:
+    from maglev_mj.recording.messages import device_of
+
+    stage = Device.load("stage")
+    setups: list[dict[str, Any]] = [
+        {"parameters": {"device": "stage"}, "plant": {"model": "drop"}},
+        {"parameters": {"device": stage.toml()}},
+        {"plant": {"model": {"device": stage.toml()}}},
+    ]
+    assert [device_of(setup) for setup in setups] == [stage] * 3
+    assert all(device_of(setup).published for setup in ({}, {"plant": {"model": "maglev"}}, {"plant": {}}))
+
+
 def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
     from maglev_mj.control.controller import Controller
     from maglev_mj.control.loop import drive
@@ -179,14 +192,16 @@ def test_an_arrow_points_along_its_force_and_none_is_drawn_of_a_force_too_small_
 
     from maglev_mj.recording.messages import _arrow
 
+    knob = Knob(radius=0.01, height=0.03)
     for force in FORCES:
-        entity = SceneEntity(arrows=_arrow(Knob().centre, force, (1.0, 1.0, 1.0, 1.0), Knob()))
+        entity = SceneEntity(arrows=_arrow(knob.centre, force, (1.0, 1.0, 1.0, 1.0), knob))
         (arrow,) = decoder(entity.get_schema())(entity.encode())["arrows"]
         x, y, z, w = (arrow["pose"]["orientation"][name] for name in "xyzw")
         along = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
         assert np.abs(along - np.array(force) / np.linalg.norm(force)).max() < 1e-9
+        assert numbers(arrow["pose"]["position"]) == arrow_start(knob.centre, np.array(force), knob).tolist()
     for force in (ZERO[:3], (0.01, 0.0, 0.0), (np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0)):
-        assert _arrow(Knob().centre, force, (1.0, 1.0, 1.0, 1.0), Knob()) == []
+        assert _arrow(knob.centre, force, (1.0, 1.0, 1.0, 1.0), knob) == []
 
 
 def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording() -> None:
