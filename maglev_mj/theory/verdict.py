@@ -56,20 +56,15 @@ class LoopState(NamedTuple):
     spectral_radius: float
     free: bool
 
-    @property
-    def margin(self) -> float:
-        """Distance of the spectral radius from 1; negative for an unstable loop."""
-        return 1.0 - self.spectral_radius
-
     def row(self) -> tuple[str, ...]:
-        """Return axes, state, spectral radius, margin and verdict as texts for a table."""
+        """Return axes, state, spectral radius and verdict as texts for a table."""
         axes = "all axes" if self.axes == AXES else ", ".join(self.axes)
         inactive = (f"no {name}" if name == "contact" else f"not {name}" for name in self.others)
         state = ", ".join([*self.acting, *inactive]) or "always"
         if not self.spectral_radius:
-            return axes, state, "-", "-", "free motion"
-        word = f"{_word(self.margin > 0.0)}{' (free motion)' * self.free}"
-        return axes, state, f"{self.spectral_radius:.4f}", f"{self.margin:.4f}", word
+            return axes, state, "-", "free motion"
+        word = f"{_word(self.spectral_radius < 1.0)}{' (free motion)' * self.free}"
+        return axes, state, f"{self.spectral_radius:.4f}", word
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,10 +118,8 @@ class Verdict(Result):
         """Return a row for each combination of law states; without declared gains, the worst pose."""
         rows = [state.row() for state in self.states]
         method = "from the gains declared by the laws" if self.stated else "by numerical linearisation"
-        remarks = "\n".join(
-            [f"line above the table: worst axis; margin = 1 - spectral radius; computed {method}", *self.remarks]
-        )
-        return Table("", ("axes", "state", "spectral radius", "margin", "verdict"), rows, remarks)
+        remarks = "\n".join([f"line above the table: worst axis; computed {method}", *self.remarks])
+        return Table("", ("axes", "state", "spectral radius", "verdict"), rows, remarks)
 
     def __str__(self) -> str:
         if self.stable is None:
@@ -136,12 +129,8 @@ class Verdict(Result):
 
     def as_json(self) -> dict[str, Any]:
         """Return the verdict, ready for JSON."""
-        fields = {
-            name: plain(getattr(self, name))
-            for name in ("stable", "spectral_radius", "axes", "acting", "pose", "stated")
-        }
-        states = [{**plain(state), "margin": state.margin} for state in self.states]
-        return {**fields, "states": states, "remarks": list(self.remarks)}
+        names = "stable", "spectral_radius", "axes", "acting", "pose", "stated", "states", "remarks"
+        return {name: plain(getattr(self, name)) for name in names}
 
     @property
     def remarks(self) -> tuple[str, ...]:
