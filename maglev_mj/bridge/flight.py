@@ -141,7 +141,7 @@ class Flight:
                 self._file.event("fault", str(error))
             raise
         finally:
-            plant.cycles.record = None
+            plant.cycles.record = plant.refuse = None
             if self.timing.answer.count and self._file is not None:
                 self._record_timing(self._file)
         return FlightReport(ticks, *self._missing(), time.monotonic() - start, landing)
@@ -156,12 +156,19 @@ class Flight:
                 self.reason = f"the sensor is delayed by {late * 1e3:.1f} ms; loop delay limit {limit * 1e3:.2f} ms"
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
+        plant.refuse = self._refuse
         while not self._is_over(last):
             self._segment(last)
         ticks = plant.samples.tick - first
         if self.reason and self._file is not None:
             self._file.event("landing", self.reason)
         return ticks, plant.land(watch=lambda: self._watch() and False, reason=self.reason)
+
+    def _refuse(self, command: Command) -> bool:
+        """Return True if the laws of a command vibrate or generate energy: land instead."""
+        self._laws = [total - weight for total, weight in zip(command.force, self._carried)]
+        self.reason = self._power_guard.check(self._plant.pose, self._laws)
+        return bool(self.reason)
 
     def _missing(self) -> tuple[int, int]:
         """Return lost and skipped samples since takeoff."""
@@ -199,16 +206,14 @@ class Flight:
         return bool(self.reason) or self.switch.landing or (last is not None and self._plant.samples.tick >= last)
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
-        carried, faces = controller.carried.tolist(), controller.faces
-        plant, timing = self._plant, self.timing
-        check_delay, check_power = self._delay_guard.check, self._power_guard.check
+        self._carried, faces = controller.carried.tolist(), controller.faces
+        plant, timing, check_delay = self._plant, self.timing, self._delay_guard.check
 
         def observe(sample: Sample, applied: Command) -> None:
             timing.add(plant)
             self._force = applied.force
             delay = max(plant.answers.delay_bound, plant.delay + timing.newest_age) + self._sensor_delay
-            laws = [total - weight for total, weight in zip(applied.force, carried)]
-            self.reason = check_delay(delay) or check_power(sample.position, laws)
+            self.reason = self.reason or check_delay(delay)
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
             if not self._publishers:
@@ -217,7 +222,7 @@ class Flight:
                 self._since = sample.tick
                 self._started.reply(sample.tick)
                 self._started = None
-            force, pose = np.array(laws), np.array(sample.position)
+            force, pose = np.array(self._laws), np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
             self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
             self._listen(sample)

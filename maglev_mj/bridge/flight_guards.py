@@ -252,7 +252,8 @@ class PowerGuard:
 
     Rotations are converted to forces and paths by their radius of gyration. A reversal is the smaller of two successive
     opposite swings of an axis' force. Two sums decay with 0.2 s: of reversals, and of reversals capped at 10 N. Laws
-    may return the energy, force times path, that a hand has put in. Weight compensation is excluded.
+    may return the energy, force times path, that a hand has put in. The path within the next period is predicted from
+    the force alone, as no hand is needed to move the flotor. Weight compensation is excluded.
 
     Args:
         period: Sample period [s].
@@ -265,18 +266,20 @@ class PowerGuard:
         self._weight = 1.0  # of a new reversal: grows instead of decaying the older ones
         self._reversals, self._small = [0.0] * 6, [0.0] * 6
         self._turns, self._swings, self._rises = [0.0] * 6, [0.0] * 6, [False] * 6
-        self._position: Sequence[float] = ZERO
+        self._position: Sequence[float] | None = None
         self._force: Sequence[float] = ZERO
         self._forget = math.exp(-period / _FORGOTTEN)
         self._stored = 0.0  # [J]; below 0 generated
+        self._moved = [0.5 * period**2 / part for part in inertia]  # path per force within a period, from rest
 
     def check(self, position: Sequence[float], force: Sequence[float]) -> str:
         """Add one sample's pose and the laws' force; return an error message, or ""."""
-        energy, rises, swings, most, capped = 0.0, self._rises, self._swings, 0.0, 0.0
+        energy, coming, rises, swings, most, capped = 0.0, 0.0, self._rises, self._swings, 0.0, 0.0
         self._weight = weight = self._weight * self._growth
-        parts = zip(self._force, force, self._position, position, rises)
-        for axis, (before, part, start, end, rose) in enumerate(parts):
+        parts = zip(self._force, force, self._position or position, position, rises, self._moved)
+        for axis, (before, part, start, end, rose, moved) in enumerate(parts):
             energy += before * (end - start)
+            coming += part * (end - start + part * moved)
             if part != before and (part > before) is not rose:
                 rises[axis] = not rose
                 swing = abs(before - self._turns[axis]) / self._sizes[axis]
@@ -306,6 +309,8 @@ class PowerGuard:
                 f"the laws vibrate: {capped:.0f} N of force reversals capped at {_SWING:g} N each in {_MEMORY:g} s, "
                 f"limit {_SMALL:g} N"
             )
+        if coming > 0.0:
+            stored -= coming
         if stored < -_ENERGY:
             return (
                 f"the laws generate energy: {-stored * 1e3:.0f} mJ more than they absorbed, limit {_ENERGY * 1e3:g} mJ"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn, Self, TypeAlias
@@ -50,6 +50,7 @@ class GuardedPlant:
         guards: Checks of each sample, in order; an alarm in flight cuts the currents.
         disarmed: True after this host armed the device and switched the currents off.
         guided: True in takeoff and landing; the larger of the default and the chosen envelope then applies.
+        refuse: Check of each limited command of a scene, before it is sent: if True, only the weight is carried.
         alarm: First alarm of the guards for the last sample, as text; empty without.
         state: State of the device at the last sample; `faults` are its faults then.
         first: First faults, at `fault_time` by the device's clock [ns]; 0 without faults.
@@ -118,6 +119,8 @@ class GuardedPlant:
         # armed by this host, with no end of the flight reported
         self.disarmed = self._armed = False
         self.guided = False
+        self.refuse: Callable[[Command], bool] | None = None
+        self._carrying = Command((0.0 - calibration.body.load).tolist())
         self.unanswered: Sample | None = None  # an answer that is too late is ignored by the device
         self._pose_tick, self.alarm = 0, ""
         self._frame: Frame | None = None  # the last sample
@@ -237,6 +240,8 @@ class GuardedPlant:
         try:
             walls = self._on_device(command.walls) if command.walls else ()
             command, held, pulsed, width = self._output.currents(command, self.pose)
+            if self.refuse is not None and not self.guided and self.refuse(command):
+                command, held, pulsed, width = self._output.currents(self._carrying, self.pose)
         except (PlantError, ParameterError, TypeError) as error:
             self.fail(Fault.INVALID_COMMAND, str(error))
         self._answer(frame, held, pulsed, width, walls)

@@ -26,6 +26,7 @@ from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.frames import Command
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import device_controller
+from maglev_mj.spec import INERTIA
 from maglev_mj.theory.verdict import delay_margins
 from tests.bridge.slow_lines import SHAPES, ChangedLaw, fly
 from tests.sweeps import sweep
@@ -33,6 +34,10 @@ from tests.sweeps import sweep
 FLOWN = ("joystick", "drop", "press", "table", "box", "corner", "stick-slip", "six-axes", "wall")
 RATES = [200, pytest.param(1000, marks=pytest.mark.study)]
 """Rates of flights: each kind flies at 200 Hz in the suite."""
+
+
+HEAVY = [1e3 * part for part in INERTIA]
+"""Inertia of a flotor that hardly moves within a period."""
 
 
 def studies(*cases: tuple[Any, ...]) -> list[Any]:
@@ -153,7 +158,7 @@ def test_the_delay_limit_is_below_the_critical_delay(critical_delay: float, peri
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("period", [0.005, 0.001])
 def test_reversals_are_counted_in_each_axis(axis: int, period: float) -> None:
-    guard, size = PowerGuard(period), 1.0 if axis < 3 else 0.02
+    guard, size = PowerGuard(period, HEAVY), 1.0 if axis < 3 else 0.02
     force, said = np.zeros(6), []
     for tick in range(round(0.3 / period)):
         force[axis] = (60.0 if tick % 2 else -60.0) * size
@@ -163,12 +168,12 @@ def test_reversals_are_counted_in_each_axis(axis: int, period: float) -> None:
 
 def test_a_hard_tap_and_slow_swings_are_not_vibration() -> None:
     for forces in ([0.0, 200.0, -200.0, 0.0], 60.0 * np.sin(2.0 * np.pi * 2.0 * np.arange(0.0, 2.0, 0.005))):
-        guard = PowerGuard(0.005)
+        guard = PowerGuard(0.005, HEAVY)
         assert not any(guard.check([0.0] * 6, [0.0, 0.0, force, 0.0, 0.0, 0.0]) for force in forces)
 
 
 def test_weak_vibration_is_detected_and_a_ringing_tap_is_not() -> None:
-    weak, blow = PowerGuard(0.005), PowerGuard(0.005)
+    weak, blow = PowerGuard(0.005, HEAVY), PowerGuard(0.005, HEAVY)
     swings = [5.0 if tick // 2 % 2 else -5.0 for tick in range(150)]
     said = [weak.check([0.0] * 6, [force, 0.0, 0.0, 0.0, 0.0, 0.0]) for force in swings]
     assert "190 N of force reversals capped at 10 N each in 0.2 s, limit 190 N" in next(filter(None, said))
@@ -186,10 +191,10 @@ def moved(guard: PowerGuard, force: float, start: float, end: float, period: flo
 @pytest.mark.parametrize("period", [0.005, 0.001])
 def test_laws_may_give_back_what_a_hand_put_in(period: float) -> None:
     """10 N along 0.7 mm are 7 mJ, and 8 mJ more than was put in exceed the limit."""
-    guard = PowerGuard(period)
+    guard = PowerGuard(period, HEAVY)
     assert not any(moved(guard, 10.0, 0.0, 0.0007, period))
     assert "the laws generate energy: 8" in next(filter(None, moved(guard, 10.0, 0.0007, 0.0014, period)))
-    spring = PowerGuard(period)
+    spring = PowerGuard(period, HEAVY)
     assert not any(moved(spring, -10.0, 0.0, 0.004, period) + moved(spring, -10.0, 0.004, 0.004, period) * 20)
     assert not any(moved(spring, -10.0, 0.004, -0.0005, period))
     assert any(moved(spring, -10.0, -0.0005, -0.002, period))
@@ -199,15 +204,34 @@ def test_laws_may_give_back_what_a_hand_put_in(period: float) -> None:
 def test_energy_above_that_of_a_spring_is_forgotten_and_so_is_generated_energy(period: float) -> None:
     """A tap brings 80 mJ and takes them back at once, but not after a second."""
     for pause, said in ((0.0, False), (1.0, True)):
-        guard = PowerGuard(period)
+        guard = PowerGuard(period, HEAVY)
         moved(guard, -40.0, 0.0, 0.002, period)
         [guard.check([0.002, 0, 0, 0, 0, 0], [0.0] * 6) for _ in range(round(pause / period))]
         assert any(moved(guard, -40.0, 0.002, 0.0005, period)) is said
-    weak = PowerGuard(period)
+    weak = PowerGuard(period, HEAVY)
     for _ in range(20):  # 4 mJ each second
         assert not any(moved(weak, 4.0, 0.0, 0.001, period))
         assert not any(weak.check([0.001, 0, 0, 0, 0, 0], [0.0] * 6) for _ in range(round(1.0 / period)))
         weak.check([0.0] * 6, [0.0] * 6)
+
+
+@pytest.mark.parametrize(("force", "refused"), [(20.0, False), (22.0, True), (-22.0, True)])
+@pytest.mark.parametrize("axis", range(6))
+def test_a_force_that_would_generate_too_much_within_a_period_is_refused(
+    force: float, refused: bool, axis: int
+) -> None:
+    """At rest (F T)² / 2 m: 22 N generate 8.6 mJ within 5 ms, 20 N 7.1 mJ."""
+    guard, wrench = PowerGuard(0.005), [0.0] * 6
+    wrench[axis] = force * math.sqrt(INERTIA[axis] / INERTIA[0])
+    assert not guard.check([0.001] * 6, [0.0] * 6)
+    assert bool(guard.check([0.001] * 6, wrench)) is refused
+
+
+def test_a_hand_that_lets_go_of_a_spring_is_not_refused() -> None:
+    """20 N on 6000 N/m, pressed slowly: 33 mJ are stored."""
+    guard = PowerGuard(0.005)
+    for x in [*np.linspace(0.0, 20.0 / 6000.0, 100), *[20.0 / 6000.0] * 400]:
+        assert not guard.check([x, 0, 0, 0, 0, 0], [-6000.0 * x, 0, 0, 0, 0, 0])
 
 
 def test_a_swing_is_cut_after_a_tenth_of_a_second() -> None:
@@ -279,10 +303,27 @@ def test_a_law_that_chatters_is_landed(size: float, rate: int, tmp_path: Path) -
     assert "the laws vibrate" in flown.outcome and flown.speeds(0.0).max() < 0.15
 
 
-def test_a_law_that_pushes_hard_is_landed(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "rate", "hand", "push"),
+    [
+        ("joystick", 200, "none", 20.0),
+        ("joystick", 200, "8", 20.0),
+        *studies(*product(["joystick", "corner", "box"], [200, 1000], ["none", "5", "8"], [10.0, 20.0, 30.0])),
+    ],
+)
+def test_a_law_that_pushes_is_landed(name: str, rate: int, hand: str, push: float, tmp_path: Path) -> None:
+    """The push is judged before it is sent: by the energy that it would generate within a period."""
+    law = partial(ChangedLaw, change=lambda tick, own: push)
+    flown = fly(name, rate=rate, hand=hand, law=law, folder=tmp_path, seed=11)
+    assert "generate energy" in flown.outcome or push < 20.0
+    assert flown.rows[-1, 13] == 0.0 and flown.rows[-1, 14] == 0.0
+    assert flown.speeds(flown.began).max() < 0.30
+
+
+def test_a_push_that_generates_too_much_is_never_sent(tmp_path: Path) -> None:
     flown = fly("joystick", law=partial(ChangedLaw, change=lambda tick, own: 30.0), folder=tmp_path, seed=11)
     assert "generate energy" in flown.outcome
-    assert flown.rows[-1, 13] == 0.0 and flown.rows[-1, 14] == 0.0
+    assert flown.rows[:, 13].max() < 1.5 and flown.speeds(0.0).max() < 0.03
 
 
 # the hand's force
