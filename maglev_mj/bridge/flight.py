@@ -17,6 +17,7 @@ from maglev_mj.bridge.landing import LandingReport, StopSwitch
 from maglev_mj.bridge.observer import LATE
 from maglev_mj.bridge.preflight import LoopTiming
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError
@@ -150,10 +151,7 @@ class Flight:
         plant = self._plant
         plant.takeoff(watch=self._watch, check_coils=True)
         self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
-        if (late := plant.coils.sensor_delay) > LATE * plant.period:  # false for NaN
-            self._sensor_delay, limit = late, self._delay_guard.limit
-            if late + plant.answers.delay_bound > limit:
-                self.reason = f"the sensor is delayed by {late * 1e3:.1f} ms; loop delay limit {limit * 1e3:.2f} ms"
+        self.reason = self._check_sensor(plant.coils.sensor_delay)
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
         plant.refuse = self._refuse
@@ -163,6 +161,14 @@ class Flight:
         if self.reason and self._file is not None:
             self._file.event("landing", self.reason)
         return ticks, plant.land(watch=lambda: self._watch() and False, reason=self.reason)
+
+    def _check_sensor(self, delay: float) -> str:
+        """Add the sensor's delay [s] to that of the loop; return a message if the scene does not tolerate both."""
+        if delay > max(self._sensor_delay, LATE * self._plant.period):  # false for NaN
+            self._sensor_delay, limit = delay, self._delay_guard.limit
+            if delay + self._plant.answers.delay_bound > limit:
+                return f"the sensor is delayed by {delay * 1e3:.1f} ms; loop delay limit {limit * 1e3:.2f} ms"
+        return ""
 
     def _refuse(self, command: Command) -> bool:
         """Return True if the laws of a command vibrate or generate energy: land instead."""
@@ -214,6 +220,8 @@ class Flight:
             self._force = applied.force
             delay = max(plant.answers.delay_bound, plant.delay + timing.newest_age) + self._sensor_delay
             self.reason = self.reason or check_delay(delay)
+            if plant.sensor_delay and (late := self._check_sensor(plant.sensor_delay)):
+                plant.fail(Fault.HOST, late)  # a hand moves a soft landing further than the device's stop
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
             if not self._publishers:

@@ -61,11 +61,13 @@ class GuardedPlant:
         samples: Counter of received, lost and skipped samples.
         hand_wrench: Estimated wrench of the hand, low-passed at 20 Hz [N, N m]; NaN unless the device is active.
             Includes contact with a stop; see `HandObserver`.
+        sensor_delay: Largest delay of the sensor in flight [s], 0 if none was found; see `DelayEstimator`.
         coils: Estimator of the coil gains in takeoff.
         arrival: Arrival time of the last sample, by the link's clock [s].
     """
 
     hand_wrench = property(lambda self: self._hand.wrench)
+    sensor_delay = property(lambda self: self._hand.sensor.delay)
     coils = property(lambda self: self._hand.coils)
     arrival = property(lambda self: self._connection.arrival * 1e-9)
     answers = property(lambda self: self._connection.answers)

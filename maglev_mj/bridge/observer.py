@@ -34,6 +34,12 @@ LATE = 0.5
 _FAULTY, _RELATIVE = 0.07, 0.2
 """Gain error of a faulty coil, absolute and relative to the largest error."""
 
+_STEP, _LAGS, _WINDOW = 0.002, 5, 0.05
+"""Smallest step of a delay in flight [s], number of steps, and time constant of the sums [s]."""
+
+_EXCITED, _LARGEST, _STILL, _EXPLAINED = 1.0, 0.6, 0.04, 0.25
+"""Least sum of squared changes that tells a delay in flight [m²/s⁴], most and least of a change; largest share left."""
+
 _DRIFT = 0.2
 """Time per order of the polynomial that is projected out [s]: with jitter, the integrated currents drift."""
 
@@ -65,6 +71,7 @@ class HandObserver:
             an overtaken one may be in effect.
         coils: Estimator of the coil gains; updated while `check_coils` is True.
         check_coils: True in takeoff.
+        sensor: Estimator of the sensor's delay in flight.
     """
 
     def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
@@ -81,6 +88,7 @@ class HandObserver:
         self._wrench: Sequence[float] = _UNKNOWN
         self.currents: Sequence[float] | None = None
         self.coils = CoilEstimator(self._calibration, self._period)
+        self.sensor = DelayEstimator(self._period, self._calibration.mass)
         self._timeline = Timeline(Timing(period=self._period, delay=0.0), (ZERO, ZERO))
         self._sent: list[tuple[int | None, tuple[_Drive, _Drive, float] | None]] = [(None, None)] * _BUFFER
         self._pending: deque[_Sampled] = deque(maxlen=_BUFFER)
@@ -134,10 +142,12 @@ class HandObserver:
             self.coils = CoilEstimator(self._calibration, period)
         for missed in range(last, tick - 1):
             self._pending.append((_UNKNOWN, timeline.period(missed)))
+            self.sensor.add(*self._pending[-1])
         intervals = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
         if len(self._pending) == _BUFFER:  # buffer overflow: `wrench` was not read
             self._low, self._poses = None, (_UNKNOWN, _UNKNOWN)
         self._pending.append((position, intervals))
+        self.sensor.add(position, intervals)
         self.currents = timeline.now()[1] if certain else None
         if self.check_coils:
             self._process()
@@ -191,6 +201,83 @@ def _mean(parts: Sequence[tuple[float, Sequence[float]]]) -> list[float]:
     for share, vector in parts:
         total = [x + share * y for x, y in zip(total, vector)]
     return total
+
+
+class DelayEstimator:
+    """Estimator of the delay of the measured pose in flight.
+
+    The measured acceleration changes with the commanded one, whatever a slow hand does; that of a delayed pose changes
+    with the commanded one of some samples before. Both are low-passed at 31 Hz. The squared differences decay with
+    0.05 s; each is bounded, because a blow by a hand or on a stop is a few large ones.
+
+    Args:
+        period: Sample period [s].
+        mass: Mass of the flotor [kg].
+
+    Attributes:
+        delay: Largest delay found [s].
+    """
+
+    def __init__(self, period: float, mass: float) -> None:
+        self._period, self._keep = period, math.exp(-2.0 * math.pi * _CORNER * period)
+        self._share, self._stride = 1.0 / (mass * period**2), max(1, round(_STEP / period))
+        self._decay = math.exp(-self._stride * period / _WINDOW)
+        self.delay, self._before, self._last = 0.0, _UNKNOWN[:3], _UNKNOWN[:3]  # the last two positions
+        self._rising: Sequence[float] = ZERO[:3]  # part of the last period in the next commanded acceleration
+        self._restart()
+
+    def _restart(self) -> None:
+        self._low = self._marked = _UNKNOWN  # accelerations, measured and commanded
+        self._left, self._quiet, self._changes = 0, 0, deque([(0.0,) * 4] * (_LAGS + 1), maxlen=_LAGS + 1)
+        self._errors = [0.0] * (_LAGS + 2)  # of each delay, and without any response
+
+    def add(self, position: Sequence[float], intervals: Sequence[tuple[float, _Drive]]) -> None:
+        """Add a pose, NaN if lost, and the drives in the period before it."""
+        period, start, (u, v, w) = self._period, 0.0, self._rising
+        p = q = r = 0.0
+        for duration, ((x, y, z, _, _, _), _) in intervals:
+            share = duration * self._share
+            later = (start + 0.5 * duration) * share
+            earlier = period * share - later
+            u, v, w = u + earlier * x, v + earlier * y, w + earlier * z
+            p, q, r = p + later * x, q + later * y, r + later * z
+            start += duration
+        self._rising = p, q, r
+        (x0, y0, z0), (x1, y1, z1), (x, y, z, _, _, _) = self._before, self._last, position
+        self._before, self._last, share, keep = self._last, (x, y, z), period**-2, self._keep
+        x, y, z = (x - 2.0 * x1 + x0) * share, (y - 2.0 * y1 + y0) * share, (z - 2.0 * z1 + z0) * share
+        a, b, c, d, e, f = self._low
+        if a != a or x != x:  # NaN: the first, or lost
+            self._restart()
+            self._low = self._marked = x, y, z, u, v, w
+            return
+        self._low = low = (
+            *(x + keep * (a - x), y + keep * (b - y), z + keep * (c - z)),
+            *(u + keep * (d - u), v + keep * (e - v), w + keep * (f - w)),
+        )
+        self._left += 1
+        if self._left == self._stride:
+            self._left = 0
+            self._compare(*[new - old for new, old in zip(low, self._marked)])
+            self._marked = low
+
+    def _compare(self, x: float, y: float, z: float, u: float, v: float, w: float) -> None:
+        """Add changes of the measured and of the commanded acceleration [m/s²]."""
+        moved, driven, p, q, r = x * x + y * y + z * z, u * u + v * v + w * w, x - u, y - v, z - w
+        self._changes.appendleft((u, v, w, driven))
+        self._quiet = self._quiet + 1 if driven < _STILL and p * p + q * q + r * r < _STILL else 0
+        if self._quiet > _LAGS:
+            self._errors = [0.0] * (_LAGS + 2)
+            return
+        decay = self._decay
+        squares = [moved + own - 2.0 * (x * a + y * b + z * c) for a, b, c, own in self._changes]
+        squares.append(moved)
+        self._errors = errors = [
+            decay * error + (square if square < _LARGEST else _LARGEST) for error, square in zip(self._errors, squares)
+        ]
+        excitation = min(errors[0], errors[-1])
+        if excitation > _EXCITED and (least := min(errors)) < _EXPLAINED * excitation:
+            self.delay = max(self.delay, errors.index(least) * self._stride * self._period)
 
 
 class CoilEstimator:

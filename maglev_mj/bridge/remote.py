@@ -150,10 +150,15 @@ class RemotePlant(GuardedPlant):
         return report._replace(reason=reason, path=self.cycles.write(cycles))
 
     def _landed(self, leader: Leader, duration: float, watch: _Watch | None) -> LandingReport:
-        """Move the flotor back to its rest pose and disarm."""
+        """Move the flotor back to its rest pose and disarm; with a delayed sensor by the hold of an early landing."""
         loop, self.guided = ControlLoop(self, leader), True
         leader.aim(straight(self.pose, self.rest, duration))
-        self._lead(loop, duration, watch)
+
+        def delayed() -> bool:
+            return self.sensor_delay > 0.0 and leader is not self._tolerant
+
+        if self._lead(loop, duration, lambda: delayed() or (watch is not None and watch())) and delayed():
+            return self._landed(self._tolerant, duration, watch)
         end = self.samples.tick + round(_SETTLING / self.period)
         while self.samples.tick < end and not leader.motion.at_rest:
             loop.cycle()
