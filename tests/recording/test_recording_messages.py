@@ -160,7 +160,8 @@ def test_the_device_is_that_of_the_scene_or_of_a_plant_recorded_without_one() ->
         {"plant": {"model": {"device": stage.toml()}}},
     ]
     assert [device_of(setup) for setup in setups] == [stage] * 3
-    assert all(device_of(setup).published for setup in ({}, {"plant": {"model": "maglev"}}, {"plant": {}}))
+    published: list[dict[str, Any]] = [{}, {"plant": {"model": "maglev"}}, {"plant": {}}]
+    assert all(device_of(setup).published for setup in published)
 
 
 def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
