@@ -3,9 +3,7 @@
        cc -std=c99 -g -O1 -fsanitize=address,undefined -fno-sanitize-recover=all scripts/firmware/fuzz_firmware.c
           scripts/firmware/maglev_firmware.c -o fuzz_firmware
        fuzz_firmware [FRAMES [SEED]]      1 000 000 without a key and as many with one, by default
-
-   Then random inputs as libFuzzer's. For libFuzzer itself compile with clang -fsanitize=fuzzer,address,undefined, and run
-       fuzz_firmware -max_len=8192 CORPUS
+       fuzz_firmware -max_len=8192 CORPUS    libFuzzer, if compiled with clang -fsanitize=fuzzer,address,undefined
 
    Exit status 1 if a current flows outside ACTIVE or exceeds its limit, an answer is too long, or the enable line is
    toggled outside ACTIVE; sanitizers abort on memory and arithmetic errors. */

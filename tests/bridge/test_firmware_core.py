@@ -357,8 +357,7 @@ def test_mutated_frames_do_no_harm(count: int, tmp_path: Path) -> None:
     frames, flights, driven, stopped, pushed = map(int, re.findall(r"\d+", done.stdout.splitlines()[0]))
     assert frames == 2 * count and flights > count // 100 and driven > count // 10 and stopped > count * 3 // 500
     assert pushed > count // 100
-    frames, flights = map(int, re.findall(r"\d+", done.stdout.splitlines()[2]))  # as libFuzzer calls it
-    assert frames > count // 5 and flights > count // 100
+    assert min(map(int, re.findall(r"\d+", done.stdout.splitlines()[2]))) > count // 100  # of inputs as libFuzzer's
 
 
 @pytest.mark.needs("cross")
