@@ -610,8 +610,7 @@ def delay_margins(
         device: Sample period and delay of walls on the device [s], (2,).
 
     Returns:
-        By hand: 0 if a loop is unstable without delay, infinity if all are stable up to the lesser of 30 ms and 10
-        periods; NaN if a loop is not computed.
+        By hand: 0 if unstable without delay, infinity above the lesser of 30 ms and 10 periods, NaN if not computed.
 
     Raises:
         MaglevError: If a law fails at a pose.
@@ -625,8 +624,7 @@ def delay_margins(
     """
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
     gains, period = stated_gains(controller), controller.period
-    own, late = numbers("device", device, shape="(2,)").tolist()
-    laws = laws_on_device(controller, (own, late))
+    laws = laws_on_device(controller, numbers("device", device, shape="(2,)").tolist())
     if gains is None:
         linear = None
         with suppress(TooManyCallsError):
