@@ -350,7 +350,8 @@ class _AtRest:
     def __init__(self, scenes: Sequence[WallScene]) -> None:
         first, self.scenes = scenes[0], scenes
         self.hand, weight = getattr(first.scripted_hand(), "hand", None), float(first.body.inertia[0]) * GRAVITY
-        self._around: Any = {"delay": first.delay, "inertia": first.body.inertia, "hand": self.hand}
+        own: Any = {"inertia": first.body.inertia, "device": first.timing().device}
+        self._around: Any = {"delay": first.delay, "hand": self.hand, **own}
         self._poses = [[along(first.axis, -weight / scene.stiffness)] for scene in scenes]
         controllers = {index: scene.controller() for index, scene in enumerate(scenes)}
         some = {index: one for index, one in controllers.items() if stated_gains(one) is None}
@@ -400,6 +401,7 @@ def _margins(scene: WallScene) -> dict[str, float]:
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
     around |= {"hand": at_rest.hand, "quantum": scene.quantize or scene.hardware.sensor.resolution[2]}
+    around["device"] = scene.timing().device
     rest = stiffness if 1.0 < stiffness < 1e9 else scene.stiffness
     swing, force = hum(0.0, law=scene.controller(), stiffness=rest, duration=_TICKS * scene.period, **around)
     gain = margin * float(getattr(law, "stiffness", math.nan))

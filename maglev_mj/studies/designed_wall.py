@@ -26,7 +26,7 @@ from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, GRAVITY, Spec
 from maglev_mj.theory.boundary import rigid_note
 from maglev_mj.theory.design import Case, DesignedWall
 
@@ -271,6 +271,7 @@ def hum(
     period: float = 1.0 / Spec.control_rate.value,
     mass: float = Spec.moving_mass.value,
     hand: Hand | None = None,
+    device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
     duration: float = 4.0,
     offsets: int = 32,
 ) -> Hum:
@@ -288,6 +289,7 @@ def hum(
         period: Sample period [s].
         mass: Moving mass [kg].
         hand: The hand on the flotor; None for none.
+        device: Sample period and delay of walls on the device [s].
         duration: Simulated time [s].
         offsets: Number of starts over two steps of the sensor.
 
@@ -299,7 +301,7 @@ def hum(
     arm = 0.0 if hand is None else float(hand.static_stiffness)
     depth = mass * GRAVITY / (stiffness + arm)
     plant = ExactPlant(
-        Timing(period=period, delay=delay),
+        Timing(period=period, delay=delay, device_period=device[0], device_delay=device[1]),
         mass=mass,
         hand=hand,
         escape=_ANYWHERE,

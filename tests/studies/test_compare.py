@@ -21,6 +21,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run, run_phases
+from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.compare import _MARGINS, Comparison, _AtRest, _with_law, compare, sweep_laws
 from maglev_mj.studies.designed_wall import hum
@@ -189,6 +190,22 @@ def test_a_law_that_is_stable_in_the_wall_alone_is_not_stable() -> None:
 def light(stiffness: float, damping: float, axes: str, period: float) -> VirtualCoupling:
     """Return a coupling to 0.1 kg, too light for 200 Hz."""
     return VirtualCoupling(axes=axes, stiffness=stiffness, damping=damping, inertia=0.1, period=period)
+
+
+class OnDevice(Wall):
+    """The PD wall, on the device."""
+
+    on: str = "device"
+
+
+def test_a_law_on_the_device_has_the_clock_of_the_scenes_device() -> None:
+    found = {}
+    for period in (1e-3, 1.25e-4):
+        scene = Drop(pulse=0.0, device_period=period, wall_on="device", duration=0.01)
+        margin = wall_margin(scene)
+        found[period] = compare(scene, [OnDevice], phases=1).margins["OnDevice"]
+        assert margin is not None and found[period]["spectral_radius"] == pytest.approx(margin.spectral_radius)
+    assert found[1.25e-4]["noise"] > 3.0 * found[1e-3]["noise"]
 
 
 def test_the_pulse_removes_the_published_momentum() -> None:
