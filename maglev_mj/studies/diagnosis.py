@@ -49,7 +49,7 @@ _HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
 _MODEST = 0.05
 """Relative gain in critical stiffness below which a change of a stable loop counts as without effect."""
 
-_LEAST, _SAMPLES = 1e-9, 4096
+_SAMPLES = 4096
 MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
 
 
@@ -509,6 +509,8 @@ def _has_room(loop: DiagnosedLoop, stable: bool, critical: float) -> bool:
 
 def _rounded(value: float, *, up: bool = False) -> float:
     """Return a value with the digits that are printed, so that obeying the print gives the printed result."""
+    if not value:
+        return 0.0
     step = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
     return float(f"{(math.ceil(value / step) if up else round(value / step)) * step:.12g}")
 
@@ -539,7 +541,7 @@ def _remedies(
     enough = present * (1.0 + _MODEST) if stable else 1.0
     better = [one for one in tried if one.ratio > enough]
     if most and not any(one.ratio >= loop.target for one in better):
-        softer, at = _rounded(most / loop.target), _rounded(at or _LEAST)
+        softer, at = _rounded(most / loop.target), _rounded(at)
         change = {loop.name("stiffness"): softer, loop.name("damping"): at}
         better.append(_remedy(loop, f"stiffness {softer:g} {spring} at {at:g} {damper}", "feel", **change))
     reached = loop.target * (1.0 - 1e-9)
@@ -558,9 +560,9 @@ def _gains(loop: DiagnosedLoop, damper: str, most: float, best: float) -> Iterab
     wanted = loop.target * loop.gains[0]
     if most >= wanted:
         around = loop.sampled
-        best = _rounded(_least(lambda b: around.spectral_radius(wanted, b), best) or _LEAST, up=True)
+        best = _rounded(_least(lambda b: around.spectral_radius(wanted, b), best) or 0.0, up=True)
     else:
-        best = _rounded(best or _LEAST)
+        best = _rounded(best)
     yield _remedy(loop, f"damping {best:g} {damper}", "gains", **{loop.name("damping"): best})
 
 
@@ -579,7 +581,7 @@ def _timings(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     for words, change in cases.items():
         if change.get(loop.name("delay"), delay) > MAX_DELAY_PERIODS * change.get(loop.name("period"), period):
             continue
-        damping = _rounded(_rough_damping(loop.replace(**change)) or _LEAST)
+        damping = _rounded(_rough_damping(loop.replace(**change)))
         change = change | {loop.name("damping"): damping}
         yield _remedy(loop, f"{words}, damping {damping:g} {damper}", "timing", **change)
 
@@ -590,7 +592,7 @@ def _firmware(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     times["device_delay"] = _DEVICE_DELAY if loop.delay > _DEVICE_DELAY else loop.delay
     where = f"on the device ({1.0 / times['device_period']:.4g} Hz, {_milliseconds(times['device_delay'])})"
     moved = times | {"stiffness": 0.0, "damping": 0.0, "device_stiffness": loop.stiffness + loop.device_stiffness}
-    damping = _rounded(_rough_damping(loop.replace(**moved)) or _LEAST)
+    damping = _rounded(_rough_damping(loop.replace(**moved)))
     moved |= {"device_damping": damping}
     yield _remedy(loop, f"whole wall {where}, damping {damping:g} {damper}", "firmware", **moved)
     wanted, around = loop.target * loop.stiffness, loop.sampled
@@ -618,13 +620,15 @@ def _least(radius: Callable[[Array], Array], most: float, search: tuple[int, int
     if not most:
         return None
     count, halvings, points = search or (41, *_POINTS[1:])
-    grid = np.geomspace(1e-4 * most, most, count)
+    grid = np.array([0.0, *np.geomspace(1e-4 * most, most, count)])
     good = np.asarray(is_stable(radius(grid)))
     if not good.any():
         return None
     index = int(np.argmax(good))
-    low = grid[[index - 1]] if index else np.zeros(1)
-    return float(bisect(lambda values: np.asarray(is_stable(radius(values))), low, grid[[index]], halvings, points)[0])
+    if not index:
+        return 0.0
+    ends = grid[[index - 1]], grid[[index]]
+    return float(bisect(lambda values: np.asarray(is_stable(radius(values))), *ends, halvings, points)[0])
 
 
 def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
@@ -634,7 +638,7 @@ def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     wanted = loop.target * loop.gains[0]
     enough = _least(partial(_damped, loop, wanted), 4.0 * loop.body / loop.value("period"))
     if enough is not None:
-        added = _rounded(enough or _LEAST, up=True)
+        added = _rounded(enough, up=True)
         yield _remedy(
             loop, f"mechanical damper of {added:g} {damper}", "mechanics", own_damping=loop.own_damping + added
         )
@@ -657,7 +661,7 @@ def _hidden(loop: DiagnosedLoop) -> float:
     function, within 5 % in simulation.
     """
     needed = _least(partial(_damped, loop, loop.gains[0]), 4.0 * loop.body / loop.value("period"))
-    if needed is None:
+    if not needed:
         return math.nan
     _, frequency = loop.replace(own_damping=loop.own_damping + needed).sampled.pole(*loop.gains)
     return 4.0 * loop.friction / (math.pi * 2.0 * math.pi * frequency * needed) if frequency else math.nan

@@ -17,7 +17,7 @@ from maglev_mj.plants import ExactPlant
 from maglev_mj.result import number_text, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.names import scene_names
-from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis, _least
+from maglev_mj.studies.diagnosis import COSTS, DiagnosedLoop, Diagnosis, _gains, _least
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import DeviceLaw, Mode, largest_stable_stiffness, spectral_radius, stiffest_wall
 
@@ -214,6 +214,13 @@ def test_a_stable_wall_that_reaches_the_target_needs_no_change(target: float, ro
     assert (not found.remedies and not found.ineffective) is room
 
 
+def test_no_damping_is_said_as_zero() -> None:
+    # Beside a strong damper on the device the stiffest wall on the host has none.
+    loop = DiagnosedLoop(**HOST | {"stiffness": 1.2e5}, device_damping=400.0)
+    (one,) = _gains(loop, "N s/m", 168_872.0, 0.0)
+    assert one.words == "damping 0 N s/m" and one.critical_stiffness == pytest.approx(168_872.0, rel=1e-5)
+
+
 def test_a_change_that_just_ends_the_shaking_is_not_said_to_have_no_effect() -> None:
     found = diagnose(mass=0.0611, stiffness=1220.86, damping=1.8027, period=1.7771e-3, delay=5.331e-4)
     assert not found.stable
@@ -279,6 +286,7 @@ def test_friction_hides_small_oscillations_and_resolution_bounds_the_hum() -> No
 
 def test_no_least_value_is_searched_where_the_stiffest_wall_has_no_damping() -> None:
     assert _least(lambda values: 0.0 * values, 0.0) is None
+    assert _least(lambda values: 0.0 * values, 1.0) == 0.0  # stable without any
 
 
 @pytest.mark.study
