@@ -22,7 +22,7 @@ from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.closed_loop import bisect
-from maglev_mj.theory.margin import Margin, acting_words
+from maglev_mj.theory.margin import Margin
 from maglev_mj.theory.verdict import axis_loops, stability, stated_gains, stated_spectral_radii
 
 STEP_FORCE = 2.0
@@ -34,6 +34,7 @@ Over the whole range of 9 mm it accelerates a free flotor to 0.23 m/s, less than
 UNKNOWN = "stability not computed"
 """First part of the reason to refuse a scene without a verdict."""
 
+_LAWS = {"contact": "walls", "stuck": "friction"}
 _ARM = 0.05
 """Lever arm that converts a torque to a force [m], about the radius of the flotor."""
 
@@ -85,7 +86,8 @@ def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: floa
     if verdict.stated and not scene.controller().on_device:
         around |= {"mass": body[index], "velocity": scene.controller().velocity}
         ratio = float(theory.largest_stable_stiffness(damping, **around)) / stiffness if stiffness else 0.0
-    acting = acting_words(verdict.acting, "other laws" if verdict.stated else "all laws")
+    acting = " and ".join(_LAWS.get(state, state) for state in verdict.acting)
+    acting = acting or ("other laws" if verdict.stated else "all laws")
     return Margin(stiffness, damping, verdict.spectral_radius, ratio, AXES[index], acting, period, delay)
 
 

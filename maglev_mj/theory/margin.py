@@ -13,7 +13,6 @@ from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.theory.boundary import largest_stable_stiffness
 
 _ROUNDING = 1e-9
-_SPECIAL = {"contact": "walls", "stuck": "friction"}
 
 
 class Margin(NamedTuple):
@@ -70,11 +69,6 @@ class Margin(NamedTuple):
             f"{self.acting} on {self.axis}: {share} (must be below 1) with a total of {self.stiffness:.4g} {stiff} and "
             f"{self.damping:.4g} {damp}, at {1.0 / self.period:.4g} Hz, delay {self.delay * 1e3:.3g} ms{limit}"
         )
-
-
-def acting_words(states: tuple[str, ...], default: str = "other laws") -> str:
-    """Return active law states in words."""
-    return " and ".join(_SPECIAL.get(state, state) for state in states) or default
 
 
 def worst_axis(
