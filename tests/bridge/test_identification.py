@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -21,10 +20,8 @@ from maglev_mj.bridge.commissioning.identification import (
     Motion,
     Shaker,
     Trim,
-    added_mass,
     collect,
     excitation,
-    find_delay,
     identify,
 )
 from maglev_mj.bridge.remote import RemotePlant
@@ -87,16 +84,6 @@ class Twin:
     def acceleration_per_current(self) -> Array:
         body = np.concatenate([np.full(3, self.plant.device.mass), self.plant.device.inertia])
         return np.asarray(self.coils.wrench_per_current / body[:, None])
-
-    def lay_on(self, mass: float, place: Sequence[float]) -> None:
-        """Put a weight [kg] onto the handle, at a position in flotor axes [m]."""
-        model = self.plant.device.model
-        handle = model.body("handle").id
-        before = model.body_mass[handle]
-        there = before * model.body_ipos[handle] + mass * np.array(place)
-        model.body_ipos[handle] = there / (before + mass)
-        model.body_mass[handle] += mass
-        mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def read(self) -> Sample:
         sample = self.plant.read()
@@ -221,35 +208,13 @@ def test_a_known_mass_gives_forces_and_the_calibration_its_coils() -> None:
     assert found.calibration(NOMINAL).mass == NOMINAL.mass
 
 
-@pytest.mark.parametrize(("noisy", "much"), [(False, 3e-5), *further((True, 5e-3))])
-def test_a_weight_of_known_mass_gives_the_mass(noisy: bool, much: float) -> None:
-    found = list[Identified]()
-    for added in (0.0, 0.1):
-        twin = Twin(0, SLOW, noisy=noisy, model="maglev")
-        twin.lay_on(added, (0.01, -0.005, 0.06))
-        found.append(identify(*shaken(twin, SLOW, 10.0)[:2], period=SLOW[0], delay=SLOW[1]))
-    # with noise 0.1 % to 0.25 %: an eighth of the mass makes errors eight times as large
-    without, carrying = found
-    assert added_mass(without, carrying, 0.1) == pytest.approx(MASS, rel=much)
-    with pytest.raises(IdentificationError, match=r"must increase with the weight \(got a factor of 0\.9"):
-        added_mass(carrying, without, 0.1)
-    with pytest.raises(ParameterError, match="added must be above 0"):
-        added_mass(without, carrying, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("timing", "noisy", "close"), [(SLOW, True, 3e-6), *further((SLOW, False, 1e-8), (FAST, True, 1e-6))]
-)
-def test_a_wrong_delay_is_seen_and_found(timing: tuple[float, float], noisy: bool, close: float) -> None:
+@pytest.mark.parametrize(("timing", "noisy"), [(SLOW, True), *further((SLOW, False), (FAST, True))])
+def test_a_wrong_delay_is_seen(timing: tuple[float, float], noisy: bool) -> None:
     twin, motion, _ = study(int(noisy), timing, noisy)
     period, delay = timing
     wrong = identify(*motion[:2], period=period, delay=delay + 1e-4)
     assert 1e-3 < errors(wrong, twin).forces < 4e-3
     assert not noisy or (wrong.misfit > 5.0 * wrong.noise).any()
-    for off in (-2e-4, 0.0, 4e-4):
-        assert find_delay(*motion[:2], period=period, near=delay + off) == pytest.approx(delay, abs=close)
-    with pytest.raises(IdentificationError, match="no delay within"):
-        find_delay(*motion[:2], period=period, near=0.006)
 
 
 def test_a_device_at_the_other_end_of_a_wire_is_found_too(tmp_path: Path) -> None:

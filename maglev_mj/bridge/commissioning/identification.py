@@ -48,7 +48,7 @@ Odd multiples of 0.5 Hz: products of two signals, such as angle and current, are
 """
 
 _TRIM, _ON_TIME, _SETTLED = 0.125, 0.1, 2.0
-_SINGULAR, _ROUNDS = 1e-9, 4
+_SINGULAR = 1e-9
 
 
 class IdentificationError(MaglevError):
@@ -279,29 +279,6 @@ class Identified:
         return replace(nominal, coils=coils, mass=mass, gravity=self.gravity, name=name)
 
 
-def added_mass(without: Identified, carrying: Identified, added: float) -> float:
-    """Return the moving mass [kg], identified with an added weight.
-
-    The wrench map is the same with and without it, so the translation block of A₁ A₂⁻¹ = M₁⁻¹ M₂ is (1 + added/mass)
-    times the identity, wherever the weight is.
-
-    Args:
-        without: Identified without the weight.
-        carrying: Identified with the weight.
-        added: Mass of the weight [kg].
-
-    Raises:
-        ParameterError: If the added mass is not above 0.
-        IdentificationError: If the acceleration per ampere is not smaller with the weight.
-    """
-    number("added", added, above=0.0)
-    ratio = without.acceleration_per_current @ np.linalg.inv(carrying.acceleration_per_current)
-    increase = float(np.trace(ratio[:3, :3])) / 3.0 - 1.0
-    if not increase > 0.0:
-        raise IdentificationError(f"the mass must increase with the weight (got a factor of {1.0 + increase:.4g})")
-    return added / increase
-
-
 def identify(
     poses: ArrayLike, currents: ArrayLike, *, period: float, delay: float, lines: ArrayLike = LINES
 ) -> Identified:
@@ -345,37 +322,6 @@ def identify(
     instruments = _instruments(count, period, frequencies)
     regressors[~valid] = acceleration[~valid] = instruments[~valid] = 0.0
     return _fitted(regressors, acceleration, instruments, period)
-
-
-def find_delay(
-    poses: ArrayLike, currents: ArrayLike, *, period: float, near: float, reach: float = 5e-4, lines: ArrayLike = LINES
-) -> float:
-    """Return the delay [s] with the smallest misfit.
-
-    Args:
-        poses: See `identify`.
-        currents: See `identify`.
-        period: See `identify`.
-        near: Initial guess [s].
-        reach: Initial search range to either side [s].
-        lines: See `identify`.
-
-    Raises:
-        ParameterError: As `identify`.
-        IdentificationError: As `identify`, or if there is no minimum within reach.
-    """
-    best, step = number("near", near, at_least=0.0), number("reach", reach, above=0.0)
-
-    for _ in range(_ROUNDS):
-        best = max(best, step)
-        fits = [identify(poses, currents, period=period, delay=best + off, lines=lines) for off in (-step, 0.0, step)]
-        below, here, above = (float(np.square(fit.misfit / fits[1].noise).sum()) for fit in fits)
-        curvature = below - 2.0 * here + above
-        move = 0.5 * step * (below - above) / curvature if curvature > 0.0 else math.inf
-        if abs(move) > 2.0 * step:
-            raise IdentificationError(f"no delay within {2.0 * step:g} s of {best:g} s minimises the misfit")
-        best, step = best + move, 0.3 * step
-    return max(best, 0.0)
 
 
 def _instruments(count: int, period: float, lines: Array) -> Array:
