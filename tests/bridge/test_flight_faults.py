@@ -107,6 +107,7 @@ def test_a_law_that_raises_ends_the_currents(
         with pytest.raises(DeviceFault, match="HOST: ValueError: no square root; the last cycles are in") as caught:
             flown.flight.run(2.0)
         flown.check(Fault.HOST)
+    assert flown.plant.refuse is None
     late = flown.flight.timing.delay.p99
     assert (late > 2.5e-3) == (delays == "longer than expected" and at > 0)
     assert (late == late) == (delays != "none measured" and at > 0)

@@ -224,6 +224,7 @@ def test_a_force_that_would_generate_too_much_within_a_period_is_refused(
     """At rest (F T)² / 2 m: 22 N generate 8.6 mJ within 5 ms, 20 N 7.1 mJ."""
     guard, wrench = PowerGuard(0.005), [0.0] * 6
     wrench[axis] = force * math.sqrt(INERTIA[axis] / INERTIA[0])
+    assert not PowerGuard(0.005).check([0.004] * 6, [10.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # at its first pose
     assert not guard.check([0.001] * 6, [0.0] * 6)
     assert bool(guard.check([0.001] * 6, wrench)) is refused
 
@@ -419,13 +420,15 @@ def test_the_delay_guard_counts_the_sensors_delay(tmp_path: Path) -> None:
 # delay of the sensor in flight
 
 
-def estimated(period: float, late: int, seconds: float, hand: Any = None, held: bool = False, lost: Any = ()) -> float:
+def estimated(
+    period: float, late: int, seconds: float, hand: Any = None, held: bool = False, lost: Any = (), most: float = 3.0
+) -> float:
     """Return the delay found for a free mass, driven at random, whose position is measured some samples late [s]."""
     estimator, draw, mass = DelayEstimator(period, 0.7), random.Random(3), 0.7
     x, v, force, path = 0.0, 0.0, 0.0, [0.0] * (late + 1)
     for tick in range(round(seconds / period)):
         if tick % max(1, round(0.005 / period)) == 0:
-            force = draw.uniform(-3.0, 3.0)
+            force = draw.uniform(-most, most)
         pull = force + (0.0 if hand is None else hand(tick * period))
         x, v = x + v * period + 0.5 * pull / mass * period**2, v + pull / mass * period
         path.append(0.0 if held else x)
@@ -449,6 +452,7 @@ def test_a_hand_is_not_mistaken_for_a_delay() -> None:
     assert estimated(0.005, 0, 2.0, push) == estimated(0.005, 0, 2.0, tap) == estimated(0.005, 0, 2.0, held=True) == 0.0
     blow = lambda time: 200.0 * (0.02 < time < 0.03)  # noqa: E731
     assert estimated(0.005, 2, 0.2, blow) == 0.01
+    assert estimated(0.005, 2, 2.0, most=0.1) == 0.0  # too little to judge
 
 
 def delayed_sensor(samples: int, since: float = 1.6) -> Any:
@@ -508,6 +512,16 @@ def test_lost_frames_are_not_mistaken_for_a_coil_fault(tmp_path: Path) -> None:
         if tick in (49, 89):
             assert observer.wrench == pytest.approx([0.0] * 6, abs=1e-9)
     assert observer.coils.fault() == ""
+
+
+def test_a_gap_in_the_samples_is_not_an_acceleration() -> None:
+    calibration = Calibration.nominal()
+    observer = HandObserver(calibration, 0.005, 0.0015)
+    hover = Command([*(-calibration.mass * calibration.gravity), 0.0, 0.0, 0.0])
+    for tick in [*range(20), *range(25, 45)]:
+        observer.sampled(tick, 6 if tick == 25 else 1, [1e-3 * tick] * 6, tick - 1, 0.0015)
+        observer.answered(tick, hover, calibration.hover.tolist(), None, 0.0)
+        assert tick < 19 or max(observer.sensor._errors) < 1e-9
 
 
 def test_an_overflow_of_unread_samples_restarts_the_estimate() -> None:
