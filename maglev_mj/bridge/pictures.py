@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ def last_cycles(record: FaultRecord) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    head = printable(record.headline), f"{printable(record.faults)}, {1.0 / record.period:g} Hz"
+    faults = textwrap.shorten(printable(record.faults), 70, placeholder="…")
+    head = printable(record.headline), f"{faults}, {1.0 / record.period:g} Hz"
     figure, axes = new_figure(head, 4, 1, 8.6, sharex=True, height_ratios=[2, 2, 3, 2])
     time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.values
     _curves(axes[0], time, pose[:, :3], AXES[:3], "position (mm)")

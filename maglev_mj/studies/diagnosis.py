@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.control import LinearController, LowPass
+from maglev_mj.control import LowPass
 from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import Array, Mask
@@ -28,7 +28,7 @@ from maglev_mj.theory.boundary import (
     rigid_note,
     stiffest_of,
 )
-from maglev_mj.theory.closed_loop import SampledLoop, bisect, critical_delay, is_stable, pd
+from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, bisect, critical_delay, is_stable, pd
 from maglev_mj.theory.margin import Margin
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
 
@@ -51,26 +51,6 @@ _MODEST = 0.05
 
 _SAMPLES = 4096
 MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
-
-
-class LinearisedLaw(NamedTuple):
-    """Law linearised at a stiffness and damping, as a `Design`.
-
-    With other gains its memory scales with the stiffness and keeps its length in samples; a finite difference adds the
-    rest of the damping.
-    """
-
-    controller: LinearController
-    stiffness: float
-    damping: float
-
-    def __call__(self, stiffness: Array, damping: Array, period: Array) -> LinearController:
-        """Return the law with other gains."""
-        law, share = self.controller, np.asarray(stiffness / self.stiffness)
-        more = (damping - share * self.damping) / period
-        advance = np.pad(law.advance, (0, 1))
-        give = np.concatenate([share[..., None] * law.give, more[..., None]], axis=-1)
-        return LinearController(advance, np.append(law.take, 1.0), give, share * law.direct - more)
 
 
 class DiagnosedLoop(DeviceParameters):

@@ -12,8 +12,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import Parameters
 from maglev_mj.scenes.find import get_scene
-from maglev_mj.studies.diagnosis import LinearisedLaw
-from maglev_mj.theory.closed_loop import pd
+from maglev_mj.theory.closed_loop import LinearisedLaw, pd
 from maglev_mj.theory.margin import worst_axis
 from maglev_mj.theory.two_rates import laws_on_device
 from maglev_mj.theory.verdict import axis_law, stability, stated_gains

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias, TypedDict, Unpack
+from typing import Any, NamedTuple, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,26 @@ _BATCHED = "period", "delay", "mass", "prediction", "own_damping"
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
 """Function from stiffness, damping and sample period, (...,) each, to the linear controller inside the wall."""
+
+
+class LinearisedLaw(NamedTuple):
+    """Law linearised at a stiffness and damping, as a `Design`.
+
+    With other gains its memory scales with the stiffness and keeps its length in samples; a finite difference adds the
+    rest of the damping.
+    """
+
+    controller: LinearController
+    stiffness: float
+    damping: float
+
+    def __call__(self, stiffness: Array, damping: Array, period: Array) -> LinearController:
+        """Return the law with other gains."""
+        law, share = self.controller, np.asarray(stiffness / self.stiffness)
+        more = (damping - share * self.damping) / period
+        advance = np.pad(law.advance, (0, 1))
+        give = np.concatenate([share[..., None] * law.give, more[..., None]], axis=-1)
+        return LinearController(advance, np.append(law.take, 1.0), give, share * law.direct - more)
 
 
 class LoopKeywords(TypedDict, total=False):

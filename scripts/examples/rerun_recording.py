@@ -21,9 +21,8 @@ PLOTTED = "position.z", "applied.z"
 
 def columns(stream: Any, entity: str, name: str) -> list[Any]:
     """Return the values of an entity's component over time."""
-    batches = (chunk.to_record_batch() for chunk in stream if chunk.entity_path == entity)
-    tables = [pa.Table.from_batches([one]) for one in batches if name in one.schema.names]
-    table = pa.concat_tables([one.select(["message_log_time", name]) for one in tables])
+    tables = [pa.Table.from_batches([chunk.to_record_batch()]) for chunk in stream if chunk.entity_path == entity]
+    table = pa.concat_tables([one.select(["message_log_time", name]) for one in tables if name in one.schema.names])
     return [one[0] for one in table.sort_by("message_log_time")[name].to_pylist()]
 
 

@@ -100,7 +100,7 @@ class Outside(Joystick):
 
 @pytest.mark.parametrize(("name", "delay"), [("ubc", 0.0), ("stage", math.inf), ("arm", 0.0)])
 def test_margins_are_those_within_the_range_of_the_device(name: str, delay: float) -> None:
-    scene = Outside(device=name, period=0.005)
+    scene = Outside(device=name, period=0.02)
     assert _critical_delay(scene, scene.body.inertia) == delay
 
 

@@ -159,7 +159,7 @@ def test_variants_are_compared_only_if_the_parameter_decides_on_a_pulse(name: st
 
 @pytest.mark.parametrize("told", [True, False])
 def test_a_chaotic_bounce_gives_the_spread_of_its_figures(told: bool) -> None:
-    chaotic = Drop(period=1.0 / 1300.0, stiffness=18000.0, damping=0.0, pulse=900.0, duration=0.75)
+    chaotic = Drop(period=1.0 / 1300.0, stiffness=18000.0, damping=0.0, pulse=900.0, duration=0.6)
     scene = chaotic if told else Drop()
     spread = re.compile(r"figures are not reproducible: .* (-?[0-9.]+) to (-?[0-9.]+) \S+ over 6 starts")
     for result in (compare(scene, ["pulse"], phases=1, phase=0.0), sweep_of(scene, {"pulse_width": [0.003]})):
