@@ -389,8 +389,8 @@ class StabilityMap(GainMap):
 
         See `least_passive_damping`; a hand is any passive one.
         """
-        p = self.parameters
-        return theory.least_passive_damping(stiffness[:, None], damping, period=p.period, delay=p.delay)
+        times: Any = {"period": self.parameters.period, "delay": self.parameters.delay}
+        return np.array([theory.least_passive_damping(row, damping, **times) for row in stiffness])  # memory for a row
 
     def quiet_stiffness(self, damping: Array) -> Array:
         """Return the stiffness below which a stable wall always comes to rest, at each damping [N/m], (B,).

@@ -470,7 +470,7 @@ def least_passive_damping(
     """
     gains = numbers("stiffness", stiffness), numbers("damping", damping)
     times = numbers("period", period, at_least=0.0, above=0.0), numbers("delay", delay, at_least=0.0)
-    k, b, step, late = (part[..., None] for part in np.broadcast_arrays(*gains, *times))
+    k, b, step, late = (part[..., None] for part in (*gains, *times))
     law, (whole, rest) = (design or pd())(k, b, step), split_delay(late, step)
     share, z = rest / step, np.exp(1j * _ANGLES)
     wall = rendered_stiffness(law, z)

@@ -96,7 +96,7 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
 def rendered_stiffness(controller: LinearController, z: ArrayLike = 1.0) -> Array:
     """Return minus force over position of a linear wall [N/m], (...,): static, or complex at z on the unit circle."""
     still = np.asarray(z)[..., None, None] * np.eye(controller.advance.shape[-1]) - controller.advance
-    memory = np.linalg.solve(still, np.broadcast_to(controller.take, controller.give.shape)[..., None])
+    memory = np.linalg.solve(still, controller.take[..., None])  # of the memory: most have one for all gains
     return np.asarray(-(np.matmul(controller.give[..., None, :], memory)[..., 0, 0] + controller.direct))
 
 
