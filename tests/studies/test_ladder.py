@@ -337,7 +337,7 @@ def test_currents_are_limited_without_coils_as_with_upright_ones() -> None:
     assert plant.write(small).force is small.force
 
 
-def test_a_looser_tolerance_takes_a_lower_level_unless_it_diverges(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tight_tolerance_takes_the_cheapest_step_within_it() -> None:
     tight = measure_fidelity("twist", 1e-5, Range(phases=1, boundary=0.01))
     assert tight.level is not None and tight.level.level == "body"
     best = tight.cheapest
@@ -351,6 +351,8 @@ def test_a_looser_tolerance_takes_a_lower_level_unless_it_diverges(monkeypatch: 
     said = " ".join(str(tight.table()).split())
     assert "in 99 % of 1 cases of the whole device only" in said and "largest expected" in said
 
+
+def test_a_looser_tolerance_takes_a_lower_level_unless_it_diverges(monkeypatch: pytest.MonkeyPatch) -> None:
     loose = measure_fidelity("twist", 2e-4, Range(phases=1))
     assert loose.level is not None and loose.level.level == "axes"
     assert loose.cheapest is not None and loose.cheapest.integrator == "closed form"
