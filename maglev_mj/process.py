@@ -92,12 +92,10 @@ class SideProcess:
         return not self.ended and bool(select((), (self.line,), (), 0.0)[1])
 
     def send(self, message: object) -> None:
-        """Send a message."""
-        try:
+        """Send a message; `received` detects that the other end is closed, after its last messages."""
+        with suppress(OSError):
             if not self.ended:
                 self.line.send(message)
-        except OSError:
-            self.ended = True
 
     def received(self) -> Iterator[Any]:
         """Yield the messages received so far, without blocking."""
