@@ -148,11 +148,13 @@ def test_a_frozen_program_in_place_of_its_worker_starts_no_other(monkeypatch: py
         backend._first_working.__wrapped__()
 
 
-def test_what_is_sent_to_a_process_that_has_ended_is_lost() -> None:
-    process = SideProcess(repr)
+def test_what_is_sent_to_a_process_that_has_ended_is_lost_but_not_what_it_sent_last() -> None:
+    process = SideProcess(Connection.send, "closed")
     process._process.join()
-    process.send(1)
-    assert process.ended and not process.ready and list(process.received()) == []
+    process.send("too much")
+    assert list(process.received()) == ["closed"] and process.ended and not process.ready
+    process.send("more")
+    assert list(process.received()) == []
     process.close()
     process.close()
 
