@@ -335,7 +335,7 @@ def test_a_second_session_in_lockstep_begins_with_a_new_sample() -> None:
     twin = Counted(TwinParameters(lockstep=True))
     link, digest = VirtualLink(twin, Line(0.001)), twin.parameters.calibration.digest
     for tick in range(2):
-        host = Connection(link, digest, None, 0.1)
+        host = Connection(link, digest, None, 0.2)
         assert host.state().sequence == tick == twin.tick
         with pytest.raises(PlantError, match="no sample"):  # not answered: repeated, and the same is none newer
             host.state()

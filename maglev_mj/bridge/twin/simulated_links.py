@@ -12,7 +12,7 @@ from maglev_mj.parameters import number
 _PEER = "host"
 _NEVER = 2**63
 _AGAIN = 20_000_000
-"""Time after which an unanswered sample is repeated in lockstep [ns], as in `TwinServer`."""
+"""Time after which an unanswered sample is first repeated in lockstep [ns], as in `TwinServer`."""
 TO_HOST, TO_DEVICE = 0, 1
 """Directions of a link."""
 
@@ -56,8 +56,8 @@ class Line:
 class VirtualLink:
     """Link to a twin in the same process, in simulated time.
 
-    Time advances only while the host waits. In lockstep a sample is repeated every 20 ms until it is answered, and the
-    next sample is at least a period later.
+    Time advances only while the host waits. In lockstep a sample is repeated after 20, 40, 80 ms and so on until it is
+    answered, and the next sample is at least a period later.
 
     Args:
         twin: The device, advanced only by this link.
@@ -73,6 +73,7 @@ class VirtualLink:
         self._period, self._lockstep = twin.parameters.profile.period, twin.parameters.lockstep
         self._frame: bytes | None = None
         self._is_new, self._sent = False, -self._period  # no sample yet in this session; time of the last frame [ns]
+        self._first = self._sent  # time at which that frame was sent first
         self.time = 0
 
     def send(self, data: bytes) -> None:
@@ -112,11 +113,11 @@ class VirtualLink:
             return (self._twin.tick + 1) * self._period
         if not self._twin.firmware.session:
             return _NEVER
-        return self._sent + (_AGAIN if self._is_waiting else self._period)
+        return self._sent + (max(self._sent - self._first, _AGAIN) if self._is_waiting else self._period)
 
     def _sample(self) -> None:
         if not self._is_waiting:
-            self._frame = self._twin.sample()
+            self._frame, self._first = self._twin.sample(), self.time
         self._is_new, self._sent = False, self.time
         if self._frame is not None:
             self._line.send(TO_HOST, self._frame, self.time)
