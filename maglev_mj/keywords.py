@@ -24,7 +24,7 @@ _T = TypeVar("_T")
 _WORDS = {"bool": "True or False", "float": "a number", "int": "an integer", "str": "a string"}
 _WORDS |= dict.fromkeys(("Path", "Path | str", "str | Path"), "a file path")
 _WORDS |= {f"{note} | None": f"{text} or None" for note, text in _WORDS.items()}
-_EVERY_TICK = frozenset("drive inverse_at inverse_at_angle receive".split())
+_EVERY_TICK = frozenset("drive force inverse_at inverse_at_angle receive".split())
 """Called on every tick: their arguments are checked only after a failure."""
 _INNER = frozenset("FrictionState answer at axis period sample signals step switch time write".split())
 """Called on every tick: a wrapper, even an empty one, takes more than 2 % of it. They check arguments alone."""
