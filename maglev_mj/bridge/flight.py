@@ -222,6 +222,8 @@ class Flight:
             self.reason = self.reason or check_delay(delay)
             if plant.sensor_delay and (late := self._check_sensor(plant.sensor_delay)):
                 plant.fail(Fault.HOST, late)  # a hand moves a soft landing further than the device's stop
+            if failing := plant.failing_coil:
+                plant.fail(Fault.HOST, failing)
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
             if not self._publishers:

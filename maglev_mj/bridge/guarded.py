@@ -63,12 +63,14 @@ class GuardedPlant:
             Includes contact with a stop; see `HandObserver`.
         sensor_delay: Largest delay of the sensor in flight [s], 0 if none was found; see `DelayEstimator`.
         coils: Estimator of the coil gains in takeoff.
+        failing_coil: Message about a coil that fails in flight, "" without; see `CoilMonitor`. Read it once a sample.
         arrival: Arrival time of the last sample, by the link's clock [s].
     """
 
     hand_wrench = property(lambda self: self._hand.wrench)
     sensor_delay = property(lambda self: self._hand.sensor.delay)
     coils = property(lambda self: self._hand.coils)
+    failing_coil = property(lambda self: "" if self.samples.tick <= self._walled_until else self._hand.failing.fault())
     arrival = property(lambda self: self._connection.arrival * 1e-9)
     answers = property(lambda self: self._connection.answers)
     last_delay = property(lambda self: self._connection.answers.last_delay)

@@ -1,4 +1,4 @@
-"""Observer of the hand's wrench; check of the coils in takeoff."""
+"""Observer of the hand's wrench; delay of the sensor; coils that do not act as calibrated."""
 
 from __future__ import annotations
 
@@ -43,6 +43,12 @@ _EXCITED, _LARGEST, _STILL, _EXPLAINED = 1.0, 0.6, 0.04, 0.25
 _DRIFT = 0.2
 """Time per order of the polynomial that is projected out [s]: with jitter, the integrated currents drift."""
 
+_COIL_STEP, _COMPARED, _BETWEEN, _EVERY = 0.005, 2, 3, 2
+"""Step of the check of the coils in flight [s]; steps that are compared, between them, and from check to check."""
+
+_LOSSES, _UNSURE, _REST, _WEAKEST = (1.0, 2.0), 0.1, 0.005, 0.15
+"""Loss of gain of a dead and a reversed coil; tolerance; largest share left of the squared change; least change [A]."""
+
 _UNKNOWN = (math.nan,) * 6
 _BUFFER = 64
 
@@ -72,6 +78,7 @@ class HandObserver:
         coils: Estimator of the coil gains; updated while `check_coils` is True.
         check_coils: True in takeoff.
         sensor: Estimator of the sensor's delay in flight.
+        failing: Detector of a coil that fails in flight.
     """
 
     def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
@@ -89,6 +96,7 @@ class HandObserver:
         self.currents: Sequence[float] | None = None
         self.coils = CoilEstimator(self._calibration, self._period)
         self.sensor = DelayEstimator(self._period, self._calibration.mass)
+        self.failing = CoilMonitor(self._calibration, self._period)
         self._timeline = Timeline(Timing(period=self._period, delay=0.0), (ZERO, ZERO))
         self._sent: list[tuple[int | None, tuple[_Drive, _Drive, float] | None]] = [(None, None)] * _BUFFER
         self._pending: deque[_Sampled] = deque(maxlen=_BUFFER)
@@ -142,11 +150,13 @@ class HandObserver:
             self.coils = CoilEstimator(self._calibration, period)
         for missed in range(last, tick - 1):
             self._pending.append((_UNKNOWN, timeline.period(missed)))
+            self.failing.add(self._pending[-1])
             self.sensor.add(*self._pending[-1])
         intervals = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
         if len(self._pending) == _BUFFER:  # buffer overflow: `wrench` was not read
             self._low, self._poses = None, (_UNKNOWN, _UNKNOWN)
         self._pending.append((position, intervals))
+        self.failing.add(self._pending[-1])
         self.sensor.add(position, intervals)
         self.currents = timeline.now()[1] if certain else None
         if self.check_coils:
@@ -339,7 +349,7 @@ class CoilEstimator:
         changes = np.abs(gains - (np.median(finite) if finite.size else 1.0))
         bad = np.flatnonzero(changes > max(_FAULTY, _RELATIVE * np.nan_to_num(changes).max()))
         if bad.size:
-            return ", ".join(f"coil {coil} gives {100.0 * gains[coil]:.0f} % of its calibrated force" for coil in bad)
+            return ", ".join(_gain_text(int(coil), gains[coil]) for coil in bad)
         if not lost or len(self._rows) < 3:
             return ""
         if self.sensor_delay > LATE * self._period:
@@ -365,3 +375,61 @@ class CoilEstimator:
             paths.append(scaled @ (rows[:, axis] - fall * rows[:, 12]))
         matrix = np.vstack(parts)
         return matrix, np.concatenate(paths) - matrix[:, :6].sum(axis=1)
+
+
+def _gain_text(coil: int, gain: float) -> str:
+    return f"coil {coil} gives {100.0 * gain:.0f} % of its calibrated force"
+
+
+class CoilMonitor:
+    """Detector of a coil that stops acting, or acts in reverse, in flight.
+
+    The wrench that the currents do not explain, divided by the wrench per current, is a current of each coil. That of a
+    failing coil changes within 25 ms, by its own current times the loss of its gain, and no other does. A hand changes
+    several: every force takes at least two coils.
+
+    Args:
+        calibration: Calibration of the device.
+        period: Sample period [s].
+
+    Attributes:
+        add: Adds a sample; see `HandObserver.sampled`.
+    """
+
+    def __init__(self, calibration: Calibration, period: float) -> None:
+        self._stride = stride = max(1, round(_COIL_STEP / period))
+        self._step, self._left, steps = stride * period, 0, 2 * _COMPARED + _BETWEEN
+        self._centres = self._step * np.arange(1, steps + 1)[:, None]
+        self._samples: deque[_Sampled] = deque(maxlen=(steps + 1) * stride + 1)
+        self.add = self._samples.append
+        to_currents = np.linalg.inv(calibration.coils.wrench_per_current).T
+        self._per_change = (calibration.body.inertia / self._step**2)[:, None] * to_currents
+
+    def fault(self) -> str:
+        """Return a message about a coil that fails; "" if none does. Call it after each sample: every 10 ms it checks.
+
+        Second differences of the pose over two steps are compared with the currents between, with triangular weights.
+        """
+        self._left -= 1
+        if self._left > 0 or len(self._samples) < (self._samples.maxlen or 0):
+            return ""
+        self._left = _EVERY * self._stride
+        first, *rest = self._samples
+        poses = np.array([first[0], *(position for position, _ in rest[self._stride - 1 :: self._stride])])
+        flowed = np.array([(duration, *six) for _, intervals in rest for duration, (_, six) in intervals])
+        shares, currents = flowed[:, 0], flowed[:, 1:]
+        distances = np.abs(shares.cumsum() - 0.5 * shares - self._centres)
+        acting = (np.maximum(1.0 - distances / self._step, 0.0) * shares / self._step) @ currents
+        unexplained = np.diff(poses, 2, axis=0) @ self._per_change - acting
+        changes = unexplained[-_COMPARED:] - unexplained[:_COMPARED].mean(axis=0)
+        squares = (changes**2).sum(axis=0)
+        coil, total = int(squares.argmax()), float(squares.sum())
+        if not total > _COMPARED * _WEAKEST**2:  # also for NaN, of a lost sample
+            return ""
+        flowing, before = acting[-_COMPARED:, coil], acting[:_COMPARED, coil].mean()
+        for driven in (flowing, flowing - before):  # failed between both; or before them
+            common, own = float(changes[:, coil] @ driven), float(driven @ driven)
+            near = min(abs(common + loss * own) for loss in _LOSSES)
+            if near < _UNSURE * own and total - common**2 / own < _REST * total:
+                return _gain_text(coil, 1.0 + common / own)
+        return ""

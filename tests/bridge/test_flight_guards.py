@@ -6,6 +6,7 @@ import math
 import random
 import re
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -20,7 +21,7 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
 from maglev_mj.bridge.landing import LANDING_DELAY, Leader, Swing
-from maglev_mj.bridge.observer import DelayEstimator, HandObserver
+from maglev_mj.bridge.observer import CoilMonitor, DelayEstimator, HandObserver
 from maglev_mj.bridge.preflight import _critical_delay
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
@@ -492,8 +493,113 @@ def test_a_sensor_whose_delay_shows_in_the_landing_only_lands_softly(hand: str, 
     assert flown.outcome == "landed" and flown.speeds(1.6).max() < 0.15
 
 
+# coils in flight
+
+
+def monitored(
+    period: float, change: Callable[[float, Any], Any], lost: Any = (), currents: Any = None
+) -> tuple[float, str]:
+    """Return time and text of the first message about a free flotor; infinity and "" for none.
+
+    Its coils carry these currents, or some drawn every 5 ms around those that hover; the wrench changes from 0.2 s on.
+    """
+    calibration, draw = Calibration.nominal(), np.random.default_rng(4)
+    monitor, body = CoilMonitor(calibration, period), calibration.body
+    x, v = np.zeros(6), np.zeros(6)
+    for tick in range(round(0.4 / period)):
+        if tick % max(1, round(0.005 / period)) == 0:
+            drawn = calibration.hover + draw.uniform(-0.5, 0.5, 6) if currents is None else np.array(currents)
+        wrench, since = PER_CURRENT @ drawn + body.load, tick * period - 0.2
+        if since >= 0.0:
+            wrench = wrench + change(since, drawn)
+        acceleration = wrench / body.inertia
+        x, v = x + period * v + 0.5 * period**2 * acceleration, v + period * acceleration
+        measured = np.full(6, math.nan) if tick in lost else x + 4e-7 * draw.standard_normal(6)
+        monitor.add((measured.tolist(), [(period, ((0.0,) * 6, tuple(drawn)))]))
+        if message := monitor.fault():
+            return since + period, message
+    return math.inf, ""
+
+
+PER_CURRENT = Calibration.nominal().coils.wrench_per_current
+STEADY = [2.0 if coil == 1 else 1.145 for coil in range(6)]
+"""Constant currents [A]."""
+
+
+@pytest.mark.parametrize("period", [0.005, 0.002, 0.001])
+@pytest.mark.parametrize("gain", [0.0, -1.0])
+@pytest.mark.parametrize("coil", range(6))
+def test_a_coil_that_fails_in_flight_is_named(coil: int, gain: float, period: float) -> None:
+    lose = lambda _, currents: (gain - 1.0) * currents[coil] * PER_CURRENT[:, coil]  # noqa: E731
+    for currents, most in ((STEADY, 0.03), (None, 0.2)):
+        time, message = monitored(period, lose, currents=currents)
+        assert re.fullmatch(rf"coil {coil} gives -?\d+ % of its calibrated force", message) and 0.0 < time < most
+        assert abs(float(message.split()[3]) - 100.0 * gain) <= 10.0
+    missing = range(round(0.195 / period), round(0.235 / period))
+    assert monitored(period, lose, missing, currents=STEADY) == (math.inf, "")
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("period", [0.005, 0.001])
+def test_a_hand_is_not_mistaken_for_a_coil(axis: int, period: float) -> None:
+    lever = 1.0 if axis < 3 else 0.03
+    for shape in (
+        lambda time: 20.0 * math.sin(40.0 * time),
+        lambda time: 20.0 * (time % 0.1 < 0.03),
+        lambda time: -200.0 * (0.02 < time < 0.03),
+        lambda time: 8.0,
+    ):
+        pull = lambda time, _: lever * shape(time) * np.eye(6)[axis]  # noqa: E731, B023
+        assert monitored(period, pull) == monitored(period, pull, currents=STEADY) == (math.inf, "")
+
+
+@pytest.mark.parametrize("more", [0.5, -0.5, -1.5, -3.0])
+def test_a_wrench_along_one_coil_is_a_fault_only_if_it_is_dead_or_reversed(more: float) -> None:
+    along = lambda _, currents: more * currents[1] * PER_CURRENT[:, 1]  # noqa: E731
+    assert monitored(0.005, along, currents=STEADY) == (math.inf, "")
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001])
+def test_too_little_current_tells_nothing_of_a_coil(period: float) -> None:
+    dead = lambda _, currents: -currents[1] * PER_CURRENT[:, 1]  # noqa: E731
+    assert monitored(period, dead, currents=[0.12] * 6) == (math.inf, "")
+
+
+def failing_coil(coil: int, gain: float, rate: int) -> Any:
+    """Return a `prepare` of `fly`: a coil's force is multiplied by a gain from 1.6 s on, while its meter reads well."""
+
+    def prepare(twin: Any, link: Any) -> None:
+        take, failed = twin.sample, list[bool]()
+
+        def sample() -> Any:
+            if not failed and twin.tick >= 1.6 * rate:
+                failed.append(True)
+                twin.plant._model.actuator_gainprm[coil, 0] *= gain
+            return take()
+
+        twin.sample = sample
+
+    return prepare
+
+
+@pytest.mark.parametrize(
+    ("name", "hand", "coil", "gain", "rate"),
+    [
+        ("drop", "none", 0, -1.0, 200),
+        *studies(*product(["drop", "corner"], ["none", "5"], [1, 2], [0.0, -1.0], [200, 1000])),
+    ],
+)
+def test_a_coil_that_fails_in_flight_ends_it(
+    name: str, hand: str, coil: int, gain: float, rate: int, tmp_path: Path
+) -> None:
+    flown = fly(name, hand=hand, rate=rate, seconds=1.0, prepare=failing_coil(coil, gain, rate), folder=tmp_path)
+    assert f"HOST: coil {coil} gives " in flown.outcome
+    active = flown.rows[flown.rows[:, 14] == 1.0]
+    assert np.linalg.norm(active[:, 7:10], axis=1).max() < 0.30
+
+
 @pytest.mark.study
-def test_good_flights_show_no_delay_of_the_sensor(tmp_path: Path) -> None:
+def test_good_flights_show_no_delay_of_the_sensor_and_no_failing_coil(tmp_path: Path) -> None:
     for seed, (name, hand) in enumerate(product(FLOWN, ("none", "8", "20", "tap"))):
         draw = random.Random(seed)
         line = lambda time: 3e-4 + draw.expovariate(1.0 / 1.5e-4)  # noqa: E731, B023
