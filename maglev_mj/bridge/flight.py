@@ -162,10 +162,16 @@ class Flight:
             self._file.event("landing", self.reason)
         return ticks, plant.land(watch=lambda: self._watch() and False, reason=self.reason)
 
-    def _check_sensor(self, delay: float) -> str:
-        """Add the sensor's delay [s] to that of the loop; return a message if the scene does not tolerate both."""
-        if delay > max(self._sensor_delay, LATE * self._plant.period):  # false for NaN
+    def _check_sensor(self, delay: float, walled: bool = False) -> str:
+        """Add the sensor's delay [s] to that of the loop; return a message if the scene does not tolerate both.
+
+        Walls on the device tolerate no delay that begins in flight.
+        """
+        known, least = self._sensor_delay, LATE * self._plant.period
+        if delay > max(known, least):  # false for NaN
             self._sensor_delay, limit = delay, self._delay_guard.limit
+            if walled and delay > known + least:
+                return f"the sensor is delayed by {delay * 1e3:.1f} ms; walls on the device removed"
             if delay + self._plant.answers.delay_bound > limit:
                 return f"the sensor is delayed by {delay * 1e3:.1f} ms; loop delay limit {limit * 1e3:.2f} ms"
         return ""
@@ -213,6 +219,7 @@ class Flight:
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         self._carried, faces = controller.carried.tolist(), controller.faces
+        walled = bool(controller.device_walls)
         plant, timing, check_delay = self._plant, self.timing, self._delay_guard.check
 
         def observe(sample: Sample, applied: Command) -> None:
@@ -220,8 +227,8 @@ class Flight:
             self._force = applied.force
             delay = max(plant.answers.delay_bound, plant.delay + timing.newest_age) + self._sensor_delay
             self.reason = self.reason or check_delay(delay)
-            if plant.sensor_delay and (late := self._check_sensor(plant.sensor_delay)):
-                plant.fail(Fault.HOST, late)  # a hand moves a soft landing further than the device's stop
+            if plant.sensor_delay and (late := self._check_sensor(plant.sensor_delay, walled)):
+                plant.fail_sensor(late)  # a hand moves a soft landing further than the device's stop
             if failing := plant.failing_coil:
                 plant.fail(Fault.HOST, failing)
             if self._warn is not None and self._file is not None:

@@ -112,7 +112,8 @@ class GuardedPlant:
                 calibration.spot_offsets.tolist() if calibration.spot_offsets.any() else None
             )
             self._output = safety.OutputLimiter(calibration.coils, self.limits, host.wrench, self.period)
-            self._hand = HandObserver(calibration, self.period, self.delay)
+            step, delay = self.walls_clock or (0.0, 0.0)
+            self._hand = HandObserver(calibration, self.period, self.delay, age=0.5 * step - delay)
             self._maps = calibration.wall_maps
             self._stop = calibration.controlled_stop(self.period + self.delay, self.limits.continuous_current)
             self._prepare()
@@ -215,14 +216,15 @@ class GuardedPlant:
         if self.state is _FAULT and self._armed:
             self.fail(self.faults, "requested by this host")
         active, samples, hand = self.state is _ACTIVE, self.samples, self._hand
+        hand.measured = report.currents if samples.tick <= self._walled_until else None
         pose, error, since = self._locate(report.spots)
         if active and error is None:
             answers, hand.check_coils = self._connection.answers, self.guided
             hand.sampled(samples.tick, samples.elapsed, self._located, answers.answered_tick, answers.newest_delay)
         previous = before.body if before is not None else None
         guided, modelled = self.guided or not active, self._output.thermal.rises
-        # the currents of walls are not known to the host; the device compares them
-        expected = hand.currents if samples.tick > self._walled_until else None
+        # the host does not predict the currents of walls; the device compares them
+        expected = hand.currents if hand.measured is None else None
         sample = DeviceSample(report, previous, samples, active, guided, pose, error, since, expected, modelled)  # type: ignore[arg-type]
         self.alarm = ""
         for guard in self.guards:
@@ -426,6 +428,13 @@ class GuardedPlant:
     def _fail_if_active(self, faults: Fault, message: str) -> None:
         if self.state is _ACTIVE:
             self.fail(faults, message)
+
+    def fail_sensor(self, message: str) -> NoReturn:
+        """Remove the walls on the device, which a controlled stop would keep, then trip it as HOST."""
+        if self._walls:
+            self._send(self.last_currents, None, 0.0)
+            self.read()  # the link may deliver two frames in reverse order
+        self.fail(Fault.HOST, message)
 
     def fail(self, faults: Fault, message: str) -> NoReturn:
         """Trip the device, write its last cycles, raise DeviceFault."""

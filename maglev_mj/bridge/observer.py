@@ -12,6 +12,7 @@ import numpy as np
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.frames import ZERO, Array, Command
+from maglev_mj.plants.coils import wrench_of
 
 _CORNER = 31.0
 """Corner of each of two cascaded low-pass filters [Hz]; -3 dB at 20 Hz together."""
@@ -40,6 +41,13 @@ _STEP, _LAGS, _WINDOW = 0.002, 5, 0.05
 _EXCITED, _LARGEST, _STILL, _EXPLAINED = 1.0, 0.6, 0.04, 0.25
 """Least sum of squared changes that tells a delay in flight [m²/s⁴], most and least of a change; largest share left."""
 
+_FREE = _LARGEST, _EXCITED, _EXPLAINED, math.inf, _EXPLAINED
+_WALLED = 10.0, 0.25, 0.25, 8.0, 0.45
+"""Bounds while walls stand on the device: largest square; least sum and largest share left; the same, if much moved.
+
+A delayed wall grows within 50 ms from noise to 0.3 m/s, and at 200 Hz 3 ms of delay leave (2 ms / 3 ms)² with 5 ms.
+"""
+
 _DRIFT = 0.2
 """Time per order of the polynomial that is projected out [s]: with jitter, the integrated currents drift."""
 
@@ -56,6 +64,8 @@ _BUFFER = 64
 _Drive: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 """Wrench and currents, six numbers each."""
 
+_NONE: _Drive = ZERO, ZERO
+
 _Sampled: TypeAlias = tuple[Sequence[float], list[tuple[float, _Drive]]]
 """One sample: pose, NaN if lost, and drives in the period before."""
 
@@ -71,6 +81,7 @@ class HandObserver:
         calibration: Calibration of the device.
         period: Sample period [s].
         delay: Time from an answer's arrival to its effect [s].
+        age: Mean age of the currents of walls on the device at a sample [s].
 
     Attributes:
         currents: Currents that should flow at the last sample [A], six; None if the newest answer is not reported, or
@@ -79,10 +90,14 @@ class HandObserver:
         check_coils: True in takeoff.
         sensor: Estimator of the sensor's delay in flight.
         failing: Detector of a coil that fails in flight.
+        measured: Measured currents at the next sample to add [A], six, while walls stand on the device; else None.
+            Their difference from the sent ones is due to the walls.
     """
 
-    def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
-        self._period, self._delay = period, delay
+    measured: Sequence[float] | None = None
+
+    def __init__(self, calibration: Calibration, period: float, delay: float, age: float = 0.0) -> None:
+        self._period, self._delay, self._split = period, delay, 0.5 * period - age
         self._keep = math.exp(-2.0 * math.pi * _CORNER * period)
         self._calibration = calibration
         self._body = [inertia / period**2 for inertia in calibration.body.inertia.tolist()]
@@ -97,9 +112,10 @@ class HandObserver:
         self.coils = CoilEstimator(self._calibration, self._period)
         self.sensor = DelayEstimator(self._period, self._calibration.mass)
         self.failing = CoilMonitor(self._calibration, self._period)
-        self._timeline = Timeline(Timing(period=self._period, delay=0.0), (ZERO, ZERO))
+        self._timeline = Timeline(Timing(period=self._period, delay=0.0), _NONE)
         self._sent: list[tuple[int | None, tuple[_Drive, _Drive, float] | None]] = [(None, None)] * _BUFFER
         self._pending: deque[_Sampled] = deque(maxlen=_BUFFER)
+        self._added = _NONE  # by walls on the device, at the last sample
         self._answered, self._valid_from = 0, 0.0  # newest answer; time after which no earlier one is in effect [s]
         self._low: Sequence[float] | None = None
         self._lower: Sequence[float]
@@ -153,6 +169,14 @@ class HandObserver:
             self.failing.add(self._pending[-1])
             self.sensor.add(*self._pending[-1])
         intervals = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
+        before, self._added = self._added, _NONE
+        self.sensor.bounds = _FREE if self.measured is None else _WALLED
+        if self.measured is not None:
+            added = tuple([x - y for x, y in zip(self.measured, timeline.now()[1])])
+            turned = self._calibration.coils.inverse_at_angle(*position[3:])
+            self._added, split = (tuple(wrench_of(turned, np.array(added)).tolist()), added), self._split
+            # superposed, from the start of the period again: the last reading up to halfway less its age, then this one
+            intervals = [*intervals, (-period, _NONE), (split, before), (period - split, self._added)]
         if len(self._pending) == _BUFFER:  # buffer overflow: `wrench` was not read
             self._low, self._poses = None, (_UNKNOWN, _UNKNOWN)
         self._pending.append((position, intervals))
@@ -226,7 +250,10 @@ class DelayEstimator:
 
     Attributes:
         delay: Largest delay found [s].
+        bounds: `_FREE`, or `_WALLED` while walls stand on the device.
     """
+
+    bounds = _FREE
 
     def __init__(self, period: float, mass: float) -> None:
         self._period, self._keep = period, math.exp(-2.0 * math.pi * _CORNER * period)
@@ -279,14 +306,15 @@ class DelayEstimator:
         if self._quiet > _LAGS:
             self._errors = [0.0] * (_LAGS + 2)
             return
-        decay = self._decay
+        decay, (largest, excited, explained, strong, share) = self._decay, self.bounds
         squares = [moved + own - 2.0 * (x * a + y * b + z * c) for a, b, c, own in self._changes]
         squares.append(moved)
         self._errors = errors = [
-            decay * error + (square if square < _LARGEST else _LARGEST) for error, square in zip(self._errors, squares)
+            decay * error + (square if square < largest else largest) for error, square in zip(self._errors, squares)
         ]
         excitation = min(errors[0], errors[-1])
-        if excitation > _EXCITED and (least := min(errors)) < _EXPLAINED * excitation:
+        explained = share if excitation > strong else explained
+        if excitation > excited and (least := min(errors)) < explained * excitation:
             self.delay = max(self.delay, errors.index(least) * self._stride * self._period)
 
 
