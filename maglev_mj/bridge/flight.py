@@ -21,7 +21,7 @@ from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import AXES, Array, Command, Sample
+from maglev_mj.frames import AXES, Array, Command, DeviceWall, Sample
 from maglev_mj.parameters import number
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingError, RecordingFile
@@ -162,16 +162,15 @@ class Flight:
             self._file.event("landing", self.reason)
         return ticks, plant.land(watch=lambda: self._watch() and False, reason=self.reason)
 
-    def _check_sensor(self, delay: float, walled: bool = False) -> str:
+    def _check_sensor(self, delay: float, walls: Sequence[DeviceWall] = ()) -> str:
         """Add the sensor's delay [s] to that of the loop; return a message if the scene does not tolerate both.
 
-        Walls on the device tolerate no delay that begins in flight.
+        `walls` are those on the device: they tolerate no delay that begins in flight.
         """
-        known, least = self._sensor_delay, LATE * self._plant.period
-        if delay > max(known, least):  # false for NaN
+        if walls and delay > self._sensor_delay + LATE * self._plant.period:
+            return f"the sensor is delayed by {delay * 1e3:.1f} ms; walls on the device removed"
+        if delay > max(self._sensor_delay, LATE * self._plant.period):  # false for NaN
             self._sensor_delay, limit = delay, self._delay_guard.limit
-            if walled and delay > known + least:
-                return f"the sensor is delayed by {delay * 1e3:.1f} ms; walls on the device removed"
             if delay + self._plant.answers.delay_bound > limit:
                 return f"the sensor is delayed by {delay * 1e3:.1f} ms; loop delay limit {limit * 1e3:.2f} ms"
         return ""
@@ -219,7 +218,6 @@ class Flight:
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         self._carried, faces = controller.carried.tolist(), controller.faces
-        walled = bool(controller.device_walls)
         plant, timing, check_delay = self._plant, self.timing, self._delay_guard.check
 
         def observe(sample: Sample, applied: Command) -> None:
@@ -227,7 +225,7 @@ class Flight:
             self._force = applied.force
             delay = max(plant.answers.delay_bound, plant.delay + timing.newest_age) + self._sensor_delay
             self.reason = self.reason or check_delay(delay)
-            if plant.sensor_delay and (late := self._check_sensor(plant.sensor_delay, walled)):
+            if plant.sensor_delay and (late := self._check_sensor(plant.sensor_delay, controller.device_walls)):
                 plant.fail_sensor(late)  # a hand moves a soft landing further than the device's stop
             if failing := plant.failing_coil:
                 plant.fail(Fault.HOST, failing)

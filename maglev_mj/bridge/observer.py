@@ -42,7 +42,7 @@ _EXCITED, _LARGEST, _STILL, _EXPLAINED = 1.0, 0.6, 0.04, 0.25
 """Least sum of squared changes that tells a delay in flight [m²/s⁴], most and least of a change; largest share left."""
 
 _FREE = _LARGEST, _EXCITED, _EXPLAINED, math.inf, _EXPLAINED
-_WALLED = 10.0, 0.25, 0.25, 8.0, 0.45
+_WALLED = 5.0, 0.25, 0.25, 6.0, 0.45
 """Bounds while walls stand on the device: largest square; least sum and largest share left; the same, if much moved.
 
 A delayed wall grows within 50 ms from noise to 0.3 m/s, and at 200 Hz 3 ms of delay leave (2 ms / 3 ms)² with 5 ms.
@@ -253,13 +253,11 @@ class DelayEstimator:
         bounds: `_FREE`, or `_WALLED` while walls stand on the device.
     """
 
-    bounds = _FREE
-
     def __init__(self, period: float, mass: float) -> None:
         self._period, self._keep = period, math.exp(-2.0 * math.pi * _CORNER * period)
         self._share, self._stride = 1.0 / (mass * period**2), max(1, round(_STEP / period))
         self._decay = math.exp(-self._stride * period / _WINDOW)
-        self.delay, self._before, self._last = 0.0, _UNKNOWN[:3], _UNKNOWN[:3]  # the last two positions
+        self.delay, self.bounds, self._before, self._last = 0.0, _FREE, _UNKNOWN[:3], _UNKNOWN[:3]  # last two positions
         self._rising: Sequence[float] = ZERO[:3]  # part of the last period in the next commanded acceleration
         self._restart()
 
@@ -313,8 +311,7 @@ class DelayEstimator:
             decay * error + (square if square < largest else largest) for error, square in zip(self._errors, squares)
         ]
         excitation = min(errors[0], errors[-1])
-        explained = share if excitation > strong else explained
-        if excitation > excited and (least := min(errors)) < explained * excitation:
+        if excitation > excited and (least := min(errors)) < (share if excitation > strong else explained) * excitation:
             self.delay = max(self.delay, errors.index(least) * self._stride * self._period)
 
 

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Sequence
+from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from maglev_mj import find_scene
 from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.observer import _WALLED, HandObserver
 from maglev_mj.bridge.preflight import assess, on_device
 from maglev_mj.bridge.twin import twin as twins
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
@@ -26,6 +33,7 @@ from maglev_mj.scenes.stability_check import check_step
 from maglev_mj.scenes.wall_scene import others
 from maglev_mj.theory.verdict import delay_margins
 from tests.bridge.firmware_core import CoreFirmware
+from tests.bridge.slow_lines import Flown, fly, residual
 from tests.bridge.test_preflight import GOOD
 from tests.sweeps import further
 
@@ -265,3 +273,93 @@ def test_the_check_before_takeoff_judges_two_rates() -> None:
         delay_margins(each.controller(), ["none"])["none"] for each in (beside, beside.replace(device_damping=100.0))
     ]
     assert margins[0] == 0.0 and margins[1] > 0.0015
+
+
+# the host's observers, by the measured currents
+
+
+def on_wall(name: str, stiffness: float, damping: float, *, rate: int = 200, **options: Any) -> Flown:
+    """Fly a scene with its walls on the device."""
+    scene = find_scene(name)().replace(wall_on="device", stiffness=stiffness, damping=damping)
+    return fly(name, rate=rate, scene=scene, critical_delay=0.02, **options)
+
+
+def jittery(seed: int) -> Callable[[float], float]:
+    """Return the delay of a line on which every second pair of frames arrives in reverse order [s]."""
+    draw = random.Random(seed)
+    return lambda time: 3e-4 + draw.expovariate(1.0 / 1.5e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "hand", "delay", "wall"),
+    [
+        ("drop", 200, "8", 5, (6e4, 200.0)),
+        ("press", 200, "5", 4, (1e5, 400.0)),
+        ("press", 1000, "5", 3, (6e4, 200.0)),
+        *further(*product(["drop", "press"], [200], ["5", "8"], [4, 5, 10], [(6e4, 200.0), (1e5, 400.0)])),
+        *further(*product(["drop", "press"], [1000], ["5", "8"], [2, 3, 5], [(6e4, 200.0), (1e5, 400.0)])),
+    ],
+)
+def test_a_delayed_sensor_on_a_wall_ends_the_flight(
+    name: str, rate: int, hand: str, delay: int, wall: tuple[float, float], tmp_path: Path
+) -> None:
+    faults = [InjectedFault(kind="late-sensor", which=delay, at=1.5)]
+    flown = on_wall(name, *wall, rate=rate, hand=hand, faults=faults, seconds=0.5, delay=jittery(1), folder=tmp_path)
+    assert "HOST: the sensor is delayed by" in flown.outcome and "walls on the device removed" in flown.outcome
+    active = flown.rows[flown.rows[:, 14] == State.ACTIVE]
+    assert np.linalg.norm(active[:, 7:10], axis=1).max() < (0.15 if delay < 10 else 0.3)
+    assert flown.speeds(1.5).max() < 0.35  # the controlled stop, without walls and with the hand
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "hand", "wall", "force", "torque"),
+    [
+        ("drop", 1000, "8", (6e4, 200.0), 0.02, 0.5e-3),
+        ("corner", 200, "20", (6e3, 80.0), 0.1, 1e-3),  # turned by 60 mrad
+        *further(*product(["drop", "press"], [1000], ["20", "tap"], [(1e5, 400.0)], [0.02], [1e-3])),
+        *further(*product(["drop", "press"], [200], ["20", "tap"], [(1e5, 400.0)], [0.5], [1e-3])),
+    ],
+)
+def test_the_hand_is_observed_in_contact_with_a_wall_on_the_device(
+    name: str, rate: int, hand: str, wall: tuple[float, float], force: float, torque: float, tmp_path: Path
+) -> None:
+    flown = on_wall(name, *wall, rate=rate, hand=hand, seconds=0.4, folder=tmp_path)
+    (force_rms, torque_rms), _ = residual(flown, name, hand, rate)
+    assert flown.outcome == "landed" and 0.0 < force_rms < force and torque_rms < torque
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("rate", [200, 1000])
+def test_good_flights_with_walls_on_the_device_show_no_delay(rate: int, tmp_path: Path) -> None:
+    walls = (6e3, 80.0), (6e4, 200.0), (1e5, 400.0)
+    for seed, (name, hand, wall) in enumerate(product(("drop", "press", "corner"), ("none", "8", "20", "tap"), walls)):
+        if name == "corner" and wall[0] > 6e4:  # refused: too stiff about y
+            continue
+        flown = on_wall(name, *wall, rate=rate, hand=hand, seed=seed, delay=jittery(seed), folder=tmp_path)
+        assert "sensor" not in flown.outcome
+
+
+def test_only_walls_on_the_device_change_the_observers() -> None:
+    observer = HandObserver(Calibration.nominal(), 0.005, 0.0015)
+    drives: list[Any] = []
+    observer.sensor.add = lambda position, intervals: drives.append(intervals)  # type: ignore[method-assign]
+    for tick, measured in enumerate((None, [1.0] * 6, None)):
+        observer.measured = measured
+        observer.sampled(tick, 1, [0.0] * 6, tick - 1, 0.0015)
+        assert (observer.sensor.bounds is _WALLED) == (measured is not None)
+    assert [sum(duration for duration, _ in intervals) for intervals in drives] == [0.005] * 3
+    assert [len(intervals) for intervals in drives] == [1, 4, 1]
+
+
+def test_a_delay_that_was_known_before_the_flight_does_not_end_it() -> None:
+    plant = plant_of()
+    flight, walls = Flight(plant, Drop(wall_on="device"), critical_delay=0.02), [DeviceWall(2, 0.0, 1, 6e3, 80.0)]
+    flight._sensor_delay = 0.0049
+    assert flight._check_sensor(0.005, walls) == ""
+    assert flight._check_sensor(0.01, walls) == "the sensor is delayed by 10.0 ms; walls on the device removed"
+    assert flight._check_sensor(0.01) == ""
+    sent: list[Any] = []
+    plant._send = lambda *answer: sent.append(answer)  # type: ignore[method-assign]
+    with pytest.raises(DeviceFault, match="HOST: delayed"):
+        plant.fail_sensor("delayed")
+    assert not sent  # no walls to remove
