@@ -21,7 +21,7 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
 from maglev_mj.bridge.landing import LANDING_DELAY, Leader, Swing
-from maglev_mj.bridge.observer import CoilMonitor, DelayEstimator, HandObserver
+from maglev_mj.bridge.observer import _FREE, _WALLED, CoilMonitor, DelayEstimator, HandObserver
 from maglev_mj.bridge.preflight import _critical_delay
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
@@ -454,6 +454,21 @@ def test_a_hand_is_not_mistaken_for_a_delay() -> None:
     blow = lambda time: 200.0 * (0.02 < time < 0.03)  # noqa: E731
     assert estimated(0.005, 2, 0.2, blow) == 0.01
     assert estimated(0.005, 2, 2.0, most=0.1) == 0.0  # too little to judge
+
+
+@pytest.mark.parametrize(("acceleration", "delay"), [(1.0, 0.005), (8.0, 0.0032)])
+def test_less_tells_a_delay_with_walls_on_the_device(acceleration: float, delay: float) -> None:
+    """A motion at 20 Hz: small, or with (1.8 ms / 3.2 ms)² left by a delay of 5 ms."""
+    found = []
+    for bounds, late in ((_FREE, delay), (_WALLED, delay), (_WALLED, 0.0)):
+        estimator, speed, zero = DelayEstimator(0.005, 0.7), 2.0 * math.pi * 20.0, (0.0,) * 6
+        estimator.bounds = bounds
+        for time in np.arange(0.0, 0.5, 0.005):
+            height = -acceleration / speed**2 * math.sin(speed * (time - late))
+            force = 0.7 * acceleration * math.sin(speed * (time - 0.0025))
+            estimator.add([0.0, 0.0, height, 0.0, 0.0, 0.0], [(0.005, ((0.0, 0.0, force, 0.0, 0.0, 0.0), zero))])
+        found.append(estimator.delay)
+    assert found == [0.0, 0.005, 0.0]
 
 
 def delayed_sensor(samples: int, since: float = 1.6) -> Any:
