@@ -69,7 +69,7 @@ _MEANINGS = {
     Fault.COIL_NOT_FOLLOWING: "a measured current differs from the commanded one",
     Fault.SENSOR_FROZEN: "a diode repeated its reading more often than its noise allows",
     Fault.CLOCK: "the device's timestamps do not match its sample numbers",
-    Fault.NOT_FOLLOWING: "the flotor did not follow the takeoff path: wrong signs, swapped diodes or a hand in the way",
+    Fault.NOT_FOLLOWING: "the flotor did not follow the commands: wrong signs, swapped diodes or a hand in the way",
     Fault.HOST: "the host program failed, or received no samples from the device",
     Fault.SENSOR_STOPPED: "the sensor's conversion counter stopped",
     Fault.COIL_NOT_OFF: "a current still flows after the cut: cut the power",

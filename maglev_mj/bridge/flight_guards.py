@@ -66,6 +66,7 @@ class DeviceSample(NamedTuple):
         since: Time since the last pose [s].
         expected: Currents that should flow [A], six; None if not available.
         modelled: Temperature rises computed from the sent currents, six; 1 trips.
+        reversed: True if the measured pose moves against the commands; see `DelayEstimator`.
     """
 
     report: StateReport
@@ -78,6 +79,7 @@ class DeviceSample(NamedTuple):
     since: float
     expected: Sequence[float] | None
     modelled: Sequence[float]
+    reversed: bool
 
 
 class Alarm(NamedTuple):
@@ -103,6 +105,7 @@ def device_guards(limits: Limits, own: HostLimits, period: float) -> list[Guard]
         partial(_spots, SpotGuard(limits, period)),
         partial(_readings, limits),
         _pose,
+        _response,
         partial(_envelope, FlotorGuard(own)),
         partial(_currents, CoilGuard()),
         partial(_holding, 2e6 * period),
@@ -129,6 +132,12 @@ def _readings(limits: Limits, sample: DeviceSample) -> Alarm | None:
 
 def _pose(sample: DeviceSample) -> Alarm | None:
     return None if sample.error is None else Alarm(Fault.SENSOR_OUT_OF_RANGE, str(sample.error))
+
+
+def _response(sample: DeviceSample) -> Alarm | None:
+    if not (sample.active and sample.reversed):
+        return None
+    return Alarm(Fault.NOT_FOLLOWING, f"the measured pose moves against the commanded force, at {shown(sample.pose)}")
 
 
 def _envelope(guard: FlotorGuard, sample: DeviceSample) -> Alarm | None:

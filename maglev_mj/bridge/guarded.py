@@ -219,13 +219,16 @@ class GuardedPlant:
         hand.measured = report.currents if samples.tick <= self._walled_until else None
         pose, error, since = self._locate(report.spots)
         if active and error is None:
-            answers, hand.check_coils = self._connection.answers, self.guided
+            answers = self._connection.answers
             hand.sampled(samples.tick, samples.elapsed, self._located, answers.answered_tick, answers.newest_delay)
-        previous = before.body if before is not None else None
+        previous: Any = before.body if before is not None else None
         guided, modelled = self.guided or not active, self._output.thermal.rises
         # the host does not predict the currents of walls; the device compares them
         expected = hand.currents if hand.measured is None else None
-        sample = DeviceSample(report, previous, samples, active, guided, pose, error, since, expected, modelled)  # type: ignore[arg-type]
+        backwards = hand.sensor.reversed and not hand.check_coils  # in takeoff a coil is named
+        sample = DeviceSample(
+            report, previous, samples, active, guided, pose, error, since, expected, modelled, backwards
+        )
         self.alarm = ""
         for guard in self.guards:
             if (alarm := guard(sample)) is not None:

@@ -41,6 +41,9 @@ _STEP, _LAGS, _WINDOW = 0.002, 5, 0.05
 _EXCITED, _LARGEST, _STILL, _EXPLAINED = 1.0, 0.6, 0.04, 0.25
 """Least sum of squared changes that tells a delay in flight [m²/s⁴], most and least of a change; largest share left."""
 
+_REVERSED = 2.0
+"""The same least sum for a reversed motion: few changes of a delayed pose look reversed [m²/s⁴]."""
+
 _FREE = _LARGEST, _EXCITED, _EXPLAINED, math.inf, _EXPLAINED
 _WALLED = 5.0, 0.25, 0.25, 6.0, 0.45
 """Bounds while walls stand on the device: largest square; least sum and largest share left; the same, if much moved.
@@ -250,8 +253,11 @@ class DelayEstimator:
 
     Attributes:
         delay: Largest delay found [s].
+        reversed: True if the pose moves against the commands.
         bounds: `_FREE`, or `_WALLED` while walls stand on the device.
     """
+
+    reversed = False
 
     def __init__(self, period: float, mass: float) -> None:
         self._period, self._keep = period, math.exp(-2.0 * math.pi * _CORNER * period)
@@ -264,7 +270,7 @@ class DelayEstimator:
     def _restart(self) -> None:
         self._low = self._marked = _UNKNOWN  # accelerations, measured and commanded
         self._left, self._quiet, self._changes = 0, 0, deque([(0.0,) * 4] * (_LAGS + 1), maxlen=_LAGS + 1)
-        self._errors = [0.0] * (_LAGS + 2)  # of each delay, and without any response
+        self._errors = [0.0] * (_LAGS + 3)  # of each delay, without any response, and of a reversed one
 
     def add(self, position: Sequence[float], intervals: Sequence[tuple[float, _Drive]]) -> None:
         """Add a pose, NaN if lost, and the drives in the period before it."""
@@ -302,17 +308,22 @@ class DelayEstimator:
         self._changes.appendleft((u, v, w, driven))
         self._quiet = self._quiet + 1 if driven < _STILL and p * p + q * q + r * r < _STILL else 0
         if self._quiet > _LAGS:
-            self._errors = [0.0] * (_LAGS + 2)
+            self._errors = [0.0] * (_LAGS + 3)
             return
         decay, (largest, excited, explained, strong, share) = self._decay, self.bounds
         squares = [moved + own - 2.0 * (x * a + y * b + z * c) for a, b, c, own in self._changes]
-        squares.append(moved)
+        squares += moved, moved + driven + 2.0 * (x * u + y * v + z * w)
         self._errors = errors = [
             decay * error + (square if square < largest else largest) for error, square in zip(self._errors, squares)
         ]
-        excitation = min(errors[0], errors[-1])
+        excitation = min(errors[0], errors[-2])
         if excitation > excited and (least := min(errors)) < (share if excitation > strong else explained) * excitation:
-            self.delay = max(self.delay, errors.index(least) * self._stride * self._period)
+            if least == errors[-1]:
+                self.reversed = (
+                    self.bounds is _FREE and excitation > _REVERSED
+                )  # currents of walls are known too roughly
+            else:
+                self.delay = max(self.delay, errors.index(least) * self._stride * self._period)
 
 
 class CoilEstimator:

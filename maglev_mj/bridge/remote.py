@@ -112,12 +112,12 @@ class RemotePlant(GuardedPlant):
         times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
         leader.aim(Trajectory(times, poses, "minimum-jerk"), off_path)
         self.arm()
-        self.rest, self.guided = rest, True
+        self.rest, self.guided, self._hand.check_coils = rest, True, True
         try:
             ended = self._lead(loop, times[-1], watch)
             fault = self.coils.fault() if check_coils and not ended else ""
         finally:
-            self.guided = False
+            self.guided = self._hand.check_coils = False
         if fault:
             self._landed(leader, duration, None)
             raise PlantError(f"no flight: {fault}; landed. Keep hands off during takeoff, or recalibrate")

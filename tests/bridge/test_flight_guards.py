@@ -422,9 +422,12 @@ def test_the_delay_guard_counts_the_sensors_delay(tmp_path: Path) -> None:
 
 
 def estimated(
-    period: float, late: int, seconds: float, hand: Any = None, held: bool = False, lost: Any = (), most: float = 3.0
+    period: float, late: int, seconds: float, hand: Any = None, lost: Any = (), most: float = 3.0, gain: float = 1.0
 ) -> float:
-    """Return the delay found for a free mass, driven at random, whose position is measured some samples late [s]."""
+    """Return the delay found for a free mass, driven at random, whose position is measured some samples late [s].
+
+    The measured position is multiplied by a gain, which must be found to be negative or not.
+    """
     estimator, draw, mass = DelayEstimator(period, 0.7), random.Random(3), 0.7
     x, v, force, path = 0.0, 0.0, 0.0, [0.0] * (late + 1)
     for tick in range(round(seconds / period)):
@@ -432,10 +435,11 @@ def estimated(
             force = draw.uniform(-most, most)
         pull = force + (0.0 if hand is None else hand(tick * period))
         x, v = x + v * period + 0.5 * pull / mass * period**2, v + pull / mass * period
-        path.append(0.0 if held else x)
+        path.append(gain * x)
         drive = (0.0, force, 0.0, 0.0, 0.0, 0.0), (0.0,) * 6
         measured = math.nan if tick in lost else path[-1 - late]
         estimator.add([0.0 * measured, measured, 0.0, 0.0, 0.0, 0.0], [(period, drive)])
+    assert estimator.reversed == (gain < 0.0)
     return estimator.delay
 
 
@@ -450,7 +454,7 @@ def test_the_delay_of_a_pose_follows_from_the_commands(period: float, late: int)
 def test_a_hand_is_not_mistaken_for_a_delay() -> None:
     push = lambda time: 20.0 * math.sin(12.0 * time)  # noqa: E731
     tap = lambda time: 20.0 * (time % 0.1 < 0.03)  # noqa: E731
-    assert estimated(0.005, 0, 2.0, push) == estimated(0.005, 0, 2.0, tap) == estimated(0.005, 0, 2.0, held=True) == 0.0
+    assert estimated(0.005, 0, 2.0, push) == estimated(0.005, 0, 2.0, tap) == estimated(0.005, 0, 2.0, gain=0.0) == 0.0
     blow = lambda time: 200.0 * (0.02 < time < 0.03)  # noqa: E731
     assert estimated(0.005, 2, 0.2, blow) == 0.01
     assert estimated(0.005, 2, 2.0, most=0.1) == 0.0  # too little to judge
@@ -469,6 +473,23 @@ def test_less_tells_a_delay_with_walls_on_the_device(acceleration: float, delay:
             estimator.add([0.0, 0.0, height, 0.0, 0.0, 0.0], [(0.005, ((0.0, 0.0, force, 0.0, 0.0, 0.0), zero))])
         found.append(estimator.delay)
     assert found == [0.0, 0.005, 0.0]
+
+
+@pytest.mark.parametrize("gain", [-1.0, -1.3, 0.5, 2.0])
+@pytest.mark.parametrize("period", [0.005, 0.002, 0.001])
+def test_a_pose_that_moves_against_the_commands_is_found(period: float, gain: float) -> None:
+    assert estimated(period, 0, 0.3, gain=gain) == 0.0
+
+
+def test_a_sensor_mirrored_in_flight_ends_it(tmp_path: Path) -> None:
+    def prepare(twin: Any, link: Any) -> None:
+        read = twin._read
+        twin._read = lambda pose: read([-pose[0] if twin.tick > 320 else pose[0], *pose[1:]])
+
+    flown = fly("drop", prepare=prepare, seconds=1.0, folder=tmp_path)
+    assert "NOT_FOLLOWING: the measured pose moves against the commanded force" in flown.outcome
+    active = flown.rows[flown.rows[:, 14] == 1.0]
+    assert np.linalg.norm(active[:, 7:10], axis=1).max() < 0.15
 
 
 def delayed_sensor(samples: int, since: float = 1.6) -> Any:

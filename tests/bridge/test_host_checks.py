@@ -58,6 +58,11 @@ def no_pose(rig: Rig) -> None:
     rig.plant._track = none  # type: ignore[assignment]
 
 
+def backwards(rig: Rig) -> None:
+    """Let the pose appear to move against the commands."""
+    rig.plant._hand.sensor.reversed = True
+
+
 def out_of_step(rig: Rig) -> None:
     """Put the device's clock forward by two samples."""
     rig.plant.samples._sequence -= 2
@@ -77,6 +82,7 @@ GUARDED: list[tuple[Callable[[Rig], None], str]] = [
     (reported(put("spots", 3, -0.0121)), "SENSOR_OUT_OF_RANGE: spots "),
     (reported(put("currents", 4, 15.1)), "COIL_OVERCURRENT: measured currents "),
     (no_pose, "SENSOR_OUT_OF_RANGE: no pose was found"),
+    (backwards, "NOT_FOLLOWING: the measured pose moves against the commanded force, at "),
     (far, "FLOTOR_OVERSPEED BOUNDARY: the flotor is at 6.00, "),
     (reported(put("currents", 3, 0.9)), "COIL_NOT_FOLLOWING: measured currents "),
     (
