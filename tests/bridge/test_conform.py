@@ -19,7 +19,7 @@ import pytest
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.conformance import CheckResult, checks, conform
-from maglev_mj.bridge.conformance.check import CHECKS
+from maglev_mj.bridge.conformance.tester import CHECKS
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.safety import Limits, Profile, ThermalModel, command_fault
 from maglev_mj.bridge.twin import firmware, twin

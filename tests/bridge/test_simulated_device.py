@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.conformance import conform
-from maglev_mj.bridge.conformance.check import CHECKS
+from maglev_mj.bridge.conformance.tester import CHECKS
 from maglev_mj.bridge.conformance.tester import Tester as Host
 from maglev_mj.bridge.links import UdpLink
 from maglev_mj.bridge.twin.twin import REST, TwinParameters

@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.conformance import flights  # noqa: F401, registers CHECKS, those of `protocol` first
-from maglev_mj.bridge.conformance.check import CHECKS, CheckResult
-from maglev_mj.bridge.conformance.tester import Tester
+from maglev_mj.bridge.conformance.tester import CHECKS, CheckResult, Tester
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.wire import Operation, State, fault_names
 from maglev_mj.errors import ParameterError, PlantError

@@ -1,33 +1,26 @@
-"""Checks of sessions, requests, samples, commands, emergency stops, silence and flights."""
+"""Checks of sessions, requests, samples, commands, walls, the controlled stop and ignored frames."""
 
 from __future__ import annotations
 
 import math
+import struct
+import zlib
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import Any, TypeAlias
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.conformance.check import (
-    HALF,
-    NAN,
-    QUIET,
-    case,
-    check,
-    close,
-    flipped,
-    ignored,
-    stopped,
-    with_crc,
-    zero,
-)
-from maglev_mj.bridge.conformance.tester import Tester, fail, is_off, same, shown
+from maglev_mj.bridge.conformance.tester import Tester, case, check, close, fail, is_off, same, shown
 from maglev_mj.bridge.connection import draw, profile_of
 from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus, Operation, Result, State, fault_names
 from maglev_mj.frames import ZERO
 
-_JUNK = 500
+QUIET = 0.06
+"""Silence that counts as no answer [s]."""
+
+HALF = 0x7FFFFFFF
+NAN = (math.nan,) * 6
 _FADE = (*ZERO, 0.2, 1.0)
 """Controlled stop of 0.2 s without damping."""
 
@@ -139,7 +132,7 @@ def _bye(t: Tester) -> str:
 def _requests(t: Tester) -> str:
     t.bring(State.FAULT)
     t.ask(Operation.RESET)
-    stopped(t)
+    t.stopped()
     again = t.exchange(wire.Control(t.request, Operation.TRIP, Fault.CLOCK, ZERO)) or fail("no answer to a repetition")
     same("answer to a repetition", again.body[1:], (Operation.RESET, Result.DONE, State.FAULT, Fault.ESTOP))
     for behind in (1, 1000, HALF):
@@ -303,7 +296,7 @@ def _currents(t: Tester) -> str:
             close(t.states(1)[0], t.half)
         t.ask(leave)
         with case(f"after {leave.name}"):
-            zero(t)
+            t.zero()
     return f"{shown(t.half)} A, then zero"
 
 
@@ -314,7 +307,7 @@ def _forgotten(t: Tester) -> str:
         t.command(t.states(1)[0].sequence, t.half)
         t.ask(leave)
         with case(f"after a CMD of {shown(t.half)} A and {leave.name}"):
-            zero(t)
+            t.zero()
     return "no current"
 
 
@@ -364,7 +357,7 @@ def _not_active(t: Tester) -> str:
             t.once = [[held]]
             with case(f"CMD of {shown(held)} A in {state.name}"):
                 t.expect(state, faults)
-                zero(t)
+                t.zero()
     return "ignored, contents not examined"
 
 
@@ -380,7 +373,7 @@ def _bad_commands(name: str, fault: Fault, expected: str, values: Callable[[Test
             t.once = [[numbers[:6], numbers[6:12], numbers[12]]]
             with case(f"{value:g} in entry {index} of held, pulsed, width"):
                 t.expect(State.FAULT, fault, 1)
-                zero(t)
+                t.zero()
                 same("result of ARM", t.ask(Operation.ARM).result, Result.REFUSED)
                 t.expect(State.FAULT, fault, 2)
         return f"{fault.name}, {len(entries)} entries"
@@ -418,7 +411,7 @@ def _far_ahead(t: Tester) -> str:
             far, t.answering = (t.sequence + HALF) & WRAP, not t.welcome.lockstep
             t.links[0].send(t.encode(wire.Command(t.last.sequence, 0, ZERO, ZERO, 0.0), sequence=far))
             if end == "ESTOP":
-                stopped(t)
+                t.stopped()
             elif end == "DISARM":
                 same("state", t.ask(Operation.DISARM).state, State.INACTIVE)
             else:
@@ -535,7 +528,7 @@ def _fading(t: Tester) -> str:
                 fail(f"ended after {span / 1e6:.4g} ms instead of 200 ms")
             for frame in on:
                 close(frame, [(1.0 - (frame.time - on[0].time) / 2e8) * current for current in t.half])
-            zero(t)
+            t.zero()
     return f"zero after {span / 1e6:.4g} ms"
 
 
@@ -545,16 +538,77 @@ def _stop_cut(t: Tester) -> str:
         with case(end.name if end else "ESTOP"):
             t.bring(State.ACTIVE, t.half, stop=_FADE)
             t.ask(Operation.TRIP)
-            t.ask(end, faults=Fault.BOUNDARY) if end else stopped(t, faults=Fault.ESTOP | Fault.HOST)
-            zero(t)
+            t.ask(end, faults=Fault.BOUNDARY) if end else t.stopped(faults=Fault.ESTOP | Fault.HOST)
+            t.zero()
     t.bring(State.INACTIVE, answering=False)
     t.ask(Operation.ARM, stop=_FADE)
     t.ask(Operation.TRIP)
     t.answering = True
-    return zero(t)
+    return t.zero()
 
 
 # frames that are ignored
+
+
+def ignored(
+    t: Tester,
+    flaw: str,
+    change: Callable[[bytes], bytes] = bytes,
+    *,
+    back: int | None = None,
+    answers: int = 0,
+    wait: int = 0,
+    session: int | None = None,
+    peer: int = 0,
+) -> str:
+    """Check that an active device ignores flawed frames.
+
+    Sends a CMD with NaN, and TRIP and ESTOP if the flaw applies to them.
+
+    Args:
+        t: Testing host.
+        flaw: Description of the flaw.
+        change: Function that adds the flaw to a frame.
+        back: Offset of the sequence number below the last; None for the next number.
+        answers: Age of the answered sample, in samples.
+        wait: Time between that sample and the answer [ns].
+        session: Session number; None for the current one.
+        peer: Index of the sending address.
+    """
+    t.bring(State.ACTIVE)
+    bodies: list[Any] = [wire.Command(0, 0, NAN, NAN, 0.0)]
+    if back is None and not answers:
+        bodies.append(wire.Control((t.request + 1) & WRAP, Operation.TRIP, 0, ZERO))
+    if change is not bytes:
+        bodies.append(wire.Estop(draw()))
+    for body in bodies:
+        # before the valid answer: in lockstep any later frame is old
+        t.answering = False
+        t.states(1)
+        t.others.clear()
+        t.sequence = (t.sequence + (back is None)) & WRAP
+        last = t.last.sequence
+        t.wait(wait * 1e-9)
+        if isinstance(body, wire.Command):
+            body = body._replace(answers=(last - answers) & WRAP)
+        frame = t.encode(body, session=session, sequence=(t.sequence - (back or 0)) & WRAP)
+        t.links[peer].send(change(frame))
+        t.answering = True
+        t.command(t.last.sequence, ZERO)
+        with case(f"{type(body).__name__} {flaw} is accepted"):
+            t.expect(State.ACTIVE)
+            same("answers", t.others, [])
+    return "ignored"
+
+
+def with_crc(data: bytes) -> bytes:
+    """Return data with its CRC recomputed."""
+    return data[:-4] + struct.pack("<I", zlib.crc32(data[:-4]))
+
+
+def flipped(data: bytes, index: int) -> bytes:
+    """Return data with a bit of one byte flipped."""
+    return data[:index] + bytes([data[index] ^ 1]) + data[index:][1:]
 
 
 _Change: TypeAlias = Callable[[bytes], bytes]
@@ -572,7 +626,8 @@ def _ignores(name: str, flaw: str, change: _Change = bytes, headers: _Headers = 
     check(f"a {'CMD' if change is bytes else 'frame'} {flaw} is ignored", name, **needs)(run)
 
 
-def _wrong_crc(data: bytes) -> bytes:
+def wrong_crc(data: bytes) -> bytes:
+    """Return data with a wrong CRC."""
     return flipped(data, len(data) - 1)
 
 
@@ -584,7 +639,7 @@ def _old_answers(t: Tester) -> list[dict[str, int]]:
 
 
 _ignores("magic", "with another magic number", lambda data: with_crc(b"NJ" + data[2:]))
-_ignores("crc", "with a wrong CRC", _wrong_crc)
+_ignores("crc", "with a wrong CRC", wrong_crc)
 _ignores("frame-version", "of another version", lambda data: with_crc(data[:2] + b"\x01" + data[3:]))
 _ignores("type", "of an unknown type", lambda data: with_crc(data[:3] + b"\x09" + data[4:]))
 _ignores("too-short", "shorter than its type", lambda data: with_crc(data[:-5] + data[-4:]))
@@ -607,83 +662,3 @@ def _direction(t: Tester) -> str:
         with case(type(body).__name__):
             t.expect(State.ACTIVE)
     return "ignored"
-
-
-# the emergency stop
-
-
-@check("ESTOP works in every state, repeatedly; the answer reports zero current measured after it")
-def _estop(t: Tester) -> str:
-    for state, faults in zip(State, (Fault.ESTOP, Fault.ESTOP, Fault.ESTOP | Fault.HOST)):
-        t.bring(state, t.half)
-        with case(f"in {state.name}"):
-            duration = stopped(t, faults=faults)
-            t.expect(State.FAULT, faults)
-            stopped(t, faults=faults)
-    return duration
-
-
-@check("ESTOP needs no session")
-def _estop_without_session(t: Tester) -> str:
-    t.ask(Operation.BYE)
-    if t.exchange(wire.Estop(draw())) is None:
-        fail("no answer to ESTOP")
-    t.join()
-    return same("state, faults", (t.welcome.state, t.welcome.faults), (State.FAULT, Fault.ESTOP))
-
-
-@check(f"ESTOP works from another address, within 0.25 s behind {_JUNK} invalid frames", peers=2)
-def _estop_elsewhere(t: Tester) -> str:
-    t.bring(State.ACTIVE, t.half)
-    stopped(t, peer=1)
-    t.expect(State.FAULT, Fault.ESTOP)
-    t.bring(State.ACTIVE, t.half)
-    for count in range(_JUNK):
-        t.links[1].send(_wrong_crc(t.encode(wire.Estop(count))))
-    start = t.now()
-    if t.exchange(wire.Estop(draw()), 0.25, peer=1) is None:
-        fail(f"no answer behind {_JUNK} frames")
-    t.expect(State.FAULT, Fault.ESTOP)
-    return f"{(t.now() - start) / 1e6:.1f} ms behind {_JUNK} frames"
-
-
-# silence
-
-
-def silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> str:
-    """Send nothing; check HOLDING and WATCHDOG.
-
-    Times are by the device's clock.
-    """
-    welcome, t.answering = t.welcome, False
-    frames = t.states(welcome.watchdog // welcome.period + 8)
-    arrivals = [frame.time - 1000 * frame.body.age for frame in frames if frame.body.age != NEVER]
-    arrived = arrivals[-1] if arrivals else arrived
-    held = [frame for frame in frames if frame.body.flags & Flag.HOLDING] or fail("HOLDING is never set")
-    cut = [frame for frame in frames if frame.body.state == State.FAULT] or fail("no WATCHDOG")
-    holding, watchdog = held[0].time - arrived, cut[0].time - arrived
-    times = f"HOLDING after {holding / 1e6:.3g} ms, WATCHDOG after {watchdog / 1e6:.4g} ms"
-    rounding = 1000  # of an age [ns]
-    on_time = 2 * welcome.period - rounding <= holding <= 3 * welcome.period + rounding
-    if not (on_time and welcome.watchdog - rounding <= watchdog <= welcome.watchdog + welcome.period + rounding):
-        fail(f"{times}; the period is {welcome.period / 1e6:g} ms, `watchdog` {welcome.watchdog / 1e6:g} ms")
-    same(f"{times}; faults", cut[0].body.faults, Fault.WATCHDOG)
-    for frame in frames:
-        if held[0].time + welcome.delay < frame.time <= cut[0].time:
-            close(frame, hover)
-        elif frame.time > cut[0].time and not (frame.body.flags & Flag.STOPPING or is_off(frame.body.currents)):
-            fail(f"{times}, then {shown(frame.body.currents)} A")
-    return times
-
-
-@check("silence after ARM: hover currents after two periods, WATCHDOG and zero after `watchdog`", real_time=True)
-def _silence_after_arm(t: Tester) -> str:
-    t.answering = False
-    t.ask(Operation.ARM)
-    return silence(t, t.half, t.asked_at)
-
-
-@check("silence after commands: the same, timed from the last command", real_time=True)
-def _silence_after_commands(t: Tester) -> str:
-    t.bring(State.ACTIVE)
-    return silence(t, t.half)

@@ -1,4 +1,4 @@
-"""Host that tests a device and records protocol violations."""
+"""Host that tests a device and records protocol violations; registry and results of its checks."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import itertools
 import math
 import random
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from enum import IntEnum
 from functools import partial
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, NamedTuple, NoReturn, TypeAlias
 
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.commissioning.calibration import Calibration
@@ -20,12 +20,13 @@ from maglev_mj.bridge.landing import Leader, Motion, straight
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.safety import OFF, OutputLimiter
 from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer
-from maglev_mj.errors import MaglevError
+from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import ZERO, Sample
 from maglev_mj.plants.sensor import tracker_of
 
 _PATIENCE = 2.0  # [s]
 _ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}
+_TRIES = 10  # repetitions of a check if this host was late
 _LED = 0.6  # [s] of takeoff and landing
 _ASIDE, _ASKEW = 0.001, 0.03  # from the centre [m], [rad]
 _Numbers: TypeAlias = Sequence[float]
@@ -34,6 +35,83 @@ _Law: TypeAlias = Callable[[Any], _Numbers]
 
 class Unexpected(MaglevError):
     """The device's behaviour differs from the expected one."""
+
+
+class CheckResult(NamedTuple):
+    """Result of one check.
+
+    Attributes:
+        name: Name of the check.
+        expected: Behaviour required by the protocol.
+        seen: Observed behaviour, or the reason for skipping the check.
+        passed: True if it passed; None if it was skipped.
+    """
+
+    name: str
+    expected: str
+    seen: str
+    passed: bool | None
+
+
+class Check(NamedTuple):
+    """Check and its requirements.
+
+    Attributes:
+        expected: Behaviour required by the protocol.
+        run: Function that returns the observed behaviour, or raises `Unexpected`.
+        flight: True if the check flies.
+        real_time: True if it needs real time.
+        peers: Number of host addresses it needs.
+        keyed: True if it needs a key.
+        lockstep: True if it needs lockstep.
+    """
+
+    expected: str
+    run: Callable[[Tester], str]
+    flight: bool = False
+    real_time: bool = False
+    peers: int = 1
+    keyed: bool = False
+    lockstep: bool = False
+
+    def result(self, name: str, tester: Tester, flight: bool) -> CheckResult:
+        """Run the check; repeat it if this host was late."""
+        reasons = {
+            "flights disabled": self.flight and not flight,
+            "needs real time (the device is in lockstep)": self.real_time and tester.welcome.lockstep,
+            "needs a second host address (a serial link has one)": self.peers > len(tester.links),
+            "needs a key": self.keyed and not tester.keyed,
+            "needs a device in lockstep": self.lockstep and not tester.welcome.lockstep,
+        }
+        if reason := next((reason for reason, holds in reasons.items() if holds), ""):
+            return CheckResult(name, self.expected, reason, None)
+        for _ in range(_TRIES):
+            tester.late = False
+            try:
+                tester.bring(State.INACTIVE)
+                with tester.flying() if self.flight else nullcontext():
+                    return CheckResult(name, self.expected, self.run(tester), True)
+            except (Unexpected, PlantError) as error:
+                note = "; this host read STATEs late" if tester.late else ""
+                result = CheckResult(name, self.expected, f"{error}{note}", False)
+            tester.leave()
+            if not tester.late:
+                break
+        return result
+
+
+CHECKS: dict[str, Check] = {}
+"""Checks in the order of execution."""
+
+
+def check(expected: str, name: str = "", **needs: Any) -> Callable[[Callable[[Tester], str]], object]:
+    """Register a check, by default under its function's name; `needs` are other fields of `Check`."""
+
+    def add(run: Any) -> object:
+        CHECKS[name or run.__name__.strip("_").replace("_", "-")] = Check(expected, run, **needs)
+        return run
+
+    return add
 
 
 class Tester:
@@ -309,6 +387,28 @@ class Tester:
             if not isinstance(error, MaglevError):
                 raise
 
+    def stopped(self, peer: int = 0, faults: int = Fault.ESTOP) -> str:
+        """Request emergency stops until no current is measured; return the time taken as text."""
+        body, start, first = wire.Estop(draw()), self.now(), None
+        while True:
+            frame = self.exchange(body, peer=peer) or fail("no answer to ESTOP")
+            ack, first = frame.body, first or frame
+            same("state, faults in ESTOP_ACK", (ack.state, ack.faults), (State.FAULT, faults))
+            if not 0 <= frame.time - ack.sampled <= 2 * self.welcome.period:
+                fail(f"sampled at {ack.sampled} ns, reported at {frame.time} ns")
+            if self.welcome.lockstep or (ack.sampled > first.time and is_off(ack.currents)):
+                return f"{(self.now() - start) / 1e6:.1f} ms until no current was measured"
+            if self.now() - start > 1_000_000_000:
+                fail(f"{shown(ack.currents)} A measured 1 s after ESTOP")
+            self.wait(0.005)
+
+    def zero(self) -> str:
+        """Check that the currents are zero from the second sample on."""
+        for frame in self.states(4)[1:]:
+            if not is_off(frame.body.currents):
+                fail(f"{shown(frame.body.currents)} A after the cut instead of 0 A")
+        return "currents zero"
+
     # flights
 
     @contextmanager
@@ -366,6 +466,15 @@ class Tester:
         return self._track([spot - offset for spot, offset in zip(frame.body.spots, self._offsets)])
 
 
+@contextmanager
+def case(name: str) -> Iterator[None]:
+    """Prefix the message of a failure with the case."""
+    try:
+        yield
+    except (Unexpected, PlantError) as error:
+        raise Unexpected(f"{name}: {error}") from None
+
+
 def fail(seen: str) -> NoReturn:
     """Fail a check with the observed behaviour."""
     raise Unexpected(seen)
@@ -376,6 +485,12 @@ def same(what: str, actual: Any, expected: Any) -> str:
     if actual != expected:
         fail(f"{what} {shown(actual, expected)} instead of {shown(expected, expected)}")
     return f"{what} {shown(actual, expected)}"
+
+
+def close(frame: Any, expected: Sequence[float]) -> None:
+    """Check that the measured currents are close to the expected ones [A]."""
+    if any(abs(actual - current) > 0.1 + 0.1 * abs(current) for actual, current in zip(frame.body.currents, expected)):
+        fail(f"{shown(frame.body.currents)} A measured instead of {shown(expected)} A")
 
 
 def is_off(currents: Sequence[float]) -> bool:
