@@ -21,17 +21,7 @@ from maglev_mj.errors import ParameterError, PlantError, file_path
 from maglev_mj.files import errors_named
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import flag, whole
-from maglev_mj.recording.journal import (
-    CYCLE,
-    PACK_CYCLE,
-    SUFFIX,
-    TEXT,
-    JournalContent,
-    checksum_record,
-    header,
-    open_journal,
-    text_records,
-)
+from maglev_mj.recording import journal
 from maglev_mj.recording.recording import refused
 from maglev_mj.recording.sample import value_in
 from maglev_mj.result import Result, Table, number_text
@@ -139,7 +129,7 @@ class LastCycles:
             message: One line of explanation.
             about: Additional values for JSON.
         """
-        text = text_records({"fault": fault_names(faults), "text": message, **about})
+        text = journal.text_records({"fault": fault_names(faults), "text": message, **about})
         if self.record is not None:
             self.record(text)
         return b"".join((*starmap(_packed, self._rows), text))
@@ -151,8 +141,8 @@ class LastCycles:
             The file; None if neither folder can be written. Raises nothing: it must not hide the fault.
         """
         with suppress(Exception):
-            records += text_records({"end": {"lost": 0}})
-            data = header() + records + checksum_record(records)
+            records += journal.text_records({"end": {"lost": 0}})
+            data = journal.header() + records + journal.checksum_record(records)
             for folder in (self._folder, Path(tempfile.gettempdir())):
                 with suppress(OSError):
                     folder.mkdir(parents=True, exist_ok=True)
@@ -165,14 +155,14 @@ def _packed(frame: Frame, pose: Sequence[float], answer: _Answer, delay: float, 
     report: StateReport = frame.body  # type: ignore[assignment]
     held, pulsed, width = answer
     six = *report.spots, *pose, *held, *(held if pulsed is None else pulsed), *report.currents, *report.temperatures
-    head = CYCLE, frame.sequence, report.state, report.faults, frame.time * 1e-9
-    return PACK_CYCLE(*head, *six, width, delay, latency)
+    head = journal.CYCLE, frame.sequence, report.state, report.faults, frame.time * 1e-9
+    return journal.PACK_CYCLE(*head, *six, width, delay, latency)
 
 
 def _write(folder: Path, data: bytes, now: Callable[[], float] = time.time) -> Path:
     stem = datetime.fromtimestamp(now()).strftime("fault-%Y%m%d-%H%M%S")
     for name in chain([stem], (f"{stem}-{number}" for number in count(1))):
-        path = folder / f"{name}{SUFFIX}"
+        path = folder / f"{name}{journal.SUFFIX}"
         try:
             with errors_named(path), path.open("xb") as file:
                 file.write(data)
@@ -294,17 +284,17 @@ def load_fault(path: str | Path) -> FaultRecord:
     """
     path = file_path(path)
     with refused(path):
-        journal = open_journal(path)
-        for _ in journal.blocks():  # checks their checksums
+        content = journal.open_journal(path)
+        for _ in content.blocks():  # checks their checksums
             pass
-        for index in np.flatnonzero(journal.kinds == TEXT)[::-1].tolist():
-            if "fault" in (message := journal.message(index)):
-                return _record(journal, index, message)
-        return _record(journal, len(journal.records), None)
+        for index in np.flatnonzero(content.kinds == journal.TEXT)[::-1].tolist():
+            if "fault" in (message := content.message(index)):
+                return _record(content, index, message)
+        return _record(content, len(content.records), None)
 
 
-def _record(journal: JournalContent, last: int, message: Mapping[str, Any] | None) -> FaultRecord:
-    cycles = journal.cycles(last, _CYCLES)
+def _record(content: journal.JournalContent, last: int, message: Mapping[str, Any] | None) -> FaultRecord:
+    cycles = content.cycles(last, _CYCLES)
     values = {name: cycles[name].astype(np.float64) for name in cycles.dtype.names or () if name not in _NAMES}
     values |= {name: column for kind, names in _NAMES.items() for name, column in zip(names, cycles[kind].T)}
     values = {name: np.where(np.isfinite(column), column, np.nan) for name, column in values.items()}

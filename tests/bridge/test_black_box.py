@@ -241,7 +241,7 @@ def test_a_full_disk_leaves_no_partial_file_and_the_fault_is_reported(
 def test_the_fault_is_reported_whatever_fails_in_writing(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"maglev_mj.bridge.fault.{name}", Mock(side_effect=ValueError("oh")))
+    monkeypatch.setattr(f"maglev_mj.bridge.fault.journal.{name}", Mock(side_effect=ValueError("oh")))
     rig, error = flown(tmp_path)
     assert error.path is None and error.faults == Fault.COIL_NOT_FOLLOWING and rig.twin.firmware.state == State.FAULT
     assert rig.plant.cycles.write(b"") is None  # as for an early landing
