@@ -6,7 +6,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -19,8 +19,8 @@ from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.safety import Limits, Profile, limits_of
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
-from maglev_mj.bridge.twin.wall_clock import WallClock
 from maglev_mj.bridge.wire import WRAP, Codec, Fault, State, StateReport, fault_names
+from maglev_mj.control.timeline import Interval
 from maglev_mj.device import PUBLISHED, Device
 from maglev_mj.errors import check_instance, check_one_of
 from maglev_mj.frames import ZERO, Array
@@ -264,7 +264,8 @@ class Twin:
         """
         now = (self.tick + 1) * self._period
         if self.board.walls is None and self.firmware.walled:
-            self._follow_walls()
+            self.board.walls = WallClock(self)
+            self.plant.follow(self.board.walls)
         self.board.advance(now)
         position = self.plant.read().position
         self.tick += 1
@@ -297,14 +298,6 @@ class Twin:
         for effect, which, first in self._live:
             reading = effect.read(reading, first, which) if effect.read else reading
         return reading
-
-    def _follow_walls(self) -> None:
-        """Divide the periods from now on for the firmware's walls."""
-        profile, plant = self.firmware.profile, self.plant
-        step, delay = profile.wall_period * 1e-9, profile.wall_delay * 1e-9
-        walled = lambda: self.firmware.walled and not self.hung  # noqa: E731
-        self.board.walls = WallClock(plant._timeline, step, delay, self._sample_walls, walled, plant._raised)
-        plant.follow(self.board.walls)
 
     def _sample_walls(self, after: float) -> None:
         """Sample the walls at a time after the last sample [s]."""
@@ -339,6 +332,86 @@ class Twin:
         for change, which in changes:
             body = change(body, which)
         return self.codec.encode(frame.session, frame.sequence, frame.time, body)
+
+
+class WallClock:
+    """Periods of a simulated device whose firmware renders walls.
+
+    Without walls the intervals of a period are those of the timeline.
+
+    Args:
+        twin: The device, whose currents they are in the same plant.
+
+    Attributes:
+        drive: Drive in effect.
+        intervals: Intervals of the last period.
+        measure: None; the sensor is the twin's.
+    """
+
+    measure = None
+
+    def __init__(self, twin: Twin) -> None:
+        profile, self._twin, self._timeline = twin.firmware.profile, twin, twin.plant._timeline
+        self._step, self._delay = profile.wall_period * 1e-9, profile.wall_delay * 1e-9
+        self._period = self._timeline.timing.period
+        self._least = 1e-6 * self._period
+        self._extra: Sequence[float] | None = None  # currents in effect
+        self._waiting: deque[tuple[float, Sequence[float]]] = deque()
+        self._done, self._next = 0.0, 0  # time of the motion after the last sample [s]; next wall sample
+        self.drive, self.intervals = self._timeline.now(), list[Interval]()
+
+    @property
+    def _walled(self) -> bool:
+        """True while there are walls."""
+        return self._twin.firmware.walled and not self._twin.hung
+
+    @property
+    def busy(self) -> bool:
+        """True while there are walls or their currents."""
+        return self._walled or self._extra is not None or bool(self._waiting)
+
+    def add(self, at: float, currents: Sequence[float]) -> None:
+        """Queue currents of walls, sampled at a time after the last sample [s]."""
+        self._waiting.append((at + self._delay, currents))
+
+    def cut(self) -> None:
+        """Remove the currents of walls."""
+        self._extra = None
+        self._waiting.clear()
+
+    def period(self, tick: int, answer: tuple[Any, Any, float] | None = None) -> Iterator[Interval]:
+        """Yield the rest of a period's intervals; advance the plant between them."""
+        yield from self.until(tick, self._period)
+        self._waiting = deque((at - self._period, currents) for at, currents in self._waiting)
+        self._done, self._next = 0.0, 0
+
+    def until(self, tick: int, end: float) -> Iterator[Interval]:
+        """Yield the intervals up to a time after sample `tick` [s]."""
+        if self._done == 0.0:
+            self.intervals = []
+        while self._done < end - self._least:
+            following = end
+            if self._walled:
+                self._next = max(self._next, int((self._done - self._least) // self._step) + 1)
+                if self._next * self._step <= self._done + self._least:
+                    self._twin._sample_walls(self._next * self._step)
+                    self._next += 1
+                following = min(following, self._next * self._step)
+            while self._waiting and self._waiting[0][0] <= self._done + self._least:
+                self._extra = self._waiting.popleft()[1]
+                self._extra = self._extra if any(self._extra) else None
+            if self._waiting:
+                following = min(following, self._waiting[0][0])
+            whole = self._done == 0.0 and following == self._period
+            part: dict[str, Any] = {} if whole else {"begin": self._done, "until": following}
+            for duration, drive in self._timeline.period(tick, **part):
+                self.drive = drive if self._extra is None else self._twin.plant._raised(drive, self._extra)
+                self.intervals.append((duration, self.drive))
+                yield duration, self.drive
+            self._done = following
+        self.drive = self._timeline.now()
+        if self._extra is not None:
+            self.drive = self._twin.plant._raised(self.drive, self._extra)
 
 
 def _plant(
