@@ -87,7 +87,7 @@ def estop(link: Link | str, key: bytes | None = None, patience: float = 1.0) -> 
     return _stop(open_link(link), Codec(key), number("patience", patience, above=0.0), lambda frame: None)
 
 
-def _stop(link: Link, codec: Codec, patience: float, others: Callable[[Frame], object]) -> EstopReport:
+def _stop(link: Link, codec: Codec, patience: float, others: Callable[[Frame | None], object]) -> EstopReport:
     """Send ESTOP until the device confirms it; pass other frames to `others`."""
     body = wire.Estop(draw())
     start, times, answer = link.now(), Counter[int](), None
@@ -95,8 +95,7 @@ def _stop(link: Link, codec: Codec, patience: float, others: Callable[[Frame], o
     for data in _requested(link, codec, 0, body, _ESTOP_INTERVAL, patience):
         frame = codec.decode(data)
         if frame is None or not isinstance(frame.body, wire.EstopAck) or frame.body.request != body.request:
-            if frame is not None:
-                others(frame)
+            others(frame)
             continue
         answer, first = frame.body, first if times else frame.time
         times[frame.time] += 1
@@ -272,23 +271,22 @@ class Connection:
         Raises:
             PlantError: If there is none within `patience`.
         """
-        frame, self._waiting = self._waiting, None
-        skipped, self._skipped = self._skipped, 0
         link, remaining = self._link, self.patience
         self.arrival = link.now()
         end = self.arrival + int(remaining * 1e9)
-        while frame is None:
+        while self._waiting is None:
             data = link.receive(remaining) if remaining > 0.0 else None  # other frames may arrive indefinitely
             if data is None:
                 raise PlantError(f"no sample from the device within {self.patience:g} s")
-            frame = self._sample_in(data)
+            self._keep(self._trusted(data))
             self.arrival = now = link.now()
             remaining = (end - now) * 1e-9
         # in lockstep no newer sample can exist: the device waits for the answer to this one
         while not self.profile.lockstep and (data := link.receive(0.0)) is not None:
-            if (newer := self._sample_in(data)) is not None:
-                frame, self.arrival = newer, link.now()
-                skipped += 1
+            if self._keep(self._trusted(data)):
+                self.arrival = link.now()
+        frame, self._waiting = self._waiting, None
+        skipped, self._skipped = self._skipped, 0
         self.samples.count(frame.sequence, frame.time, skipped)
         self._time(frame)
         return frame
@@ -322,8 +320,7 @@ class Connection:
             if frame is not None and isinstance(frame.body, wire.ControlAck) and frame.body.request == self._request:
                 self.settled = frame.time
                 return frame.body
-            if frame is not None:
-                self._keep(frame)
+            self._keep(frame)
         return None
 
     def estop(self) -> EstopReport:
@@ -423,16 +420,15 @@ class Connection:
         self._newest = frame.sequence
         return True
 
-    def _keep(self, frame: Frame) -> None:
-        """Queue a sample received during a request for `state`."""
-        if frame.session == self._session and isinstance(frame.body, StateReport) and self._is_newer(frame):
-            self._skipped += self._waiting is not None
-            self._waiting = frame
-
-    def _sample_in(self, data: bytes) -> Frame | None:
-        """Return the frame if it is a newer sample, else None."""
-        frame = self._trusted(data)
-        return frame if frame is not None and isinstance(frame.body, StateReport) and self._is_newer(frame) else None
+    def _keep(self, frame: Frame | None) -> bool:
+        """Queue the frame for `state` if it is a newer sample of this session; return True then."""
+        if frame is None or frame.session != self._session or not isinstance(frame.body, StateReport):
+            return False
+        if not self._is_newer(frame):
+            return False
+        self._skipped += self._waiting is not None
+        self._waiting = frame
+        return True
 
 
 def _other_version(version: int) -> HandshakeError:
