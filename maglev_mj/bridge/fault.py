@@ -300,6 +300,7 @@ def _record(content: journal.JournalContent, last: int, message: Mapping[str, An
     values = {name: np.where(np.isfinite(column), column, np.nan) for name, column in values.items()}
     values["sample"] = values.pop("tick")
     del values["kind"]
+    texts: dict[str, Any]
     if message is not None:
         counts: dict[str, Any] = {name: whole(name, value_in(message, name)) for name in ("tick", "lost", "skipped")}
         period, fault_time = (
@@ -310,19 +311,12 @@ def _record(content: journal.JournalContent, last: int, message: Mapping[str, An
             name: value_in(message, key, str)
             for name, key in (("faults", "fault"), ("first", "first"), ("message", "text"))
         }
-        return FaultRecord(**counts, **texts, period=period, fault_time=fault_time, values=values)
-    if len(cycles) < 2:
+    elif len(cycles) < 2:
         raise ParameterError("no device cycles (only recordings of flights contain them)")
-    steps = np.diff(cycles["tick"])
-    faults = fault_names(int(cycles["faults"][-1]))
-    return FaultRecord(
-        faults=faults,
-        first=faults,
-        message="no fault recorded; last cycles",
-        fault_time=math.nan,
-        tick=int(cycles["tick"][-1]),
-        lost=int((steps - 1).sum()),
-        skipped=0,
-        period=float(np.median(np.diff(cycles["time"]) / steps)),
-        values=values,
-    )
+    else:
+        steps = np.diff(cycles["tick"])
+        period, fault_time = float(np.median(np.diff(cycles["time"]) / steps)), math.nan
+        counts = {"tick": int(cycles["tick"][-1]), "lost": int((steps - 1).sum()), "skipped": 0}
+        faults = fault_names(int(cycles["faults"][-1]))
+        texts = {"faults": faults, "first": faults, "message": "no fault recorded; last cycles"}
+    return FaultRecord(**counts, **texts, period=period, fault_time=fault_time, values=values)
