@@ -94,18 +94,13 @@ class TwinParameters:
             # with noise of half a quantum no reading repeats for long
             frozen=limits.frozen if np.all(noise > 0.0) and np.all(noise >= 0.5 * np.asarray(self.quantum)) else 0,
         )
-        walls: dict[str, Any] = {}
+        stated: dict[str, Any] = {"calibration": self.calibration.digest, "limits": limits, "lockstep": self.lockstep}
         if number("wall_period", self.wall_period, at_least=0.0):
             count = max(round(self.period / self.wall_period), 1)
             own = period // next(part for part in range(count, 0, -1) if period % part == 0)
             late = round(number("wall_delay", self.wall_delay, at_least=0.0) * 1e9)
-            walls = {"wall_period": own, "wall_delay": min(late, 2 * own), "wall_maps": self.calibration.wall_maps}
-        own_limits: dict[str, Any] = {
-            "calibration": self.calibration.digest,
-            "limits": limits,
-            "lockstep": self.lockstep,
-        }
-        object.__setattr__(self, "profile", Profile(period=period, delay=delay, **own_limits, **walls))
+            stated |= {"wall_period": own, "wall_delay": min(late, 2 * own), "wall_maps": self.calibration.wall_maps}
+        store(self, profile=Profile(period=period, delay=delay, **stated))
 
 
 class AmplifierBoard:
@@ -418,34 +413,18 @@ def _plant(
     parameters: TwinParameters, truth: Calibration, hand_force: HandForce | None
 ) -> MuJoCoPlant | ExactCoilPlant:
     timing = Timing(period=parameters.period, delay=parameters.delay)
+    start: Any = {"pose": parameters.pose, "hand_force": hand_force}
+    own: dict[str, Any] = {"mass": truth.mass, "inertia": truth.inertia, "gravity": truth.gravity}
     if parameters.plant == "exact":
-        return ExactCoilPlant(
-            timing,
-            coils=truth.coils,
-            mass=truth.mass,
-            inertia=truth.inertia,
-            gravity=truth.gravity,
-            pose=parameters.pose,
-            hand_force=hand_force,
-            reach=truth.base.reach,
-        )
+        return ExactCoilPlant(timing, coils=truth.coils, reach=truth.base.reach, **own, **start)
     if not truth.base.published:
-        moving: Any = {"pose": parameters.pose, "hand_force": hand_force, "stop_damping": truth.base.range.stops}
-        return MuJoCoPlant(timing, model=truth.device, stops=truth.base.range.stops, **moving)
-    nominal = Calibration.nominal()
+        stops = truth.base.range.stops
+        return MuJoCoPlant(timing, model=truth.device, stops=stops, stop_damping=stops, **start)
     # keep the model's own numbers if they are true: setting them would round
+    nominal = Calibration.nominal()
+    own |= {name: None for name in ("mass", "inertia") if np.array_equal(own[name], getattr(nominal, name))}
     same = np.array_equal(truth.coils.wrench_per_current, nominal.coils.wrench_per_current)
-    return MuJoCoPlant(
-        timing,
-        coil_map=None if same else truth.coils,
-        gravity=truth.gravity,
-        mass=None if truth.mass == nominal.mass else truth.mass,
-        inertia=None if np.array_equal(truth.inertia, nominal.inertia) else truth.inertia,
-        pose=parameters.pose,
-        stops=True,
-        stop_damping=True,
-        hand_force=hand_force,
-    )
+    return MuJoCoPlant(timing, coil_map=None if same else truth.coils, stops=True, stop_damping=True, **own, **start)
 
 
 _AGAIN, _LOOK = 0.02, 0.05
