@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -108,18 +108,12 @@ class Calibration:
     def device(self) -> Device:
         """The device with these values; positions from the centre of mass if coils or beams differ from the file's."""
         base, own = self.base, {"mass": self.mass, "inertia": self.inertia.tolist(), "gravity": self.gravity.tolist()}
-        coils = {name: getattr(self.coils, name).tolist() for name in _COILS}
-        sensor = {"offsets": self.spot_offsets.tolist()}
-        if isinstance(self.beams, Beams):
-            sensor |= {name: getattr(self.beams, name).tolist() for name in _BEAMS}
-        stated = CoilMap.of(base), geometry_of(base)
-        if all(np.array_equal(getattr(stated[0], name), coils[name]) for name in _COILS) and all(
-            np.array_equal(getattr(stated[1], name), sensor[name]) for name in _BEAMS if name in sensor
-        ):
-            device = base.change("sensor", offsets=sensor["offsets"])
+        coils, sensor = measured = _geometry(self.coils, self.beams)
+        if measured == _geometry(CoilMap.of(base), geometry_of(base)):
+            coils = sensor = {}
         else:
             own["centre_of_mass"] = [0.0] * 3
-            device = base.change("coils", **coils).change("sensor", **sensor)
+        device = base.change("coils", **coils).change("sensor", **sensor, offsets=self.spot_offsets.tolist())
         return replace(device.change("body", **own), name=self.name)
 
     @property
@@ -177,3 +171,9 @@ class Calibration:
                 os.fsync(file.fileno())  # a power failure must not leave an empty file
         except OSError as error:
             raise CalibrationError(f"device file {str(path)!r} cannot be written: {error.strerror}") from error
+
+
+def _geometry(coils: CoilMap, beams: Beams | PoseScale) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the measured values of the coils and of the sensor, as in a device file."""
+    sensor = {name: getattr(beams, name).tolist() for name in _BEAMS} if isinstance(beams, Beams) else {}
+    return {name: getattr(coils, name).tolist() for name in _COILS}, sensor
