@@ -30,6 +30,7 @@ _TRIES = 10  # repetitions of a check if this host was late
 _LED = 0.6  # [s] of takeoff and landing
 _ASIDE, _ASKEW = 0.001, 0.03  # from the centre [m], [rad]
 _Numbers: TypeAlias = Sequence[float]
+_Walls: TypeAlias = tuple[wire.Wall, ...]
 _Law: TypeAlias = Callable[[Any], _Numbers]
 
 
@@ -145,7 +146,7 @@ class Tester:
         self.answering, self.late, self.loss = True, False, 0.0
         self.wrong: dict[str, str] = {}
         self.once: list[Sequence[Any]] = []
-        self.walls: tuple[wire.Wall, ...] = ()
+        self.walls: _Walls = ()
         self._answer: Sequence[Any] = []
         self.others: list[Any] = []
         self._sessions: set[int] = set()
@@ -164,17 +165,11 @@ class Tester:
         return self.codec.encode(self.session if session is None else session, sequence, self.now(), body)
 
     def command(
-        self,
-        answers: int,
-        held: Sequence[float],
-        pulsed: Sequence[float] = (),
-        width: float = 0.0,
-        walls: tuple[wire.Wall, ...] | None = None,
+        self, answers: int, held: _Numbers, pulsed: _Numbers = (), width: float = 0.0, walls: _Walls = ()
     ) -> None:
         """Send currents under the next sequence number."""
         self.sequence = (self.sequence + 1) & WRAP
-        walls = self.walls if walls is None else walls
-        body = wire.Command(answers & WRAP, 0, tuple(held), tuple(pulsed or held), width, walls)
+        body = wire.Command(answers & WRAP, 0, tuple(held), tuple(pulsed or held), width, walls or self.walls)
         data, chance = self.encode(body, sequence=self.sequence), self._random.random()
         if self.loss <= chance < 2.0 * self.loss:
             self.links[0].send(data[:43] + bytes([data[43] ^ 255]) + data[44:])
