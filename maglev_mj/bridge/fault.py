@@ -29,23 +29,20 @@ from maglev_mj.terminal import printable
 from maglev_mj.versions import versions
 
 _CYCLES = 200
-_SIX = range(6)
+_CURRENTS = "held", "pulsed", "measured"
 _NAMES: Mapping[str, Sequence[str]] = {
-    "spots": [f"spot{index}" for index in _SIX],
-    "pose": AXES,
-    **{kind: [f"{kind}{index}" for index in _SIX] for kind in ("held", "pulsed", "measured")},
-    "temperatures": [f"temperature{index}" for index in _SIX],
+    kind: AXES if kind == "pose" else [f"{kind.removesuffix('s')}{index}" for index in range(6)]
+    for kind in ("spots", "pose", *_CURRENTS, "temperatures")
 }
 """Names of the six columns of each kind."""
 _UNITS = {"time": "s", "width": "s", "delay": "s", "latency": "s"} | {axis: unit_of("m", axis) for axis in AXES}
 _UNITS |= dict.fromkeys(_NAMES["spots"], "m")
-_UNITS |= {name: "A" for kind in ("held", "pulsed", "measured") for name in _NAMES[kind]}
+_UNITS |= {name: "A" for kind in _CURRENTS for name in _NAMES[kind]}
 _ROWS = 20
 """Cycles shown in a table by default."""
 _HEAD = ("time [ms]", *(f"{axis} [{unit_of('mm', axis)}]" for axis in AXES), "cmd [A]", "meas [A]", "warm [%]")
 _HEAD += ("delay [ms]", "answer [ms]")
 _DECIMALS = 1, *[2] * 6, 2, 2, 0, 2, 2
-_CURRENTS = "held", "pulsed", "measured"
 
 _MEANINGS = {
     Fault.SENSOR_OUT_OF_RANGE: "a diode reading is invalid, out of range or jumped, or the readings match no pose",
@@ -262,7 +259,7 @@ class FaultRecord(Result):
 
         The kind is "pose", or a prefix of column names such as "measured".
         """
-        names = AXES if kind == "pose" else [f"{kind}{index}" for index in _SIX]
+        names = AXES if kind == "pose" else [f"{kind}{index}" for index in range(6)]
         return np.stack([self.values[name] for name in names], axis=-1)
 
 
