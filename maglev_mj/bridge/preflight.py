@@ -126,11 +126,8 @@ class LinkReport(Result):
     units: ClassVar = {"delay": "s", "answer": "s"}
 
     def _headline(self) -> str:
-        return (
-            f"Loop delay {1e3 * self.delay_95:.3g} ms (95th percentile); {self.success:.1%} answered in time".replace(
-                "%", " %"
-            )
-        )
+        share = f"{self.success:.1%}".replace("%", " %")
+        return f"Loop delay {1e3 * self.delay_95:.3g} ms (95th percentile); {share} answered in time"
 
     @property
     def delay_95(self) -> float:
