@@ -374,32 +374,24 @@ class Connection:
         """
         self.codec.version_met = None
         frame = self.codec.decode(data)
-        version = self.codec.version_met
-        if version is not None:
+        if (version := self.codec.version_met) is not None:
             versions.add(version)
-            if self._keyed:  # the tag of another version cannot be checked: the sender is unknown
-                return None
-        answer = frame.body if frame is not None else None
-        if frame is None or not isinstance(answer, wire.HelloAck):
-            if version is not None:
+            if not self._keyed:  # else the tag of another version cannot be checked: the sender is unknown
                 raise _other_version(version)
+        if frame is None or not isinstance(answer := frame.body, wire.HelloAck):
             return None
         if answer.status == HelloStatus.VERSION:
             raise _other_version(answer.version)
         if answer.nonce != hello.nonce:
             return None
-        match answer.status:
-            case HelloStatus.CALIBRATION:
-                theirs, ours = answer.calibration.hex(), hello.calibration.hex()
-                raise HandshakeError(
-                    f"calibration mismatch: device {theirs}, host {ours}; start both with the same device file"
-                )
-            case HelloStatus.WELCOME:
-                self._session, self._handshake_time = frame.session, frame.time
-                return answer
-            case HelloStatus.BUSY:
-                return answer
-        return None
+        if answer.status == HelloStatus.CALIBRATION:
+            theirs, ours = answer.calibration.hex(), hello.calibration.hex()
+            raise HandshakeError(
+                f"calibration mismatch: device {theirs}, host {ours}; start both with the same device file"
+            )
+        if answer.status == HelloStatus.WELCOME:
+            self._session, self._handshake_time = frame.session, frame.time
+        return answer if answer.status in (HelloStatus.WELCOME, HelloStatus.BUSY) else None
 
     def _trusted(self, data: bytes) -> Frame | None:
         """Return the frame if it is authentic and of this session, else None."""
