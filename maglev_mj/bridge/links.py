@@ -134,10 +134,6 @@ class _Udp:
             self._socket.close()
             raise LinkError(f"{failure} udp://{host}:{port}: {error.strerror}") from None
 
-    def fileno(self) -> int:
-        """Return the descriptor for `select`."""
-        return self._socket.fileno()
-
     def close(self) -> None:
         """Close the socket; idempotent."""
         self._socket.close()
