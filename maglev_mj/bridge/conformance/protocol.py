@@ -6,12 +6,11 @@ import math
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from itertools import pairwise
 from typing import Any, TypeAlias
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.conformance.tester import Tester, case, check, close, fail, is_off, same, shown
+from maglev_mj.bridge.conformance.tester import Tester, case, check, close, constant, fail, is_off, same, shown
 from maglev_mj.bridge.connection import draw, profile_of
 from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus, Operation, Result, State, fault_names
 from maglev_mj.frames import ZERO
@@ -463,7 +462,7 @@ def _walls(t: Tester) -> str:
         return _NO_WALLS
     wall, currents = _pressing(t)
     for held in (ZERO, t.half):
-        t.walls, t.law = (wall,), partial(_constant, held)
+        t.walls, t.law = (wall,), constant(held)
         close(t.states(6)[-1], [a + b for a, b in zip(held, currents)])
     t.walls = ()
     close(t.states(6)[-1], t.half)
@@ -500,10 +499,6 @@ def _wall_limits(t: Tester) -> str:
         with case(", ".join(f"{name} {value:g}" for name, value in change.items())):
             t.expect(State.FAULT, Fault.INVALID_COMMAND, 1)
     return f"INVALID_COMMAND, {len(bad) + 4} walls"
-
-
-def _constant(currents: Sequence[float], _: Any) -> Sequence[float]:
-    return currents
 
 
 _NO_WALLS = "not checked: the device renders no walls"

@@ -142,7 +142,7 @@ class Tester:
         self.session = self.greeted = self.sequence = self.request = self.nonce = self.asked_at = self.arrived = 0
         self.welcome: wire.HelloAck
         self.last: Any = None
-        self.law: _Law = _zeros
+        self.law = constant(ZERO)
         self.answering, self.late, self.loss = True, False, 0.0
         self.wrong: dict[str, str] = {}
         self.once: list[Sequence[Any]] = []
@@ -311,7 +311,7 @@ class Tester:
                 self._times.clear()
                 return
             if status != HelloStatus.BUSY or self.now() > end:
-                raise HandshakeError(f"the device answered HELLO with status {_named(HelloStatus, status)}")
+                raise HandshakeError(f"the device answered HELLO with status {shown(status, HelloStatus.WELCOME)}")
             self.wait(0.1)
 
     def ask(
@@ -320,7 +320,7 @@ class Tester:
         """Send a new request and return its answer."""
         self.request = (self.request + 1) & WRAP
         body = wire.Control(self.request, operation, faults, tuple(hover or self.half), tuple(stop))
-        frame = self.exchange(body, **header) or fail(f"no answer to {_named(Operation, operation)}")
+        frame = self.exchange(body, **header) or fail(f"no answer to {shown(operation, Operation.ARM)}")
         answer: wire.ControlAck = frame.body
         self.asked_at = frame.time
         same("operation", answer.operation, operation)
@@ -337,7 +337,7 @@ class Tester:
             answering: False to stop sending commands afterwards.
             stop: Parameters of the controlled stop at ARM.
         """
-        self.law, self.answering, self.loss, self.once, self.walls = _zeros, True, 0.0, [], ()
+        self.law, self.answering, self.loss, self.once, self.walls = constant(ZERO), True, 0.0, [], ()
         try:
             self.ask(Operation.DISARM) if self.session else self.join()
         except Unexpected:
@@ -352,7 +352,7 @@ class Tester:
         if state == State.FAULT:
             answer = self.ask(Operation.TRIP, faults=Fault.HOST)
         elif state == State.ACTIVE:
-            self.law = lambda frame: currents
+            self.law = constant(currents)
             answer = self.ask(Operation.ARM, stop=stop)
             self.states(1 + math.ceil(self.welcome.delay / self.welcome.period))
         same("state", answer.state, state)
@@ -500,13 +500,10 @@ def shown(value: Any, like: Any = None) -> str:
     if isinstance(like, Fault):
         return fault_names(value)
     if isinstance(like, IntEnum):
-        return _named(type(like), value)
+        return type(like)(value).name if value in tuple(type(like)) else str(value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _zeros(frame: Any) -> Sequence[float]:
-    return ZERO
-
-
-def _named(kind: Any, number: int) -> str:
-    return kind(number).name if number in tuple(kind) else str(number)
+def constant(currents: _Numbers) -> _Law:
+    """Return the law of constant currents [A], six."""
+    return lambda frame: currents
