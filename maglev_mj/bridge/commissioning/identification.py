@@ -306,8 +306,7 @@ def identify(
     frequencies = numbers("lines", lines, at_least=0.0).ravel()
     timing = Timing(period=period, delay=number("delay", delay))
     number("the highest line", float(frequencies.max(initial=0.0)), below=0.5 / timing.period)
-    wholes, remainder = timing.whole, float(timing.rest)
-    ahead, switched = int(wholes) + 2, remainder / period
+    ahead, switched = timing.whole + 2, float(timing.rest) / period
     if (count := len(x) - ahead - 1) < 1:
         raise IdentificationError(f"the motion must be longer than {len(x)} samples")
     before, at, after = (x[ahead + step :][:count] for step in (-1, 0, 1))

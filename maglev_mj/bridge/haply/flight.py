@@ -63,8 +63,7 @@ def on_arm(scene: Scene, plant: HaplyPlant) -> Scene:
         def laws(self) -> list[Law]:
             return [ForcesOnly(law) for law in map(as_law, super().laws()) if not law.carried().any()]
 
-    values = {item.name: getattr(scene, item.name) for item in scene.parameters()}
-    return OnArm(**values | {"period": plant.period, "delay": plant.delay})
+    return OnArm(**scene.as_json() | {"period": plant.period, "delay": plant.delay})
 
 
 def preflight_arm(plant: HaplyPlant, scene: Scene, *, as_written: bool = False) -> Preflight:
