@@ -23,10 +23,9 @@ from maglev_mj.bridge.conformance.tester import CHECKS
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.safety import Limits, Profile, ThermalModel, command_fault
 from maglev_mj.bridge.twin import firmware, twin
-from maglev_mj.bridge.twin.firmware import Firmware
+from maglev_mj.bridge.twin.firmware import Firmware, Walls
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import AmplifierBoard, Twin, TwinParameters
-from maglev_mj.bridge.twin.walls import Walls
 from maglev_mj.bridge.wire import Codec, Fault, State
 from maglev_mj.cli import main
 from maglev_mj.errors import PlantError
