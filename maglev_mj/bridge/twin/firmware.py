@@ -91,8 +91,7 @@ class Firmware:
         self._watchdog = profile.stated["watchdog"]
         self._first, self._fault_time, self._sampled_at = Fault(0), 0, 0
         self._measured: Sequence[float] = ZERO
-        self._walls, self._wall_time = Walls(profile), profile.wall_period * 1e-9
-        self._wall_spots = SpotGuard(profile.limits, self._wall_time)
+        self._walls = Walls(profile)
         self._reset_guards()
         # largest age of the answered sample [ns]
         self._stale = 0 if profile.lockstep else profile.stated["stale"]
@@ -185,7 +184,7 @@ class Firmware:
         """
         if not self._walls.active or not (self.state == State.ACTIVE or self.stopping):
             return
-        if faults := self._wall_spots.check(reading.spots, reading.valid, now, 1):
+        if faults := self._walls.guard.check(reading.spots, reading.valid, now, 1):
             self.trip(faults, now)
             return
         stopping = max(now - self._stopped_at, 0) * 1e-9 if self.stopping else 0.0
@@ -281,8 +280,6 @@ class Firmware:
         if wrong := wrong or self._walls.fault(command.walls, self._spots.last, periods):
             self.trip(wrong, now, soft=True)
             return
-        if command.walls and not self._walls.active:
-            self._wall_spots = SpotGuard(self.profile.limits, self._wall_time)
         self._walls.command(command.walls, now + self.profile.delay, (command.held, command.pulsed, self._lifted))
         self._commanded_at, self._answers, self._holding = now, command.answers, False
         self._amplifiers.drive(now, command.held, command.pulsed if command.width else None, command.width)
@@ -352,6 +349,7 @@ class Walls:
 
     Attributes:
         active: True while walls are in effect or pending, or their currents are to be taken back.
+        guard: Guard of the spots at the walls' samples.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -360,7 +358,7 @@ class Walls:
 
     def clear(self) -> None:
         """Remove all walls at once: the currents are cut."""
-        self.active = False
+        self.active, self.guard = False, SpotGuard(self._profile.limits, self._profile.wall_period * 1e-9)
         self._walls: Sequence[Wall] = ()
         self._pending: Sequence[Wall] | None = None
         self._due = self._sampled_at = 0  # [ns]
