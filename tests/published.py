@@ -1,4 +1,4 @@
-"""Mass, inertia and weight of the published joystick; a device with eight coils."""
+"""Mass, inertia, weight and rest of the published joystick; a device with eight coils."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ INERTIA = published_device().inertia
 
 WEIGHT = tuple((0.0 - body_of({}).load).tolist())
 """Wrench that compensates the flotor's weight [N, N m]."""
+
+REST = published_device().rest
+"""Pose on the lower stop [m, rad]."""
 
 _AROUND = np.linspace(0.0, 2.0 * np.pi, 4, endpoint=False)
 _OUT, _ALONG = (

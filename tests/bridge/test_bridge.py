@@ -15,7 +15,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.twin import firmware
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
-from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import State
 from maglev_mj.control import Bias, FiniteDifference, Hold
 from maglev_mj.control.controller import Controller
@@ -25,7 +25,7 @@ from maglev_mj.plants import MuJoCoPlant, SpotSensor
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.scenes import find_scene
 from tests.bridge.impaired import ImpairedLine, Impairment
-from tests.published import INERTIA, WEIGHT
+from tests.published import INERTIA, REST, WEIGHT
 from tests.recorded import command_row
 from tests.sweeps import further
 

@@ -20,7 +20,6 @@ from maglev_mj.bridge.links import LinkError
 from maglev_mj.bridge.safety import Limits, ThermalModel
 from maglev_mj.bridge.twin import firmware
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, InjectedFault
-from maglev_mj.bridge.twin.twin import REST
 from maglev_mj.bridge.wire import Fault, State, StateReport, fault_names
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
@@ -29,7 +28,7 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.plants.hand import SpringHand
 from tests.bridge.impaired import Impairment
 from tests.bridge.test_bridge import BAD, BAD_REACH, CENTRE, REACH, TOUR, ZERO, Rig, hover
-from tests.published import WEIGHT
+from tests.published import REST, WEIGHT
 from tests.sweeps import further, sweep
 
 AWAY = Fault.FLOTOR_OVERSPEED | Fault.BOUNDARY | Fault.SENSOR_OUT_OF_RANGE

@@ -12,12 +12,13 @@ from maglev_mj.bridge.connection import EstopReport, estop
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
-from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command as MotionCommand
 from tests.bridge.impaired import Impairer, Impairment
 from tests.bridge.test_bridge import CENTRE, Rig
+from tests.published import REST
 from tests.sweeps import further
 
 KEY = b"0123456789abcdef"

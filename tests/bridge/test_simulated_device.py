@@ -20,7 +20,7 @@ from maglev_mj.bridge.conformance import conform
 from maglev_mj.bridge.conformance.tester import CHECKS
 from maglev_mj.bridge.conformance.tester import Tester as Host
 from maglev_mj.bridge.links import UdpLink
-from maglev_mj.bridge.twin.twin import REST, TwinParameters
+from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.bridge.wire import (
     Fault,
     Flag,
@@ -74,7 +74,7 @@ def write_plant(path: Path) -> Path:
         "inertia": [*[NOMINAL.mass] * 3, *NOMINAL.inertia],
         "gravity": [*NOMINAL.gravity, 0.0, 0.0, 0.0],
         "spots_per_pose": SLOPES,
-        "rest": REST,
+        "rest": NOMINAL.base.rest,
         "pose_per_spot": MAPS.pose_per_spot,
         "current_per_wrench": MAPS.current_per_wrench,
     }
@@ -220,7 +220,7 @@ def test_motion_is_exact_between_switches(start: Starter) -> None:
     report = answered(host, held, pulsed, width)
     inertia = np.array([*[NOMINAL.mass] * 3, *NOMINAL.inertia])
     gravity = np.array([*NOMINAL.gravity, 0.0, 0.0, 0.0])
-    pose, speed = np.array(REST), np.zeros(6)
+    pose, speed = np.array(NOMINAL.base.rest), np.zeros(6)
     temperatures = np.zeros(6)
     for currents, duration in ((ZERO, 0.0015), (pulsed, width), (held, 0.0015)):
         share = -math.expm1(-duration / 10.0)

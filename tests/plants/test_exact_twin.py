@@ -15,12 +15,13 @@ from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
-from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.spec import GRAVITY, INERTIA, RANGE
+from tests.published import REST
 from tests.sweeps import sweep
 
 KNOWN = Calibration.nominal()

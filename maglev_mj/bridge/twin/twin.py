@@ -21,7 +21,6 @@ from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, Effect, Injec
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.wire import WRAP, Codec, Fault, State, StateReport, fault_names
 from maglev_mj.control.timeline import Interval
-from maglev_mj.device import PUBLISHED, Device
 from maglev_mj.errors import check_instance, check_one_of
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.parameters import number, numbers, store
@@ -32,9 +31,6 @@ from maglev_mj.plants.sensor import PoseScale
 from maglev_mj.scenes.scene import PLANTS
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, Spec
 from maglev_mj.terminal import wrapped
-
-REST = Device.load(PUBLISHED).rest
-"""Pose of the published joystick on its lower stop [m, rad]."""
 
 _ALL = 7
 _OF_DEVICE: Any = None  # default of the calibration's device

@@ -21,7 +21,7 @@ import numpy as np
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import BAUD
 from maglev_mj.bridge.safety import macro
-from maglev_mj.bridge.twin.twin import REST, TwinParameters
+from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.device import PUBLISHED
 from maglev_mj.errors import MaglevError
 from maglev_mj.plants.sensor import beams
@@ -44,7 +44,7 @@ def plant(hand: str) -> dict[str, object]:
         "inertia": [*[calibration.mass] * 3, *calibration.inertia],
         "gravity": [*calibration.gravity, 0.0, 0.0, 0.0],
         "slopes": beams()._spots(np.zeros(6))[1],
-        "rest": REST,
+        "rest": calibration.base.rest,
         "hand": np.array([float(x) for x in wrench.split(",")]).reshape(6),
         "hand_from": round(float(start) * 1e9),
         "hand_until": round(float(end) * 1e9),
