@@ -336,13 +336,11 @@ class Codec:
         shape = _STRUCTS.get(data[3])
         if shape is None:
             return "type"
-        if len(data) != shape.size + self._overhead:
-            if data[3] != _COMMAND or len(data) - self._overhead not in _WALLED:
-                return "length"
-        if self._key is not None:
-            end = len(data) - self._overhead
-            if not hmac.compare_digest(data[end : end + TAG], _tag(data[:end], self._key)):
-                return "tag"
+        end = len(data) - self._overhead
+        if end != shape.size and (data[3] != _COMMAND or end not in _WALLED):
+            return "length"
+        if self._key is not None and not hmac.compare_digest(data[end : end + TAG], _tag(data[:end], self._key)):
+            return "tag"
         return ""
 
 
