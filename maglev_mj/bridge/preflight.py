@@ -118,11 +118,11 @@ class LinkReport(Result):
     delay: Array
     answer: Array
     samples: int
-    lost: int
-    skipped: int
+    lost: int = 0
+    skipped: int = 0
     late: int
-    clock: float
-    lockstep: bool
+    clock: float = 1.0
+    lockstep: bool = False
     units: ClassVar = {"delay": "s", "answer": "s"}
 
     def _headline(self) -> str:
@@ -308,9 +308,8 @@ def on_device(scene: Scene, plant: RemotePlant) -> Scene:
         ParameterError: If the device cannot render a wall of the scene.
     """
     clocks = {"period": plant.period, "delay": plant.delay}
-    if plant.walls_clock is not None:
-        own = zip(("device_period", "device_delay"), plant.walls_clock)
-        clocks |= {name: value for name, value in own if hasattr(scene, name)}
+    own = zip(("device_period", "device_delay"), plant.walls_clock or ())
+    clocks |= {name: value for name, value in own if hasattr(scene, name)}
     scene = scene.replace(**clocks)
     plant.check_walls(scene.controller().device_walls)
     return scene
@@ -347,12 +346,10 @@ def assess(scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -
         MaglevError: If a law fails.
     """
     requested = getattr(scene, "stiffness", None)
-    critical_delay, reduction = _critical_delay(scene, inertia), ""
-    if (
-        critical_delay < report.required_delay
-        and not as_written
-        and (reduced := _reduced(scene, report.required_delay, inertia)) is not None
-    ):
+    critical_delay, reduction, reduced = _critical_delay(scene, inertia), "", None
+    if critical_delay < report.required_delay and not as_written:
+        reduced = _reduced(scene, report.required_delay, inertia)
+    if reduced is not None:
         before, after = (f"{x.stiffness:.0f}" for x in (scene, reduced))  # type: ignore[attr-defined]
         scene, original, critical_delay = reduced, critical_delay, _critical_delay(reduced, inertia)
         reduction = (

@@ -87,8 +87,7 @@ def preflight_arm(plant: HaplyPlant, scene: Scene, *, as_written: bool = False) 
         times = f"the slowest 1 % of the round trips take {slowest * 1e3:.2f} ms, above the period"
         raise PlantError(f"no flight: {times} of {plant.period * 1e3:g} ms; keep a processor free or lower ?rate=")
     delay, late = plant.arm.delay + np.maximum(trips, plant.period), int(np.sum(np.array(trips) > plant.period))
-    counts: Any = {"samples": _EXCHANGES, "lost": 0, "skipped": 0, "late": late, "clock": 1.0, "lockstep": False}
-    report = LinkReport(device_delay=plant.delay, delay=delay, answer=np.zeros(0), **counts)
+    report = LinkReport(device_delay=plant.delay, delay=delay, answer=np.zeros(0), samples=_EXCHANGES, late=late)
     return assess(own, own.body.inertia, report, as_written)
 
 
