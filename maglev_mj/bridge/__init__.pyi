@@ -1,7 +1,7 @@
 from maglev_mj.bridge.commissioning.calibration import Calibration as Calibration
 from maglev_mj.bridge.fault import DeviceFault as DeviceFault
 from maglev_mj.bridge.fault import HandshakeError as HandshakeError
-from maglev_mj.bridge.haply.arm import Arm as Arm
+from maglev_mj.bridge.haply.plant import Arm as Arm
 from maglev_mj.bridge.haply.plant import HaplyPlant as HaplyPlant
 from maglev_mj.bridge.haply.twin import HaplyServer as HaplyServer
 from maglev_mj.bridge.haply.twin import HaplyTwin as HaplyTwin

@@ -21,9 +21,8 @@ from maglev_mj.bridge.commissioning.identification import collect, excitation
 from maglev_mj.bridge.commissioning.identification import identify as identify_device
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.haply.arm import Arm
 from maglev_mj.bridge.haply.flight import fly_arm, preflight_arm
-from maglev_mj.bridge.haply.plant import HaplyPlant
+from maglev_mj.bridge.haply.plant import Arm, HaplyPlant
 from maglev_mj.bridge.landing import LANDING_TIME, StopSwitch
 from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.preflight import MARGIN, Preflight, judge_change, measure_link, preflight, stiffest_walls

@@ -91,7 +91,7 @@ def twin(
 ) -> int:
     """Run the twin: a simulated device behind the protocol of a real one."""
     from maglev_mj.bridge.commissioning.calibration import Calibration
-    from maglev_mj.bridge.haply.arm import Arm
+    from maglev_mj.bridge.haply.plant import Arm
     from maglev_mj.bridge.realtime import realtime as realtime_policy
     from maglev_mj.bridge.realtime import stopping
     from maglev_mj.bridge.safety import limits_of

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import Arm, HaplyPlant, HaplyTwin
-from maglev_mj.bridge.haply.arm import force_message, numbers_at
 from maglev_mj.bridge.haply.flight import ForcesOnly, fly_arm, on_arm, preflight_arm
+from maglev_mj.bridge.haply.plant import force_message, numbers_at
 from maglev_mj.bridge.links import Link, LinkError
 from maglev_mj.bridge.preflight import LinkReport, Preflight
 from maglev_mj.cli import main

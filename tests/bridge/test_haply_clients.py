@@ -21,7 +21,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from maglev_mj.bridge import Arm, HaplyPlant, HaplyServer, HaplyTwin
-from maglev_mj.bridge.haply.arm import devices, force_message, token_of
+from maglev_mj.bridge.haply.plant import devices, force_message, token_of
 from maglev_mj.bridge.links import LinkError
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.bridge.haply.arm import Arm, devices, numbers_at, token_of, vector
+from maglev_mj.bridge.haply.plant import Arm, devices, numbers_at, token_of, vector
 from maglev_mj.errors import require
 from maglev_mj.frames import ZERO, Command, Six, quaternion
 from maglev_mj.plants import ExactPlant, Timing
