@@ -90,9 +90,8 @@ def _silence_after_arm(t: Tester) -> str:
     return silence(t, t.half, t.asked_at)
 
 
-@check("silence after commands: the same, timed from the last command", real_time=True)
+@check("silence after commands: the same, timed from the last command", real_time=True, state=State.ACTIVE)
 def _silence_after_commands(t: Tester) -> str:
-    t.bring(State.ACTIVE)
     return silence(t, t.half)
 
 

@@ -46,9 +46,8 @@ def _hello_again(t: Tester) -> str:
     return t.expect(State.ACTIVE) and f"session {t.session}, sequence numbers kept"
 
 
-@check("any other HELLO gets BUSY, whatever its calibration, and the session continues")
+@check("any other HELLO gets BUSY, whatever its calibration, and the session continues", state=State.ACTIVE)
 def _busy(t: Tester) -> str:
-    t.bring(State.ACTIVE)
     own = t.calibration.digest
     hellos = {"of another calibration": (draw(), flipped(own, 0), 0), "of another nonce": (draw(), own, 0)}
     if len(t.links) > 1:
@@ -112,9 +111,8 @@ def _takeover(t: Tester) -> str:
     return "BUSY after 0.7 s, WELCOME after 1.1 s"
 
 
-@check("BYE ends the session: no STATE, no answer; a latched fault remains")
+@check("BYE ends the session: no STATE, no answer; a latched fault remains", state=State.FAULT)
 def _bye(t: Tester) -> str:
-    t.bring(State.FAULT)
     old = t.last.sequence
     t.ask(Operation.BYE)
     body = wire.Control(t.request, Operation.BYE, 0, ZERO)
@@ -127,9 +125,8 @@ def _bye(t: Tester) -> str:
 # requests
 
 
-@check("a request is executed once: a repetition is acknowledged again, an older one is dropped")
+@check("a request is executed once: a repetition is acknowledged again, an older one is dropped", state=State.FAULT)
 def _requests(t: Tester) -> str:
-    t.bring(State.FAULT)
     t.ask(Operation.RESET)
     t.stopped()
     again = t.exchange(wire.Control(t.request, Operation.TRIP, Fault.CLOCK, ZERO)) or fail("no answer to a repetition")
@@ -391,9 +388,8 @@ _bad_commands(
 )
 
 
-@check("sequence numbers wrap at 2^32")
+@check("sequence numbers wrap at 2^32", state=State.ACTIVE)
 def _sequence_numbers(t: Tester) -> str:
-    t.bring(State.ACTIVE)
     for t.sequence in (HALF - 1, 2 * HALF - 2, WRAP - 3):
         with case(f"CMDs from number {t.sequence} on"):
             t.expect(State.ACTIVE)
@@ -420,9 +416,8 @@ def _far_ahead(t: Tester) -> str:
     return f"CTRL and ESTOP work; ended in {end}"
 
 
-@check("a CMD that is late by less than `stale` is accepted", real_time=True)
+@check("a CMD that is late by less than `stale` is accepted", real_time=True, state=State.ACTIVE)
 def _late_command(t: Tester) -> str:
-    t.bring(State.ACTIVE)
     behind = t.welcome.stale // t.welcome.period - 1
     t.states(behind)
     t.answering = False
@@ -648,9 +643,8 @@ _ignores("future", "that answers a future sample", headers=lambda t: [{"answers"
 _ignores("stale", "that answers a sample older than `stale`", headers=_old_answers)
 
 
-@check("frames that only a device sends are ignored")
+@check("frames that only a device sends are ignored", state=State.ACTIVE)
 def _direction(t: Tester) -> str:
-    t.bring(State.ACTIVE)
     ack = wire.ControlAck(t.request + 1, Operation.TRIP, 0, State.FAULT, 1)
     for body in (t.last.body, ack, t.welcome, wire.EstopAck(draw(), State.FAULT, Fault.ESTOP, 0, ZERO)):
         t.links[0].send(t.encode(body, sequence=t.sequence + 1))

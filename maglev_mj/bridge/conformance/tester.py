@@ -65,6 +65,7 @@ class Check(NamedTuple):
         peers: Number of host addresses it needs.
         keyed: True if it needs a key.
         lockstep: True if it needs lockstep.
+        state: State to which the device is brought first.
     """
 
     expected: str
@@ -74,6 +75,7 @@ class Check(NamedTuple):
     peers: int = 1
     keyed: bool = False
     lockstep: bool = False
+    state: State = State.INACTIVE
 
     def result(self, name: str, tester: Tester, flight: bool) -> CheckResult:
         """Run the check; repeat it if this host was late."""
@@ -89,7 +91,7 @@ class Check(NamedTuple):
         for _ in range(_TRIES):
             tester.late = False
             try:
-                tester.bring(State.INACTIVE)
+                tester.bring(self.state)
                 with tester.flying() if self.flight else nullcontext():
                     return CheckResult(name, self.expected, self.run(tester), True)
             except (Unexpected, PlantError) as error:
@@ -190,11 +192,11 @@ class Tester:
             if frame is not None and source == peer:
                 return frame
 
-    def wait(self, seconds: float, kind: type | None = None, peer: int = 0) -> Any:
+    def wait(self, seconds: float, kind: type | None = None) -> Any:
         """Receive until a frame of a kind, which is returned, or None after `seconds`."""
         end = self.now() + round(seconds * 1e9)
         while (remaining := end - self.now()) > 0:
-            if (frame := self.receive(remaining * 1e-9, peer)) is not None and kind and isinstance(frame.body, kind):
+            if (frame := self.receive(remaining * 1e-9)) is not None and kind and isinstance(frame.body, kind):
                 return frame
         return None
 
