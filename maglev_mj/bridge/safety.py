@@ -204,6 +204,11 @@ class Profile:
         return "" if 0.0 <= wall.cutoff < math.inf else f"cutoff of a wall must be 0 or above (got {wall.cutoff:g})"
 
 
+def _scaled_limit(help: str, unit: str, value: float) -> Any:
+    """Declare a limit for the published joystick's range, scaled by a device's unless it is set."""
+    return param(f"{help}, scaled by the range", unit, default=None, derive=lambda _: value, above=0.0)
+
+
 class HostLimits(Parameters):
     """Limits of the host; the smaller of these and the device's apply.
 
@@ -217,20 +222,8 @@ class HostLimits(Parameters):
     continuous_current: float | None = param("continuous current limit", "A", default=None, optional=True, above=0.0)
     force_limit: float | None = param("force limit per axis, with weight", "N", default=None, optional=True, above=0.0)
     torque_limit: float | None = param("torque limit per axis", "N m", default=None, optional=True, above=0.0)
-    envelope: float = param(
-        "position limit in flight; just outside the stops, scaled by the range",
-        "m",
-        default=None,
-        derive=lambda _: 0.0055,
-        above=0.0,
-    )
-    envelope_angle: float = param(
-        "rotation limit in flight, scaled by the range",
-        "rad",
-        default=None,
-        derive=lambda _: math.radians(7.5),
-        above=0.0,
-    )
+    envelope: float = _scaled_limit("position limit in flight; just outside the stops", "m", 0.0055)
+    envelope_angle: float = _scaled_limit("rotation limit in flight", "rad", math.radians(7.5))
     speed_limit: float = param("flotor speed limit", "m/s", default=0.6, above=0.0)
     spin_limit: float = param("flotor angular speed limit", "rad/s", default=15.0, above=0.0)
 
