@@ -300,14 +300,10 @@ def _record(content: journal.JournalContent, last: int, message: Mapping[str, An
     texts: dict[str, Any]
     if message is not None:
         counts: dict[str, Any] = {name: whole(name, value_in(message, name)) for name in ("tick", "lost", "skipped")}
-        period, fault_time = (
-            whole(name, value_in(message, name), at_least=least) * 1e-9
-            for name, least in (("period_ns", 1), ("fault_time_ns", 0))
-        )
-        texts = {
-            name: value_in(message, key, str)
-            for name, key in (("faults", "fault"), ("first", "first"), ("message", "text"))
-        }
+        period = whole("period_ns", value_in(message, "period_ns"), at_least=1) * 1e-9
+        fault_time = whole("fault_time_ns", value_in(message, "fault_time_ns")) * 1e-9
+        keys = {"faults": "fault", "first": "first", "message": "text"}
+        texts = {name: value_in(message, key, str) for name, key in keys.items()}
     elif len(cycles) < 2:
         raise ParameterError("no device cycles (only recordings of flights contain them)")
     else:
