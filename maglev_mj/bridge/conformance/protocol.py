@@ -357,6 +357,10 @@ def _not_active(t: Tester) -> str:
     return "ignored, contents not examined"
 
 
+def _too_large(t: Tester) -> Sequence[float]:
+    return 1.001 * t.welcome.current_limit, -1.001 * t.welcome.current_limit
+
+
 def _bad_commands(name: str, fault: Fault, expected: str, values: Callable[[Tester], Iterable[float]]) -> None:
     """Add a check of commands with an invalid value in each current in turn, or in the pulse width."""
 
@@ -380,12 +384,7 @@ def _bad_commands(name: str, fault: Fault, expected: str, values: Callable[[Test
 _UNREAL = (math.nan, math.inf, -math.inf)
 _bad_commands("not-finite", Fault.INVALID_COMMAND, "with a non-finite value", lambda t: _UNREAL)
 _bad_commands("width", Fault.INVALID_COMMAND, "with a width outside 0 to 1 s", lambda t: (*_UNREAL, -1e-6, 1.001))
-_bad_commands(
-    "over-current",
-    Fault.COIL_OVERCURRENT,
-    "with a held or pulsed current above current_limit",
-    lambda t: (1.001 * t.welcome.current_limit, -1.001 * t.welcome.current_limit),
-)
+_bad_commands("over-current", Fault.COIL_OVERCURRENT, "with a held or pulsed current above current_limit", _too_large)
 
 
 @check("sequence numbers wrap at 2^32", state=State.ACTIVE)
