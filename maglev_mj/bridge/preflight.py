@@ -170,10 +170,8 @@ class LinkReport(Result):
             for name, times in kinds.items()
             if times.size
         ]
-        note = (
-            f"{self.lost} samples lost, {self.skipped} skipped, {self.late} answers late; device clock "
-            f"{100.0 * (self.clock - 1.0):+.2f} %"
-        )
+        clock = f"device clock {100.0 * (self.clock - 1.0):+.2f} %"
+        note = f"{self.lost} samples lost, {self.skipped} skipped, {self.late} answers late; {clock}"
         return Table("", ("latency [ms]", "median", "95 %", "99 %", "max"), rows, note)
 
 
