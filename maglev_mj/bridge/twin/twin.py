@@ -265,8 +265,7 @@ class Twin:
         commands = board.commanded(currents) if board.stuck else currents
         spots = self._spots(self._read(position), now)
         reading = Reading(spots, _ALL, currents, commands, self.plant.intervals, self.tick + 1, board.enabled)
-        if self._waiting:
-            self._begin(reading)
+        self._begin(reading)
         reading = self._affected(reading)
         if self.hung:
             return None
