@@ -32,6 +32,8 @@ MARGIN = 1.5
 _CLOCK = 0.02
 """Tolerance of the device clock's rate."""
 
+_FASTER = "keep a processor free or use a faster link"
+
 _ANSWERED = 0.5
 """Required share of samples answered in time."""
 
@@ -395,25 +397,19 @@ def _critical_delay(scene: Scene, inertia: Array) -> float:
 def _problem(scene: Scene, report: LinkReport, critical_delay: float) -> str:
     """Return the reason not to fly with its remedy, or ""."""
     if abs(report.clock - 1.0) > _CLOCK:
-        return (
-            f"the device clock runs at {report.clock:.3f} times the host clock (tolerance 2 %): "
-            "correct the device's sample period"
-        )
+        rate = f"{report.clock:.3f} times the host clock (tolerance 2 %)"
+        return f"the device clock runs at {rate}: correct the device's sample period"
     if report.success < _ANSWERED:
-        return (
-            f"only {100.0 * report.success:.0f} % of {report.samples} samples were answered in time, at least "
-            f"{100.0 * _ANSWERED:.0f} % required: keep a processor free or use a faster link"
-        )
+        answered = f"only {100.0 * report.success:.0f} % of {report.samples} samples were answered in time"
+        return f"{answered}, at least {100.0 * _ANSWERED:.0f} % required: {_FASTER}"
     if math.isnan(critical_delay):
         causes = "have too long a memory or a discontinuous force, or are too slow to linearise (declare gains())"
         return f"critical delay of {scene.name} not computed: its laws {causes}"
     if critical_delay == 0.0:
         return f"{scene.name} is unstable even without delay: reduce its stiffness or increase its damping"
     if critical_delay < report.delay_95:
-        return (
-            f"{scene.name} is stable up to a loop delay of {critical_delay * 1e3:.2f} ms, but 5 % of the answers "
-            f"exceed {report.delay_95 * 1e3:.2f} ms: reduce its stiffness, keep a processor free or use a faster link"
-        )
+        delays = f"5 % of the answers exceed {report.delay_95 * 1e3:.2f} ms: reduce its stiffness, {_FASTER}"
+        return f"{scene.name} is stable up to a loop delay of {critical_delay * 1e3:.2f} ms, but {delays}"
     return ""
 
 
