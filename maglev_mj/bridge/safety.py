@@ -85,7 +85,8 @@ def limits_of(device: Device) -> Limits:
     return own.replace(thermal_time=coils.thermal_time)
 
 
-_OWN = "period", "delay", "calibration", "wall_period", "wall_delay"
+_TIMES = "period", "delay", "wall_period", "wall_delay"
+_OWN = "calibration", *_TIMES
 _LIMITS = [x.name for x in Limits.parameters()]
 _NANOSECONDS = "watchdog", "enable", "stale"
 """Limits in nanoseconds on the wire."""
@@ -168,9 +169,7 @@ class Profile:
     def header(self, **more: Any) -> str:
         """Return the C macro PROFILE, the firmware's `struct maglev_profile`; `more` adds or replaces members."""
         maps = self.wall_maps
-        members: dict[str, Any] = {
-            name: getattr(self, name) for name in ("period", "delay", "wall_period", "wall_delay")
-        }
+        members: dict[str, Any] = {name: getattr(self, name) for name in _TIMES}
         if maps is not None:
             members |= {"spots": maps.spots, "pose": maps.pose_per_spot, "current": maps.current_per_wrench}
         members |= self.stated | {"device": self.number, "calibration": [*self.calibration], "lockstep": self.lockstep}
