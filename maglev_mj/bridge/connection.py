@@ -49,14 +49,13 @@ class EstopReport(NamedTuple):
     at: int
 
     def __str__(self) -> str:
+        names = fault_names(self.faults)
         if self.confirmed:
-            return (
-                f"stopped: {fault_names(self.faults)}, no current {self.duration * 1e3:.1f} ms after the first request"
-            )
+            return f"stopped: {names}, no current {self.duration * 1e3:.1f} ms after the first request"
         reason = f"no answer within {self.duration:.3g} s"
         if self.currents:
             coil = max(range(6), key=lambda index: abs(self.currents[index]))
-            reason = f"faults {fault_names(self.faults)}, {self.currents[coil]:.2f} A in coil {coil}"
+            reason = f"faults {names}, {self.currents[coil]:.2f} A in coil {coil}"
         return f"not confirmed: cut the power ({reason})"
 
 
@@ -385,10 +384,8 @@ class Connection:
         if answer.nonce != hello.nonce:
             return None
         if answer.status == HelloStatus.CALIBRATION:
-            theirs, ours = answer.calibration.hex(), hello.calibration.hex()
-            raise HandshakeError(
-                f"calibration mismatch: device {theirs}, host {ours}; start both with the same device file"
-            )
+            both = f"device {answer.calibration.hex()}, host {hello.calibration.hex()}"
+            raise HandshakeError(f"calibration mismatch: {both}; start both with the same device file")
         if answer.status == HelloStatus.WELCOME:
             self._session, self._handshake_time = frame.session, frame.time
         return answer if answer.status in (HelloStatus.WELCOME, HelloStatus.BUSY) else None
