@@ -12,7 +12,7 @@ import re
 import socket
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import Any, NoReturn, Self
 
@@ -175,7 +175,7 @@ class WebSocketLink:
             raise LinkError(f"the service closed the connection ({error})") from None
 
 
-class HaplyPlant:
+class HaplyPlant(AbstractContextManager["HaplyPlant"]):
     """Three-axis arm as a plant, paced by the host.
 
     `read` sends the last command at absolute deadlines and receives the state after it, so a force answers a state that
@@ -293,9 +293,6 @@ class HaplyPlant:
             with suppress(LinkError):
                 self._link.send(force_message(self.device, _NO_FORCE))
             self._link.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
