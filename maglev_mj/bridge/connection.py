@@ -357,12 +357,10 @@ class Connection:
                 break
         if busy:
             raise HandshakeError("the device is in use by another host")
-        dropped = ", ".join(
-            f"{count} for {reason}" + (f" ({', '.join(map(str, sorted(versions)))})" if reason == "version" else "")
-            for reason, count in self.codec.dropped.items()
-        )
+        counts, seen = self.codec.dropped, f" ({', '.join(map(str, sorted(versions)))})"
+        dropped = ", ".join(f"{count} for {reason}{seen * (reason == 'version')}" for reason, count in counts.items())
         reason = f"; frames dropped: {dropped}" if dropped else ""
-        if self.codec.dropped["tag"]:
+        if counts["tag"]:
             reason += "; check that both ends use the same key"
         raise HandshakeError(f"no device answered within {self.patience:g} s{reason}")
 
