@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -215,10 +216,8 @@ class Twin:
         self.parameters = parameters
         self.truth = truth = parameters.truth or parameters.calibration
         self.plant = _plant(parameters, truth, hand_force)
-        self._read, self._read_walls = (
-            SpotReader(truth.beams, quantum=parameters.quantum, noise=parameters.noise, seed=parameters.seed + offset)
-            for offset in (0, 1)
-        )
+        reader = partial(SpotReader, truth.beams, quantum=parameters.quantum, noise=parameters.noise)
+        self._read, self._read_walls = (reader(seed=parameters.seed + offset) for offset in (0, 1))
         self._offsets: list[float] | None = truth.spot_offsets.tolist() if truth.spot_offsets.any() else None
         self.codec = Codec(key)
         self.board = AmplifierBoard(self.plant, parameters)
