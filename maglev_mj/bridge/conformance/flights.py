@@ -9,7 +9,7 @@ from maglev_mj.bridge import wire
 from maglev_mj.bridge.conformance.protocol import wrong_crc
 from maglev_mj.bridge.conformance.tester import Tester, case, check, close, fail, is_off, same, shown
 from maglev_mj.bridge.connection import draw
-from maglev_mj.bridge.wire import NEVER, Fault, Flag, Operation, State
+from maglev_mj.bridge.wire import NEVER, Fault, Flag, Frame, Operation, State
 
 _JUNK = 500
 _GENTLE = 0.1
@@ -57,11 +57,8 @@ def _estop_elsewhere(t: Tester) -> str:
 # silence
 
 
-def silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> str:
-    """Send nothing; check HOLDING and WATCHDOG.
-
-    Times are by the device's clock.
-    """
+def silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> tuple[str, list[Frame]]:
+    """Send nothing; check HOLDING and WATCHDOG. Return their times by the device's clock as text, and the samples."""
     welcome, t.answering = t.welcome, False
     frames = t.states(welcome.watchdog // welcome.period + 8)
     arrivals = [frame.time - 1000 * frame.body.age for frame in frames if frame.body.age != NEVER]
@@ -80,19 +77,19 @@ def silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> str:
             close(frame, hover)
         elif frame.time > cut[0].time and not (frame.body.flags & Flag.STOPPING or is_off(frame.body.currents)):
             fail(f"{times}, then {shown(frame.body.currents)} A")
-    return times
+    return times, frames
 
 
 @check("silence after ARM: hover currents after two periods, WATCHDOG and zero after `watchdog`", real_time=True)
 def _silence_after_arm(t: Tester) -> str:
     t.answering = False
     t.ask(Operation.ARM)
-    return silence(t, t.half, t.asked_at)
+    return silence(t, t.half, t.asked_at)[0]
 
 
 @check("silence after commands: the same, timed from the last command", real_time=True, state=State.ACTIVE)
 def _silence_after_commands(t: Tester) -> str:
-    return silence(t, t.half)
+    return silence(t, t.half)[0]
 
 
 # in flight
@@ -108,16 +105,17 @@ def _bad_line(t: Tester) -> str:
     return t.hovers()
 
 
-def _set_down(t: Tester) -> str:
-    """Check that a controlled stop sets the flotor down gently."""
-    heights = [t.locate(frame)[2] for frame in t.states(600_000_000 // t.welcome.period)]
+def _set_down(t: Tester, frames: Sequence[Frame] = ()) -> str:
+    """Check that a controlled stop sets the flotor down gently, from its first samples on."""
+    heights = [t.locate(frame)[2] for frame in (*frames, *t.states(600_000_000 // t.welcome.period))]
     speed = max(before - after for before, after in pairwise(heights)) * 1e9 / t.welcome.period
     return fail(f"it falls at {speed:.2f} m/s") if speed > _GENTLE else f"{t.zero()}, set down at {speed:.2f} m/s"
 
 
 @check("in flight: silence gives hover currents, WATCHDOG, and a controlled stop", flight=True, real_time=True)
 def _flight_silence(t: Tester) -> str:
-    return f"{silence(t, t.calibration.hover.tolist())}; {_set_down(t)}"
+    times, frames = silence(t, t.calibration.hover.tolist())
+    return f"{times}; {_set_down(t, frames)}"
 
 
 @check("in flight: a CMD above current_limit ends in a controlled stop", flight=True)
