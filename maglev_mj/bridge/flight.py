@@ -17,7 +17,6 @@ from maglev_mj.bridge.landing import LandingReport, StopSwitch
 from maglev_mj.bridge.observer import LATE
 from maglev_mj.bridge.preflight import LoopTiming
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError
@@ -226,9 +225,9 @@ class Flight:
             delay = max(plant.answers.delay_bound, plant.delay + timing.newest_age) + self._sensor_delay
             self.reason = self.reason or check_delay(delay)
             if plant.sensor_delay and (late := self._check_sensor(plant.sensor_delay, controller.device_walls)):
-                plant.fail_sensor(late)  # a hand moves a soft landing further than the device's stop
+                plant.fail_host(late)  # a hand moves a soft landing further than the device's stop
             if failing := plant.failing_coil:
-                plant.fail(Fault.HOST, failing)
+                plant.fail_host(failing)
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
             if not self._publishers:

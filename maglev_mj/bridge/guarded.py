@@ -432,8 +432,8 @@ class GuardedPlant:
         if self.state is _ACTIVE:
             self.fail(faults, message)
 
-    def fail_sensor(self, message: str) -> NoReturn:
-        """Remove the walls on the device, which a controlled stop would keep, then trip it as HOST."""
+    def fail_host(self, message: str) -> NoReturn:
+        """Trip HOST, without the walls on the device, which a controlled stop would keep."""
         if self._walls:
             self._send(self.last_currents, None, 0.0)
             self.read()  # the link may deliver two frames in reverse order

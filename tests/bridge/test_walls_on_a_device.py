@@ -362,5 +362,5 @@ def test_a_delay_that_was_known_before_the_flight_does_not_end_it() -> None:
     sent: list[Any] = []
     plant._send = lambda *answer: sent.append(answer)  # type: ignore[method-assign]
     with pytest.raises(DeviceFault, match="HOST: delayed"):
-        plant.fail_sensor("delayed")
+        plant.fail_host("delayed")
     assert not sent  # no walls to remove
