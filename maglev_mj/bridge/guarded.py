@@ -16,7 +16,7 @@ from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, LastCycles
 from maglev_mj.bridge.flight_guards import DeviceSample, device_guards, larger_rises
 from maglev_mj.bridge.links import Link, LinkError, open_link
-from maglev_mj.bridge.observer import HandObserver
+from maglev_mj.bridge.observer import UNKNOWN, HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
 from maglev_mj.bridge.wire import CUT, MOST_WALLS, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
@@ -26,7 +26,6 @@ from maglev_mj.plants.sensor import tracker_of
 
 _INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
 _STOPPING = Flag.STOPPING.value
-_UNKNOWN = (math.nan,) * 6
 _PROOFS = 20
 """Samples in which the currents must be off after a cut or a controlled stop."""
 _WALLED = 3
@@ -45,6 +44,8 @@ class GuardedPlant:
         delay: Time from a command's arrival to its effect [s].
         lockstep: True if the device waits for each answer.
         limits: The smaller of the device's and the host's limits; `stated` are the device's.
+        walls_clock: Sample period and delay of walls on the device [s]; None for a device without walls.
+        renders_walls: True if the device renders walls at its own rate.
         latched: Faults latched in the device at the handshake, as one line; empty without faults.
         cycles: Last cycles, written to a file on a fault.
         guards: Checks of each sample, in order; an alarm in flight cuts the currents.
@@ -108,11 +109,12 @@ class GuardedPlant:
             self.guards = device_guards(self.limits, host, self.period)
             self.cycles = LastCycles(Path(folder))
             self._track = tracker_of(calibration.beams)
-            self._offsets: list[float] | None = (
-                calibration.spot_offsets.tolist() if calibration.spot_offsets.any() else None
-            )
+            offsets = calibration.spot_offsets
+            self._offsets: list[float] | None = offsets.tolist() if offsets.any() else None
             self._output = safety.OutputLimiter(calibration.coils, self.limits, host.wrench, self.period)
-            step, delay = self.walls_clock or (0.0, 0.0)
+            step, delay = profile.wall_period / 1e9, profile.wall_delay / 1e9
+            self.walls_clock = (step, delay) if step else None
+            self.renders_walls = self.walls_clock is not None
             self._hand = HandObserver(calibration, self.period, self.delay, age=0.5 * step - delay)
             self._maps = calibration.wall_maps
             self._stop = calibration.controlled_stop(self.period + self.delay, self.limits.continuous_current)
@@ -129,21 +131,10 @@ class GuardedPlant:
         self.unanswered: Sample | None = None  # an answer that is too late is ignored by the device
         self._pose_tick, self.alarm = 0, ""
         self._frame: Frame | None = None  # the last sample
-        self._located: Sequence[float] = _UNKNOWN  # its pose
+        self._located: Sequence[float] = UNKNOWN  # its pose
         self.pose: Sequence[float] = ZERO
         self._walls: _Walls = ()
         self._walled_until = -1  # last tick at which currents of walls may flow
-
-    @property
-    def walls_clock(self) -> tuple[float, float] | None:
-        """Sample period and delay of walls on the device [s]; None for a device without walls."""
-        profile = self._connection.profile
-        return (profile.wall_period / 1e9, profile.wall_delay / 1e9) if profile.wall_period else None
-
-    @property
-    def renders_walls(self) -> bool:
-        """True if the device renders walls at its own rate."""
-        return self.walls_clock is not None
 
     def check_walls(self, walls: Sequence[DeviceWall]) -> _Walls:
         """Return walls as sent to the device.
@@ -165,8 +156,7 @@ class GuardedPlant:
         Raises:
             ParameterError: As `check_walls`, or if an edge moves faster than the device allows.
         """
-        frame: Any = self._frame
-        linear, sent = self._maps.pose(frame.body.spots), []
+        linear, sent = self._maps.pose(self.report.spots), []
         last, speed = self._walls, self._connection.profile.limits.edge_speed
         elapsed = (self.samples.tick - self._walled_until + _WALLED) * self.period
         for index, wall in enumerate(self.check_walls(walls)):
@@ -223,11 +213,9 @@ class GuardedPlant:
             hand.sampled(samples.tick, samples.elapsed, self._located, answers.answered_tick, answers.newest_delay)
         previous: Any = before.body if before is not None else None
         guided, modelled = self.guided or not active, self._output.thermal.rises
-        # the host does not predict the currents of walls; the device compares them
-        expected = hand.currents if hand.measured is None else None
         backwards = hand.sensor.reversed and not hand.check_coils  # in takeoff a coil is named
         sample = DeviceSample(
-            report, previous, samples, active, guided, pose, error, since, expected, modelled, backwards
+            report, previous, samples, active, guided, pose, error, since, hand.currents, modelled, backwards
         )
         self.alarm = ""
         for guard in self.guards:
@@ -380,7 +368,7 @@ class GuardedPlant:
         unanswered = self.samples.elapsed - (self.unanswered is None)
         if unanswered > 0:  # no new command: currents are held, or zero
             self._output.add_periods(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
-        self._frame, self._located, self.unanswered = frame, _UNKNOWN, None
+        self._frame, self._located, self.unanswered = frame, UNKNOWN, None
         return frame
 
     def _adopt(self, state: int, faults: int) -> None:
@@ -404,7 +392,7 @@ class GuardedPlant:
         try:
             pose = self._track(spots)
         except SensingError as error:
-            return list(_UNKNOWN), error, 0.0
+            return list(UNKNOWN), error, 0.0
         tick, self.pose = self.samples.tick, pose
         since, self._pose_tick = (tick - self._pose_tick) * self.period, tick
         self.unanswered = Sample(tick, tick * self.period, pose)

@@ -60,7 +60,7 @@ _COIL_STEP, _COMPARED, _BETWEEN, _EVERY = 0.005, 2, 3, 2
 _LOSSES, _UNSURE, _REST, _WEAKEST = (1.0, 2.0), 0.1, 0.005, 0.15
 """Loss of gain of a dead and a reversed coil; tolerance; largest share left of the squared change; least change [A]."""
 
-_UNKNOWN = (math.nan,) * 6
+UNKNOWN: Sequence[float] = (math.nan,) * 6  # pose or wrench that is not available
 _BUFFER = 64
 
 
@@ -87,8 +87,8 @@ class HandObserver:
         age: Mean age of the currents of walls on the device at a sample [s].
 
     Attributes:
-        currents: Currents that should flow at the last sample [A], six; None if the newest answer is not reported, or
-            an overtaken one may be in effect.
+        currents: Currents that should flow at the last sample [A], six; None if the newest answer is not reported, an
+            overtaken one may be in effect, or walls stand on the device: it compares their currents itself.
         coils: Estimator of the coil gains; updated while `check_coils` is True.
         check_coils: True in takeoff.
         sensor: Estimator of the sensor's delay in flight.
@@ -110,7 +110,7 @@ class HandObserver:
 
     def reset(self) -> None:
         """Clear all state; the wrench is NaN for the next three samples."""
-        self._wrench: Sequence[float] = _UNKNOWN
+        self._wrench = self._low = self._lower = UNKNOWN  # the estimate, and its stages
         self.currents: Sequence[float] | None = None
         self.coils = CoilEstimator(self._calibration, self._period)
         self.sensor = DelayEstimator(self._period, self._calibration.mass)
@@ -120,9 +120,7 @@ class HandObserver:
         self._pending: deque[_Sampled] = deque(maxlen=_BUFFER)
         self._added = _NONE  # by walls on the device, at the last sample
         self._answered, self._valid_from = 0, 0.0  # newest answer; time after which no earlier one is in effect [s]
-        self._low: Sequence[float] | None = None
-        self._lower: Sequence[float]
-        self._poses: tuple[Sequence[float], Sequence[float]] = _UNKNOWN, _UNKNOWN  # the last two
+        self._poses: tuple[Sequence[float], Sequence[float]] = UNKNOWN, UNKNOWN  # the last two
         self._rising: list[tuple[float, _Drive]] = []
 
     def answered(
@@ -167,10 +165,7 @@ class HandObserver:
             sent = None
         if elapsed > _BUFFER:
             self.coils = CoilEstimator(self._calibration, period)
-        for missed in range(last, tick - 1):
-            self._pending.append((_UNKNOWN, timeline.period(missed)))
-            self.failing.add(self._pending[-1])
-            self.sensor.add(*self._pending[-1])
+        lost: list[_Sampled] = [(UNKNOWN, timeline.period(missed)) for missed in range(last, tick - 1)]
         intervals = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
         before, self._added = self._added, _NONE
         self.sensor.bounds = _FREE if self.measured is None else _WALLED
@@ -180,12 +175,13 @@ class HandObserver:
             self._added, split = (tuple(wrench_of(turned, np.array(added)).tolist()), added), self._split
             # superposed, from the start of the period again: the last reading up to halfway less its age, then this one
             intervals = [*intervals, (-period, _NONE), (split, before), (period - split, self._added)]
-        if len(self._pending) == _BUFFER:  # buffer overflow: `wrench` was not read
-            self._low, self._poses = None, (_UNKNOWN, _UNKNOWN)
-        self._pending.append((position, intervals))
-        self.failing.add(self._pending[-1])
-        self.sensor.add(position, intervals)
-        self.currents = timeline.now()[1] if certain else None
+        for sample in (*lost, (position, intervals)):
+            if len(self._pending) == _BUFFER:  # buffer overflow: `wrench` was not read
+                self._low, self._poses = UNKNOWN, (UNKNOWN, UNKNOWN)
+            self._pending.append(sample)
+            self.failing.add(sample)
+            self.sensor.add(*sample)
+        self.currents = timeline.now()[1] if certain and self.measured is None else None
         if self.check_coils:
             self._process()
 
@@ -201,8 +197,7 @@ class HandObserver:
     @property
     def wrench(self) -> Sequence[float]:
         """Estimate at the previous sample [N, N m], six; NaN if not available. Computed on access."""
-        if self._pending:
-            self._process()
+        self._process()
         return self._wrench
 
     def _process(self) -> None:
@@ -225,7 +220,7 @@ class HandObserver:
                 mass * (x - 2.0 * x1 + x2) - force - weight
                 for mass, x, x1, x2, force, weight in zip(self._body, now, last, before, explained, self._weight)
             ]
-            if self._low is None:
+            if self._low is UNKNOWN:
                 self._low = self._lower = raw
             self._low = [new + keep * (old - new) for new, old in zip(raw, self._low)]
             self._wrench = self._lower = [new + keep * (old - new) for new, old in zip(self._low, self._lower)]
@@ -263,12 +258,12 @@ class DelayEstimator:
         self._period, self._keep = period, math.exp(-2.0 * math.pi * _CORNER * period)
         self._share, self._stride = 1.0 / (mass * period**2), max(1, round(_STEP / period))
         self._decay = math.exp(-self._stride * period / _WINDOW)
-        self.delay, self.bounds, self._before, self._last = 0.0, _FREE, _UNKNOWN[:3], _UNKNOWN[:3]  # last two positions
+        self.delay, self.bounds, self._before, self._last = 0.0, _FREE, UNKNOWN[:3], UNKNOWN[:3]  # last two positions
         self._rising: Sequence[float] = ZERO[:3]  # part of the last period in the next commanded acceleration
         self._restart()
 
     def _restart(self) -> None:
-        self._low = self._marked = _UNKNOWN  # accelerations, measured and commanded
+        self._low = self._marked = UNKNOWN  # accelerations, measured and commanded
         self._left, self._quiet, self._changes = 0, 0, deque([(0.0,) * 4] * (_LAGS + 1), maxlen=_LAGS + 1)
         self._errors = [0.0] * (_LAGS + 3)  # of each delay, without any response, and of a reversed one
 
@@ -319,9 +314,8 @@ class DelayEstimator:
         excitation = min(errors[0], errors[-2])
         if excitation > excited and (least := min(errors)) < (share if excitation > strong else explained) * excitation:
             if least == errors[-1]:
-                self.reversed = (
-                    self.bounds is _FREE and excitation > _REVERSED
-                )  # currents of walls are known too roughly
+                # currents of walls are known too roughly
+                self.reversed = self.bounds is _FREE and excitation > _REVERSED
             else:
                 self.delay = max(self.delay, errors.index(least) * self._stride * self._period)
 
