@@ -103,7 +103,6 @@ class Flight:
         self._sensor_delay = 0.0  # in addition to the stated one [s]
         self._request: ChangeRequest | None = None
         self._steps: Iterator[None] = iter(())
-        self._pending: tuple[ChangeRequest, Controller] | None = None
         self._started: ChangeRequest | None = ChangeRequest(scene)
         body = plant.calibration.body
         self._inertia, self._load, self._force = (each.tolist() for each in (body.inertia, body.load, 0.0 - body.load))
@@ -112,7 +111,7 @@ class Flight:
         self._step_force = number("step_force", step_force, above=0.0)
         self._actions = session.device_actions(type(scene))
         self._delays: deque[float] = deque(maxlen=_ANSWERS)
-        self._warn, self._check_due = warn, session.FrameClock(1.0)
+        self._warn, self._check_due = warn, session.FrameClock(1.0)  # of the recording: once a second
         self._delay_guard = DelayGuard(delay_limit(critical_delay, plant.period))
         self._power_guard = PowerGuard(plant.period, self._inertia)
         self.reason, self._judge = "", judge
@@ -200,23 +199,19 @@ class Flight:
 
     def _segment(self, last: int | None) -> None:
         """Fly one segment with unchanged parameters."""
-        if self._pending is not None:
-            (self._started, self._controller), self._pending = self._pending, None
-            self._scene = self._started.scene
-            self._name = f"{self._scene.name} on a device"  # with the stiffness that was just set
         plant, controller, scene, record = self._plant, self._controller, self._scene, None
         if self._file is not None:
             values = {"inertia": self._inertia, "load": self._load, "before": self._force}
             record = session.begin_scene(self._file, scene, plant, controller, kind="device", name=self._name, **values)
         loop = ControlLoop(plant, controller, observe=self._observe(controller), record=record)
-        while self._pending is None and not self._is_over(last):
+        while self._controller is controller and not self._is_over(last):
             loop.cycle()
 
     def _is_over(self, last: int | None) -> bool:
         return bool(self.reason) or self.switch.landing or (last is not None and self._plant.samples.tick >= last)
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
-        self._carried, faces = controller.carried.tolist(), controller.faces
+        self._carried, self._faces = controller.carried.tolist(), controller.faces
         plant, timing, check_delay = self._plant, self.timing, self._delay_guard.check
 
         def observe(sample: Sample, applied: Command) -> None:
@@ -228,7 +223,7 @@ class Flight:
                 plant.fail_host(late)  # a hand moves a soft landing further than the device's stop
             if failing := plant.failing_coil:
                 plant.fail_host(failing)
-            if self._warn is not None and self._file is not None:
+            if self._warn is not None and self._file is not None and self._check_due():
                 self._check(self._file, self._warn)
             if not self._publishers:
                 return
@@ -238,15 +233,13 @@ class Flight:
                 self._started = None
             force, pose = np.array(self._laws), np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
-            self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
+            self._publishers.show(lambda: self._snapshot(pose, force))
             self._listen(sample)
 
         return observe
 
     def _check(self, file: RecordingFile, warn: Callable[[str], object]) -> None:
-        """Report once a second if the recording has ended."""
-        if not self._check_due():
-            return
+        """Report if the recording has ended."""
         try:
             file.check()
         except RecordingError as error:
@@ -296,12 +289,11 @@ class Flight:
                 rule = "must begin clear of the flotor" if inside else "must keep its edge"
                 raise ParameterError(f"the wall on {AXES[wall.axis]} {rule} on the device")
         assert self._request is not None
-        self._pending, self._note = (ChangeRequest(scene, self._request.reply), controller), note or _NOTE
-        self._request, self._delay_guard.limit = None, limit
+        self._started, self._request = ChangeRequest(scene, self._request.reply), None
+        self._scene, self._controller, self._note = scene, controller, note or _NOTE  # of the next segment
+        self._name, self._delay_guard.limit = f"{scene.name} on a device", limit  # with the stiffness that was just set
 
-    def _snapshot(
-        self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None
-    ) -> Snapshot:
+    def _snapshot(self, pose: Array, force: Array) -> Snapshot:
         """Return the current snapshot, with the median of the recent delays."""
         plant, samples = self._plant, self._plant.samples
         return Snapshot(
@@ -316,8 +308,8 @@ class Flight:
             hand=np.array(plant.hand_wrench),
             hand_estimated=True,
             currents=np.array(plant.last_currents),
-            faces=faces,
-            anchors=anchors,
+            faces=self._faces,
+            anchors=self._controller.stick_positions,
             history=self._motion.history.rows,
             work=self._motion.work,
             missed=samples.lost + samples.skipped,

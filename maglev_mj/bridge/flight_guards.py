@@ -182,18 +182,13 @@ class _Temperatures:
     def __call__(self, sample: DeviceSample) -> Alarm | None:
         if not sample.active or max(*sample.report.temperatures, *sample.modelled) < WARNING_RISE:
             return None
-        rises = larger_rises(sample.report.temperatures, sample.modelled)
+        rises = list(map(max, sample.report.temperatures, sample.modelled))
         if (warmest := max(rises)) >= 1.0:
             return Alarm(Fault.COIL_OVERTEMP, f"coil {rises.index(warmest)} reached its temperature limit")
         if not self._warned:
             self._warned = True
             warnings.warn(f"coil temperature at {100.0 * warmest:.0f} % of its limit", stacklevel=3)
         return None
-
-
-def larger_rises(reported: Sequence[float], modelled: Sequence[float]) -> list[float]:
-    """Return the larger of reported and modelled temperature rises, six."""
-    return [max(pair) for pair in zip(reported, modelled)]
 
 
 def _is_open(report: StateReport) -> bool:

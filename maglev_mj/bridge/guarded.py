@@ -14,7 +14,7 @@ from maglev_mj.bridge import safety
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, LastCycles
-from maglev_mj.bridge.flight_guards import DeviceSample, device_guards, larger_rises
+from maglev_mj.bridge.flight_guards import DeviceSample, device_guards
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import UNKNOWN, HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
@@ -285,8 +285,8 @@ class GuardedPlant:
 
     @property
     def temperatures(self) -> list[float]:
-        """Temperature rises of the coils, reported or modelled; 1 trips."""
-        return larger_rises(ZERO if self._frame is None else self.report.temperatures, self._output.thermal.rises)
+        """Temperature rises of the coils, the larger of reported and modelled; 1 trips."""
+        return list(map(max, ZERO if self._frame is None else self.report.temperatures, self._output.thermal.rises))
 
     def arm(self, hover: Sequence[float] | None = None) -> None:
         """Switch the currents on; PlantError if the device refuses.

@@ -346,15 +346,14 @@ def assess(scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -
         MaglevError: If a law fails.
     """
     requested = getattr(scene, "stiffness", None)
-    critical_delay, reduction, reduced = _critical_delay(scene, inertia), "", None
-    if critical_delay < report.required_delay and not as_written:
-        reduced = _reduced(scene, report.required_delay, inertia)
-    if reduced is not None:
+    critical_delay, reduction, required = _critical_delay(scene, inertia), "", report.required_delay
+    short = critical_delay < required and not as_written
+    if short and (reduced := _reduced(scene, required, inertia)) is not None:
         before, after = (f"{x.stiffness:.0f}" for x in (scene, reduced))  # type: ignore[attr-defined]
         scene, original, critical_delay = reduced, critical_delay, _critical_delay(reduced, inertia)
         reduction = (
             f"wall stiffness reduced from {before} to {after} N/m: 95 % of the loop delays are below "
-            f"{report.delay_95 * 1e3:.2f} ms, so it must be stable up to {report.required_delay * 1e3:.2f} ms; stable "
+            f"{report.delay_95 * 1e3:.2f} ms, so it must be stable up to {required * 1e3:.2f} ms; stable "
             f"up to {original * 1e3:.2f} ms before and {critical_delay * 1e3:.2f} ms now"
         )
     problem = _problem(scene, report, critical_delay)
@@ -443,8 +442,6 @@ def _reduced(scene: Scene, required_delay: float, inertia: Array) -> Scene | Non
 
 def stiffest_walls(report: LinkReport, period: float, mass: float) -> dict[str, tuple[float, float]]:
     """Return the stiffest wall that is stable at the required delay, by hand: stiffness and damping [N/m, N s/m]."""
-    walls = {}
-    for hand in HANDS:
-        wall = largest_stable_stiffness(period=period, delay=report.required_delay, mass=mass, hand=hand)
-        walls[hand] = float(wall.stiffness), float(wall.damping)
-    return walls
+    loop: Any = {"period": period, "delay": report.required_delay, "mass": mass}
+    walls = {hand: largest_stable_stiffness(hand=hand, **loop) for hand in HANDS}
+    return {hand: (float(wall.stiffness), float(wall.damping)) for hand, wall in walls.items()}
