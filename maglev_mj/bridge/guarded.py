@@ -198,16 +198,20 @@ class GuardedPlant:
         self._check_open()
         if self.unanswered and self.lockstep:  # the device waits: repeat the previous answer, without its pulse
             self._send(self.last_currents, None, 0.0, self._walls)
-        before, frame = self._frame, self._next_frame()
-        report: StateReport = frame.body  # type: ignore[assignment]
+        before, frame, samples = self._frame, self._linked(self._connection.state), self.samples
+        unanswered = samples.elapsed - (self.unanswered is None)
+        if unanswered > 0:  # no new command: currents are held, or zero
+            self._output.add_periods(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
+        self._frame, self._located, self.unanswered = frame, UNKNOWN, None
+        report: StateReport = frame.body
         # a sample from before the device's last answer reports an outdated state
         if (report.state != self.state or report.faults != self.faults) and frame.time > self._connection.settled:
             self._adopt(report.state, report.faults)
         if self.state is _FAULT and self._armed:
             self.fail(self.faults, "requested by this host")
-        active, samples, hand = self.state is _ACTIVE, self.samples, self._hand
+        active, hand = self.state is _ACTIVE, self._hand
         hand.measured = report.currents if samples.tick <= self._walled_until else None
-        pose, error, since = self._locate(report.spots)
+        since, error = (samples.tick - self._pose_tick) * self.period, self._locate(report.spots)
         if active and error is None:
             answers = self._connection.answers
             hand.sampled(samples.tick, samples.elapsed, self._located, answers.answered_tick, answers.newest_delay)
@@ -215,7 +219,7 @@ class GuardedPlant:
         guided, modelled = self.guided or not active, self._output.thermal.rises
         backwards = hand.sensor.reversed and not hand.check_coils  # in takeoff a coil is named
         sample = DeviceSample(
-            report, previous, samples, active, guided, pose, error, since, hand.currents, modelled, backwards
+            report, previous, samples, active, guided, self._located, error, since, hand.currents, modelled, backwards
         )
         self.alarm = ""
         for guard in self.guards:
@@ -224,7 +228,7 @@ class GuardedPlant:
                 self._fail_if_active(*alarm)
         if error is not None:
             raise error
-        return Sample(samples.tick, samples.tick * self.period, pose)
+        return self.unanswered  # type: ignore[return-value]  # stored with the pose
 
     def write(self, command: Command) -> Command:
         """Send a command as the answer to the last sample; return it as limited.
@@ -233,7 +237,7 @@ class GuardedPlant:
             DeviceFault: If the command is not finite.
             PlantError: If no sample was read.
         """
-        frame = self._answered_frame("write")
+        self._check_sample("write")
         try:
             walls = self._on_device(command.walls) if command.walls else ()
             command, held, pulsed, width = self._output.currents(command, self.pose)
@@ -241,7 +245,7 @@ class GuardedPlant:
                 command, held, pulsed, width = self._output.currents(self._carrying, self.pose)
         except (PlantError, ParameterError, TypeError) as error:
             self.fail(Fault.INVALID_COMMAND, str(error))
-        self._answer(frame, held, pulsed, width, walls)
+        self._answer(held, pulsed, width, walls)
         self._hand.answered(self.samples.tick, command, held, pulsed, width)
         return command
 
@@ -252,29 +256,30 @@ class GuardedPlant:
             ParameterError: If one is not finite or above the limit.
             PlantError: If no sample was read.
         """
-        frame = self._answered_frame("drive")
+        self._check_sample("drive")
         if safety.command_fault(self.limits, currents, currents, 0.0):
             raise ParameterError(f"currents must be within ±{self.limits.current_limit:g} A (got {list(currents)})")
-        self._answer(frame, currents, None, 0.0)
+        self._answer(currents, None, 0.0)
         wrench = self.calibration.coils.wrench(np.asarray(currents)).tolist()
         self._hand.answered(self.samples.tick, Command(wrench), currents, None, 0.0)
 
-    def _answered_frame(self, call: str) -> Frame:
+    def _check_sample(self, call: str) -> None:
         self._check_open()
         if self._frame is None:
             raise PlantError(f"{call}() needs a sample: call read() first")
-        return self._frame
 
-    def _answer(
-        self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float, walls: _Walls = ()
-    ) -> None:
+    def _answer(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, walls: _Walls = ()) -> None:
         self._send(held, pulsed, width, walls)
         self.unanswered = None
         if self.state is _ACTIVE:
             self._output.add_command(held, pulsed, width)
         else:
             self._output.add_periods(1, ZERO)
-        self.cycles.keep(frame, self._located, (held, pulsed, width), self.last_delay, self.answer_latency)
+        self._keep_cycle(held, pulsed, width)
+
+    def _keep_cycle(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        if self._frame is not None:
+            self.cycles.keep(self._frame, self._located, (held, pulsed, width), self.last_delay, self.answer_latency)
 
     @property
     def report(self) -> StateReport:
@@ -358,18 +363,13 @@ class GuardedPlant:
         if not self._connection.open:
             raise PlantError("the plant is closed")
 
-    def _next_frame(self) -> Frame:
-        """Store the next sample and update the thermal model up to it."""
+    def _linked(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the result of a call of the connection; an error trips HOST in flight."""
         try:
-            frame = self._connection.state()
+            return call(*arguments)
         except Exception as error:
             self._fail_if_active(Fault.HOST, str(error))
             raise
-        unanswered = self.samples.elapsed - (self.unanswered is None)
-        if unanswered > 0:  # no new command: currents are held, or zero
-            self._output.add_periods(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
-        self._frame, self._located, self.unanswered = frame, UNKNOWN, None
-        return frame
 
     def _adopt(self, state: int, faults: int) -> None:
         if state not in tuple(State):
@@ -385,19 +385,18 @@ class GuardedPlant:
         if self.state is _INACTIVE and before == _ACTIVE:
             self.fail(Fault.HOST, "the device disarmed without a request")
 
-    def _locate(self, spots: Sequence[float]) -> tuple[list[float], SensingError | None, float]:
-        """Return the pose, the error if it is not measured, and the time since the last pose [s]."""
+    def _locate(self, spots: Sequence[float]) -> SensingError | None:
+        """Store the pose; return the error if it is not measured."""
         if self._offsets is not None:
             spots = [spot - offset for spot, offset in zip(spots, self._offsets)]
         try:
             pose = self._track(spots)
         except SensingError as error:
-            return list(UNKNOWN), error, 0.0
-        tick, self.pose = self.samples.tick, pose
-        since, self._pose_tick = (tick - self._pose_tick) * self.period, tick
-        self.unanswered = Sample(tick, tick * self.period, pose)
+            return error
+        tick = self._pose_tick = self.samples.tick
+        self.pose, self.unanswered = pose, Sample(tick, tick * self.period, pose)
         self._located = tuple(pose)  # copy: the caller may modify the list
-        return pose, None, since
+        return None
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, walls: _Walls = ()) -> None:
         self.last_currents = held
@@ -405,11 +404,7 @@ class GuardedPlant:
             self._walls, self._walled_until = walls, self.samples.tick + _WALLED
         first, second = tuple(held), tuple(held if pulsed is None else pulsed)
         answer = CommandFrame(self._connection.sequence, 0, first, second, width, walls)
-        try:
-            self._connection.command(answer)
-        except Exception as error:
-            self._fail_if_active(Fault.HOST, str(error))
-            raise
+        self._linked(self._connection.command, answer)
 
     def _latch(self, faults: Fault, time: int) -> None:
         if not self.faults:
@@ -436,9 +431,7 @@ class GuardedPlant:
         faults |= self.faults  # for example ESTOP, after which the flotor fell
         path = None
         with suppress(Exception):
-            if (frame := self._frame) is not None:
-                answer = self.last_currents, None, 0.0
-                self.cycles.keep(frame, self._located, answer, self.last_delay, self.answer_latency)
+            self._keep_cycle(self.last_currents, None, 0.0)
             path = self.cycles.write(self.cycles.mark(faults, message, self._about()))
         raise DeviceFault(faults, message, path, off=self._shows_off())
 
