@@ -244,10 +244,8 @@ class DelayGuard:
         for threshold, window, factor in _RULES:
             bound = factor * limit
             if delay > bound and (count := sum(x > bound for x in recent[-window:])) >= threshold:
-                return (
-                    f"loop delay too long for the scene: {count} of the last {window} delays above "
-                    f"{bound * 1e3:.2f} ms, newest {delay * 1e3:.2f} ms"
-                )
+                above = f"{count} of the last {window} delays above {bound * 1e3:.2f} ms"
+                return f"loop delay too long for the scene: {above}, newest {delay * 1e3:.2f} ms"
         return ""
 
 
@@ -309,14 +307,11 @@ class PowerGuard:
         if most > _REVERSALS:
             return f"the laws vibrate: {most:.0f} N of force reversals in {_MEMORY:g} s, limit {_REVERSALS:g} N"
         if capped > _SMALL:
-            return (
-                f"the laws vibrate: {capped:.0f} N of force reversals capped at {_SWING:g} N each in {_MEMORY:g} s, "
-                f"limit {_SMALL:g} N"
-            )
+            reversals = f"force reversals capped at {_SWING:g} N each in {_MEMORY:g} s"
+            return f"the laws vibrate: {capped:.0f} N of {reversals}, limit {_SMALL:g} N"
         if coming > 0.0:
             stored -= coming
         if stored < -_ENERGY:
-            return (
-                f"the laws generate energy: {-stored * 1e3:.0f} mJ more than they absorbed, limit {_ENERGY * 1e3:g} mJ"
-            )
+            excess = f"{-stored * 1e3:.0f} mJ more than they absorbed"
+            return f"the laws generate energy: {excess}, limit {_ENERGY * 1e3:g} mJ"
         return ""

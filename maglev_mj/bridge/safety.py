@@ -354,10 +354,7 @@ class CoilGuard:
 
     def check(self, commanded: Sequence[float], measured: Sequence[float]) -> Fault:
         """Compare the currents of a sample [A], six each."""
-        if measured == commanded:  # fast path: a twin
-            self._strikes = 0
-            return _NO_FAULT
-        for target, actual in zip(commanded, measured):
+        for target, actual in () if measured == commanded else zip(commanded, measured):  # fast path: a twin
             if not abs(target - actual) <= OFF + _TOLERANCE * abs(target):
                 self._strikes += 1
                 return Fault.COIL_NOT_FOLLOWING if self._strikes >= self._PATIENCE else _NO_FAULT
