@@ -130,19 +130,22 @@ class Flight:
             DeviceFault: If the device or a guard raised a fault, or the currents were cut.
             PlantError: If the device does not confirm the cut.
         """
-        start, plant = time.monotonic(), self._plant
-        plant.cycles.record = None if self._file is None else self._file.append
+        start, plant, file = time.monotonic(), self._plant, self._file
+        plant.cycles.record = None if file is None else file.append
         try:
             with self.switch.flying(plant):
                 ticks, landing = self._fly(duration)
         except MaglevError as error:
-            if self._file is not None:
-                self._file.event("fault", str(error))
+            if file is not None:
+                file.event("fault", str(error))
             raise
         finally:
             plant.cycles.record = plant.refuse = None
-            if self.timing.answer.count and self._file is not None:
-                self._record_timing(self._file)
+            if self.timing.answer.count and file is not None:
+                for name, h in self.timing.kinds.items():
+                    times = f"median {h.p50 * 1e3:.3f} ms, 99 % {h.p99 * 1e3:.3f} ms, max {h.max * 1e3:.3f} ms"
+                    file.event("timing", f"{name}: {times}")
+                file.event("timing", "{} samples lost, {} skipped".format(*self._missing()))
         return FlightReport(ticks, *self._missing(), time.monotonic() - start, landing)
 
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
@@ -189,13 +192,6 @@ class Flight:
         if (request := self._publishers.wanted()) is not None:
             request.reply("settings cannot be changed during takeoff and landing")
         return self.switch.landing
-
-    def _record_timing(self, file: RecordingFile) -> None:
-        """Record the timing of the flight."""
-        for name, h in self.timing.kinds.items():
-            times = f"median {h.p50 * 1e3:.3f} ms, 99 % {h.p99 * 1e3:.3f} ms, max {h.max * 1e3:.3f} ms"
-            file.event("timing", f"{name}: {times}")
-        file.event("timing", "{} samples lost, {} skipped".format(*self._missing()))
 
     def _segment(self, last: int | None) -> None:
         """Fly one segment with unchanged parameters."""
