@@ -402,9 +402,8 @@ class GuardedPlant:
         self.last_currents = held
         if walls or self._walls:
             self._walls, self._walled_until = walls, self.samples.tick + _WALLED
-        first, second = tuple(held), tuple(held if pulsed is None else pulsed)
-        answer = CommandFrame(self._connection.sequence, 0, first, second, width, walls)
-        self._linked(self._connection.command, answer)
+        currents = tuple(held), tuple(held if pulsed is None else pulsed)
+        self._linked(self._connection.command, CommandFrame(self._connection.sequence, 0, *currents, width, walls))
 
     def _latch(self, faults: Fault, time: int) -> None:
         if not self.faults:

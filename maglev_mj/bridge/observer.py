@@ -165,7 +165,10 @@ class HandObserver:
             sent = None
         if elapsed > _BUFFER:
             self.coils = CoilEstimator(self._calibration, period)
-        lost: list[_Sampled] = [(UNKNOWN, timeline.period(missed)) for missed in range(last, tick - 1)]
+        for missed in range(last, tick - 1):
+            self._pending.append((UNKNOWN, timeline.period(missed)))
+            self.failing.add(self._pending[-1])
+            self.sensor.add(*self._pending[-1])
         intervals = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
         before, self._added = self._added, _NONE
         self.sensor.bounds = _FREE if self.measured is None else _WALLED
@@ -175,12 +178,11 @@ class HandObserver:
             self._added, split = (tuple(wrench_of(turned, np.array(added)).tolist()), added), self._split
             # superposed, from the start of the period again: the last reading up to halfway less its age, then this one
             intervals = [*intervals, (-period, _NONE), (split, before), (period - split, self._added)]
-        for sample in (*lost, (position, intervals)):
-            if len(self._pending) == _BUFFER:  # buffer overflow: `wrench` was not read
-                self._low, self._poses = UNKNOWN, (UNKNOWN, UNKNOWN)
-            self._pending.append(sample)
-            self.failing.add(sample)
-            self.sensor.add(*sample)
+        if len(self._pending) == _BUFFER:  # buffer overflow: `wrench` was not read
+            self._low, self._poses = UNKNOWN, (UNKNOWN, UNKNOWN)
+        self._pending.append((position, intervals))
+        self.failing.add(self._pending[-1])
+        self.sensor.add(position, intervals)
         self.currents = timeline.now()[1] if certain and self.measured is None else None
         if self.check_coils:
             self._process()
