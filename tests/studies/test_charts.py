@@ -122,7 +122,7 @@ COMMANDS = {
     "card": "card --rate 1000 --delay 0.0005",
     "sweep": "sweep drop --vary height=1e-3:3e-3:3 --vary damping=60,80 --set plant=exact --workers 0",
     "sweep, choice": "sweep stick-slip --vary law=stick-slip,elasto-plastic,dahl,lugre,kikuuwe --workers 0",
-    "fidelity": "fidelity let-go --duration 0.015 --phases 1 --around 0",
+    "fidelity": "fidelity let-go --duration 0.01 --phases 1 --around 0",
     "design": "design --mass 0.63:0.77 --delay 0.001:0.002",
 }
 
