@@ -622,7 +622,8 @@ def failing_coil(coil: int, gain: float, rate: int) -> Any:
     ("name", "hand", "coil", "gain", "rate"),
     [
         ("drop", "none", 0, -1.0, 200),
-        *studies(*product(["drop", "corner"], ["none", "5"], [1, 2], [0.0, -1.0], [200, 1000])),
+        *studies(*product(["drop", "corner"], ["none", "5"], [1, 2], [0.0, -1.0], [200])),
+        *studies(*product(["drop"], ["none", "5"], [1, 2], [0.0], [1000])),
     ],
 )
 def test_a_coil_that_fails_in_flight_ends_it(
