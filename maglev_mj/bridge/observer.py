@@ -250,7 +250,7 @@ class DelayEstimator:
 
     Attributes:
         delay: Largest delay found [s].
-        reversed: True if the pose moves against the commands.
+        reversed: True while the pose moves against the commands.
         bounds: `_FREE`, or `_WALLED` while walls stand on the device.
     """
 
@@ -301,6 +301,7 @@ class DelayEstimator:
 
     def _compare(self, x: float, y: float, z: float, u: float, v: float, w: float) -> None:
         """Add changes of the measured and of the commanded acceleration [m/s²]."""
+        self.reversed = False
         moved, driven, p, q, r = x * x + y * y + z * z, u * u + v * v + w * w, x - u, y - v, z - w
         self._changes.appendleft((u, v, w, driven))
         self._quiet = self._quiet + 1 if driven < _STILL and p * p + q * q + r * r < _STILL else 0

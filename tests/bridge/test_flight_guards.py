@@ -440,7 +440,11 @@ def estimated(
         measured = math.nan if tick in lost else path[-1 - late]
         estimator.add([0.0 * measured, measured, 0.0, 0.0, 0.0, 0.0], [(period, drive)])
     assert estimator.reversed == (gain < 0.0)
-    return estimator.delay
+    delay = estimator.delay
+    for _ in range(round(0.1 / period)):  # at rest again
+        estimator.add([0.0] * 6, [(period, ((0.0,) * 6, (0.0,) * 6))])
+    assert not estimator.reversed
+    return delay
 
 
 @pytest.mark.parametrize("late", range(6))
