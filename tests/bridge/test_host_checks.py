@@ -60,7 +60,8 @@ def no_pose(rig: Rig) -> None:
 
 def backwards(rig: Rig) -> None:
     """Let the pose appear to move against the commands."""
-    rig.plant._hand.sensor.reversed = True
+    sensor = rig.plant._hand.sensor
+    sensor.reversed, sensor._compare = True, lambda *_: None  # type: ignore[method-assign]
 
 
 def out_of_step(rig: Rig) -> None:
