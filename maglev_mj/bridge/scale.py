@@ -1,0 +1,150 @@
+"""Scale of a device: the thresholds of guards, takeoff and landing that follow from its file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from maglev_mj.device import Device, published_device
+from maglev_mj.spec import GRAVITY, RANGE
+
+_HAND = 20.0
+"""Force of a strong hand [N], or the device's largest if that is smaller."""
+
+_SLOWEST = 1.0 / 12.0
+"""Largest speed at rest as a share of the speed of a dropped flotor: a coarse sensor must not make motion rest."""
+
+_STEPS = 40.0
+"""Resolution steps above the stop that show a flotor that has lifted off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """Thresholds of a device, in SI units.
+
+    Those of the published joystick, times the power of mass m, gravity g, range of motion x, radius of gyration r and
+    force F by which each scales. F is that of a hand of 20 N, or of the coils if they are weaker; g is 9.81 m/s² for a
+    device without gravity.
+
+    Attributes:
+        off: Largest current of a coil that is off [A]; six of them lift 22 % of the weight.
+        least: Least change of a coil's current from which a missing force is judged [A]; as `off`.
+        drop: Speed of a flotor that falls from the centre to its stop [m/s], sqrt(g x).
+        speed: Speed limit [m/s], sqrt(x / m): 84 % of the speed that a hand of 20 N reaches across the range.
+        spin: Angular speed limit [rad/s], `speed` / r.
+        envelope: Position limit, just outside the stops [m], x.
+        tilt: Rotation limit, just outside the stops [rad].
+        stored: Energy that laws may store without decay [J], F x: of a hand's force along the range.
+        generated: Limit of generated energy [J], m `drop`².
+        wall_energy: The same of walls on the device [J], half of it.
+        reversals: Limit of the force reversals in 0.2 s [N], F.
+        capped: Limit of the same sum with each reversal capped [N], F.
+        cap: Cap of one reversal [N], F.
+        recede: Speed at which the edges of walls recede in a controlled stop [m/s], `drop`.
+        edge: Speed limit of a wall's edge [m/s], `drop`.
+        lever: Lever arm of the limits of a wall on a rotation [m], r.
+        stiffness: Stiffness limit of a wall on the device [N/m], m.
+        damping: Damping limit of a wall on the device [N s/m], m.
+        rest: Largest speed at rest [m/s]: `drop` or the sensor's resolution, at most a twelfth of `drop`.
+        rest_spin: Largest angular speed at rest [rad/s], `rest` / r.
+        lifted: Distance from the stop of a flotor that has lifted off [m]: x, at least 40 resolution steps.
+        noise: Noise of a measured pose [m]: the sensor's resolution.
+        path: Largest distance from the path of a takeoff [m], the shortest x.
+        path_angle: Largest angle from the path of a takeoff [rad].
+    """
+
+    off: float
+    least: float
+    drop: float
+    speed: float
+    spin: float
+    envelope: float
+    tilt: float
+    stored: float
+    generated: float
+    wall_energy: float
+    reversals: float
+    capped: float
+    cap: float
+    recede: float
+    edge: float
+    lever: float
+    stiffness: float
+    damping: float
+    rest: float
+    rest_spin: float
+    lifted: float
+    noise: float
+    path: float
+    path_angle: float
+
+    @staticmethod
+    @lru_cache(maxsize=32)
+    def of(device: Device) -> Scale:
+        """Return the scale of a device.
+
+        Args:
+            device: Description of the device, with coils.
+        """
+        own, published = _sizes(device), _sizes(published_device())
+        m, g, x, r, force, lift, resolution, far, tilt, narrow = (a / b for a, b in zip(own, published))
+        drop, current = math.sqrt(g * x), m * g / lift
+        fast = math.sqrt(x / m)  # a hand is as strong on any device
+        rest = min(max(5e-3 * drop, 1e-3 * resolution), _SLOWEST * 0.3 * drop)
+        return Scale(
+            off=0.25 * current,
+            least=0.15 * current,
+            drop=0.3 * drop,
+            speed=0.6 * fast,
+            spin=15.0 * fast / r,
+            envelope=0.0055 * far,
+            tilt=math.radians(7.5) * tilt,
+            stored=0.045 * force * x,
+            generated=0.008 * m * drop**2,
+            wall_energy=0.004 * m * drop**2,
+            reversals=380.0 * force,
+            capped=190.0 * force,
+            cap=10.0 * force,
+            recede=0.03 * drop,
+            edge=0.1 * drop,
+            lever=0.03 * r,
+            stiffness=1e5 * m,
+            damping=400.0 * m,
+            rest=rest,
+            rest_spin=0.1 * rest / (5e-3 * r),
+            lifted=max(4e-4 * x, _STEPS * own[6]),
+            noise=3e-6 * resolution,
+            path=0.002 * x,
+            path_angle=math.radians(3.0) * narrow,
+        )
+
+
+def _sizes(device: Device) -> tuple[float, ...]:
+    """Return the sizes from which the thresholds follow, in SI units.
+
+    Mass, gravity, shortest range, radius of gyration, force, lift of one ampere in each coil, resolution; longest
+    range, largest and smallest tilt.
+    """
+    coils = device.coils
+    assert coils is not None, "only devices with coils are flown"
+    gravity = np.array(device.body.gravity)
+    weight = float(np.linalg.norm(gravity))
+    down = gravity / weight if weight else np.array([0.0, 0.0, -1.0])
+    unit = coils.wrench_per_current(device.body.centre_of_mass)[:3]
+    reach = np.where(np.isfinite(device.reach), device.reach, RANGE)
+    strongest = float(device.force_limit[:3].min())
+    return (
+        device.mass,
+        weight or GRAVITY,
+        float(reach[:3].min()),
+        math.sqrt(float(device.inertia[3:].mean()) / device.mass),
+        min(_HAND, strongest),
+        float(np.abs(down @ unit).sum()),
+        float(max(device.sensor.resolution[:3])),
+        float(reach[:3].max()),
+        float(reach[3:].max()),
+        float(reach[3:].min()),
+    )
