@@ -25,6 +25,8 @@ from maglev_mj.bridge.twin.twin import TwinServer
 
 COMMAND = [sys.executable, "-m", "maglev_mj"]
 PATIENCE = 60.0
+WEAK = "--stiffness", "2000", "--damping", "30"
+"""Options of a flight whose walls are stable up to 8 ms, which a busy machine's line needs."""
 ADDRESS = r"(?:udp|serial)://\S+?(?=,|\s)"
 
 

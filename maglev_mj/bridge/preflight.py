@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 
-from maglev_mj.bridge.realtime import LatencyHistogram
+from maglev_mj.bridge.realtime import LatencyHistogram, Realtime
+from maglev_mj.bridge.realtime import realtime as scheduled
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.frames import ZERO, Array
@@ -37,8 +38,8 @@ _FASTER = "keep a processor free or use a faster link"
 _ANSWERED = 0.5
 """Required share of samples answered in time."""
 
-_PATIENCE, _LEAST = 10.0, 40
-"""Longest time of the check beside the flight [s]; least samples that tell a slower link."""
+_PATIENCE = 10.0
+"""Timeout of the assessment in a process of its own [s]."""
 
 _HALVINGS, _HAND_MARGIN = 7, 1.1
 """Bisections of the stiffness factor; delay factor that covers the least stable hand."""
@@ -280,6 +281,7 @@ def preflight(
     as_written: bool = False,
     report: LinkReport | None = None,
     aside: bool = False,
+    realtime: Realtime | None = None,
 ) -> Preflight:
     """Measure the loop delay, and check that a scene is stable with it.
 
@@ -289,16 +291,32 @@ def preflight(
         as_written: True to leave the scene unchanged. Else, in a scene with `stiffness` and `damping` whose laws state
             their gains, wall stiffness is reduced to the largest that is stable at `LinkReport.required_delay`.
         report: Latencies measured with the flight's scheduling; by default measured for 1 s.
-        aside: True to compute in a process of its own, within 10 s, while the device is answered and the link measured
-            further: a device gives up a host that is silent. Scene and laws must then be picklable.
+        aside: True to compute in a process of its own, within 10 s, while the device is answered: a device gives up a
+            host that is silent. The process waits while the link is measured, so the check does not load what it
+            measures. Scene and laws must then be picklable.
+        realtime: Scheduling of the measurement, as in flight; None: that of the caller.
 
     Raises:
         PlantError: If the device is not inactive.
         MaglevError: If a law fails, or its stability is not known in time.
     """
-    report = report or measure_link(plant)
-    question = on_device(scene, plant), plant.calibration.body.inertia, report, as_written
-    return _assess_aside(plant, *question) if aside else assess(*question)
+    with ExitStack() as last:
+        cycle, side = _Measurement(plant).cycle, None
+        if aside:  # before real-time scheduling, which a child process would inherit
+            side = SideAnswers(assess, "no takeoff: stability of the scene not known", _PATIENCE)
+            last.callback(side.close, 0.0)
+            while not side.started:
+                cycle()
+        if report is None:
+            with nullcontext() if realtime is None else scheduled(realtime):
+                report = measure_link(plant)
+        question = on_device(scene, plant), plant.calibration.body.inertia, report, as_written
+        if side is None:
+            return assess(*question)
+        side.ask(*question)
+        while (found := side.answer()) is None:
+            cycle()
+        return cast(Preflight, found)
 
 
 def on_device(scene: Scene, plant: RemotePlant) -> Scene:
@@ -313,24 +331,6 @@ def on_device(scene: Scene, plant: RemotePlant) -> Scene:
     scene = scene.replace(**clocks)
     plant.check_walls(scene.controller().device_walls)
     return scene
-
-
-def _assess_aside(plant: RemotePlant, scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -> Preflight:
-    """Assess a scene in a process of its own; measure the link until it answers, and judge by the slower part."""
-    measurement = _Measurement(plant)
-    side = SideAnswers(assess, "no takeoff: stability of the scene not known", _PATIENCE)
-    try:
-        while not side.started:
-            measurement.cycle()
-        side.ask(scene, inertia, report, as_written)
-        while (found := side.answer()) is None:
-            measurement.cycle()
-    finally:
-        side.close(0.0)
-    if measurement.samples >= _LEAST:
-        report = max(report, measurement.report(), key=lambda one: one.delay_95)
-    problem = found.problem or _problem(found.scene, report, found.critical_delay)
-    return cast(Preflight, found._replace(report=report, problem=problem))
 
 
 def assess(scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -> Preflight:

@@ -182,9 +182,7 @@ def bridge(
                 report = measure_link(plant, _MEASURED)
             return _print_check(preflight(plant, scene, report=report), plant.period, plant.calibration.mass)
         print("  measuring link latency and checking the scene's stability", flush=True)
-        with scheduled(realtime):  # as in flight, which reports refused settings
-            report = measure_link(plant)
-        result = preflight(plant, scene, as_written=as_written, report=report, aside=True)
+        result = preflight(plant, scene, as_written=as_written, aside=True, realtime=realtime)
         _require(require_stiffness, result)
         anyway = _may_fly(plant, address, result, anyway)
         if result.reduction:

@@ -23,7 +23,7 @@ from maglev_mj.bridge.wire import StateReport
 from maglev_mj.cli import bridge
 from maglev_mj.recording import Recording, RecordingError
 from tests.bridge.test_stopping import waited
-from tests.processes import PATIENCE, Program, ended, said_by, started, twin
+from tests.processes import PATIENCE, WEAK, Program, ended, said_by, started, twin
 
 NEAR, FAR = "udp://127.0.0.1:0", "udp://127.0.0.1:1"
 
@@ -32,7 +32,7 @@ NEAR, FAR = "udp://127.0.0.1:0", "udp://127.0.0.1:1"
 def flown(address: str, folder: Path, *options: str) -> Iterator[Program]:
     """Fly a device; yield once it is in the air, with samples in `run.maglev`."""
     record = folder / "run.maglev"
-    with started("bridge", address, "--anyway", "--record", str(record), "--out", str(folder), *options) as host:
+    with started("bridge", address, *WEAK, "--record", str(record), "--out", str(folder), *options) as host:
 
         def in_flight() -> bool:
             assert host.child.poll() is None, host.output + host.errors
@@ -67,7 +67,7 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Twin:
         return RemotePlant(links[-1], calibration=calibration, limits=limits, folder=out)
 
     monkeypatch.setattr(bridge, "_opened", opened)
-    monkeypatch.setattr(bridge, "measure_link", lambda plant: measure_link(plant, 0.2))
+    monkeypatch.setattr("maglev_mj.bridge.preflight.measure_link", lambda plant: measure_link(plant, 0.2))
     monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)  # takes 0.4 s
     return twin
 
@@ -98,7 +98,7 @@ def test_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(device:
 def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again(listen: str, tmp_path: Path) -> None:
     record = tmp_path / "run.maglev"
     with twin("--watchdog", "1", listen=listen) as (device, address):
-        status, said = said_by("bridge", address, "--anyway", "--seconds", "1", "--friction", "--record", str(record))
+        status, said = said_by("bridge", address, *WEAK, "--seconds", "1", "--friction", "--record", str(record))
         assert status == 0, said
         status, said = ended(device)
     assert status == 0 and "final state: inactive, no faults" in said
@@ -115,7 +115,7 @@ def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(t
         waited(lambda: looked_at(address).state == State.FAULT, 0.1)
         report = looked_at(address)
         assert (report.state, report.faults, report.currents) == (State.FAULT, Fault.WATCHDOG, (0.0,) * 6)
-        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5", "--out", str(tmp_path))
+        status, said = said_by("bridge", address, *WEAK, "--seconds", "0.5", "--out", str(tmp_path))
         assert status == 1 and "no takeoff: device state FAULT, faults WATCHDOG: find the cause" in " ".join(
             said.split()
         )
@@ -139,9 +139,9 @@ def test_a_host_needs_the_devices_key(tmp_path: Path) -> None:
     key = ["--key", str(tmp_path / "key")]
     with twin("--watchdog", "1", *key) as (device, address):
         for wrong in ([], ["--key", str(tmp_path / "other")]):
-            status, said = said_by("bridge", address, "--anyway", "--seconds", "0.2", *wrong)
+            status, said = said_by("bridge", address, *WEAK, "--seconds", "0.2", *wrong)
             assert status == 1 and "no device answered" in said
-        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.2", *key)
+        status, said = said_by("bridge", address, *WEAK, "--seconds", "0.2", *key)
         assert status == 0, said
         assert re.search(r"frames ignored: .*\(wrong length\).*\(wrong\s+key\)", ended(device)[1])
 

@@ -308,8 +308,11 @@ def test_the_link_is_measured_with_the_flights_scheduling(tmp_path: Path, monkey
         return measure_link(plant, 0.1)
 
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(Twin(TwinParameters())), folder=tmp_path))
-    monkeypatch.setattr(bridge, "scheduled", scheduled)
-    monkeypatch.setattr(bridge, "measure_link", measure)
+    for place in ("maglev_mj.cli.bridge", "maglev_mj.bridge.preflight"):
+        monkeypatch.setattr(f"{place}.scheduled", scheduled)
+        monkeypatch.setattr(f"{place}.measure_link", measure)
     monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)
-    assert cli.main(["bridge", "udp://127.0.0.1:1", "--check"]) == 0
-    assert measured == [["ignore"]] and not inside
+    for options in (["--check"], ["--seconds", "0.1"]):
+        measured.clear()
+        assert cli.main(["bridge", "udp://127.0.0.1:1", *options]) == 0
+        assert measured == [["ignore"]] and not inside

@@ -29,7 +29,7 @@ from maglev_mj.cli import bridge
 from maglev_mj.errors import PlantError
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Snapshot
-from tests.processes import COMMAND, PATIENCE, Program, ended, running, said_by
+from tests.processes import COMMAND, PATIENCE, WEAK, Program, ended, running, said_by
 from tests.sweeps import further
 
 ZERO_CURRENT = 1e-9
@@ -122,7 +122,7 @@ sys.exit(main())
 
 @contextmanager
 def flight(twin: Watched, folder: Path) -> Iterator[Program]:
-    with running(*[sys.executable, "-c", PATIENT], "bridge", twin.address, "--anyway", "--out", str(folder)) as child:
+    with running(*[sys.executable, "-c", PATIENT], "bridge", twin.address, *WEAK, "--out", str(folder)) as child:
         yield child
 
 
@@ -145,7 +145,7 @@ class Timeline:
         self.sent: list[float] = []
         self._presses, self._alarm, self._active = list(presses), math.inf, math.inf
         monkeypatch.setattr(bridge, "_opened", self._opened)
-        monkeypatch.setattr(bridge, "measure_link", lambda plant: measure_link(plant, 0.2))
+        monkeypatch.setattr("maglev_mj.bridge.preflight.measure_link", lambda plant: measure_link(plant, 0.2))
         monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)  # takes 0.4 s
         monkeypatch.setattr(signal, "setitimer", self._set_alarm)
 

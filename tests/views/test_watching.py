@@ -27,15 +27,11 @@ from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, 
 from maglev_mj.views.viewer_process import Inbox, RemoteSession, RemoteViewer, show_remotely
 from maglev_mj.views.window.keys import keys_of
 from maglev_mj.views.window.window import show
-from tests.processes import ADDRESS, PATIENCE, said_by, started, twin
+from tests.processes import ADDRESS, PATIENCE, WEAK, said_by, started, twin
 from tests.views.virtual_screen import VirtualScreen, waited
 
 SIZE = 600, 450
 """Size of the screen [px], which software draws."""
-
-
-WEAK = "--as-written", "--anyway", "--stiffness", "2000", "--damping", "30"
-"""Options of a flight whose walls are stable up to 8 ms, which a busy machine's line needs."""
 
 
 @pytest.mark.needs("screen", "xdotool")

@@ -485,7 +485,7 @@ class TwinServer:
     """Server of a twin: samples on schedule, receives and sends frames.
 
     In real time it samples at absolute deadlines; if it is late by whole periods, simulated time stands still for
-    them. In lockstep it takes a sample when the last one is answered, repeats it after 20, 40, 80 ms and so on without
+    them, and while it computes a sample: a device measures a sample at once. In lockstep it takes a sample when the last one is answered, repeats it after 20, 40, 80 ms and so on without
     an answer, and drops the host after 2 s. Emergency stops are handled before all other frames.
 
     Args:
@@ -505,6 +505,7 @@ class TwinServer:
         self.missed, self.latency = 0, LatencyHistogram()
         self._waiting: deque[tuple[bytes, Address]] = deque()
         self._zero = self._deadline = 0
+        self._computing = 0  # time from the last deadline to its frame [ns]
         self._stopped = threading.Event()
 
     def run(self, duration: float | None = None, each: Callable[[], object] | None = None) -> ServerReport:
@@ -525,6 +526,7 @@ class TwinServer:
                     continue
                 frame = twin.sample()
                 self._send(frame)
+                self._computing = max(time.monotonic_ns() - self._zero - twin.tick * self._period, 0)
                 if each is not None:
                     each()
                 if self._lockstep:
@@ -601,7 +603,7 @@ class TwinServer:
 
     def _take(self, data: bytes, sender: Address) -> None:
         tick, soonest = max(self.twin.tick, 0), min(time.monotonic_ns(), self._deadline)
-        now = tick * self._period if self._lockstep else soonest - self._zero
+        now = tick * self._period if self._lockstep else soonest - self._zero - self._computing
         if (answer := self.twin.receive(data, now, sender)) is not None:
             self._server.send(answer, sender)
 

@@ -1,0 +1,74 @@
+"""The command lines of the guides, as written, in real time: every flight takes off and lands."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from maglev_mj.versions import MODELS
+from tests.processes import COMMAND, Outcome, run, started
+
+DOCS = Path(__file__).parents[2] / "docs"
+FLIGHTS = 5
+"""Flights in a row."""
+
+
+def lines(page: str, command: str) -> list[list[str]]:
+    """Return the command lines of a page that begin with a command of maglev-mj, without their comments."""
+    found = re.findall(rf"^ +maglev-mj ({command} .*|{command})$", (DOCS / page).read_text(), re.MULTILINE)
+    return [shlex.split(line, comments=True) for line in found]
+
+
+def line(page: str, command: str, word: str = "") -> list[str]:
+    """Return the first such line with a word."""
+    return next(words for words in lines(page, command) if not word or word in words)
+
+
+FIRST = line("howto/fly.md", "bridge")
+CASES = {
+    "first flight": ([], FIRST),
+    "table": ([], [*FIRST, "--scene", "table"]),
+    "stick-slip": ([], [*FIRST, "--scene", "stick-slip"]),
+    "drop": ([], [*FIRST, "--scene", "drop"]),
+    "joystick at 1 kHz": (["--rate", "1000"], FIRST),
+    "walls on the device": ([], line("howto/wall_on_the_device.md", "bridge")),
+    "own device": (["--device", "mine.toml"], line("howto/describe_your_device.md", "bridge")),
+}
+
+
+def shortened(words: list[str], address: str) -> list[str]:
+    """Return a line with another address, and a flight of 1 s."""
+    words = [address if "://" in word else word for word in words]
+    return [*words, "--seconds", "1"]
+
+
+def flown(words: list[str], folder: Path) -> Outcome:
+    return run(*COMMAND, *words, cwd=folder)
+
+
+@pytest.mark.machine
+@pytest.mark.parametrize("name", CASES)
+def test_the_flights_of_the_guides_take_off_and_land(name: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_bytes((MODELS / "devices" / "stage.toml").read_bytes())
+    twin, host = CASES[name]
+    assert "--anyway" not in host
+    with started("twin", "--listen", "udp://127.0.0.1:0", *twin, cwd=tmp_path) as device:
+        address = device.wait_for(r"udp://\S+?(?=,)")
+        for _ in range(FLIGHTS):
+            ended = flown(shortened(host, address), tmp_path)
+            assert ended.status == 0 and "keep hands off" in ended.output, ended
+            assert re.search(r"landed 0\.\d\d mm from its takeoff position, at rest", ended.output), ended
+
+
+@pytest.mark.machine
+def test_the_flight_of_an_arm_ends_when_it_should(tmp_path: Path) -> None:
+    page = "howto/drive_an_inverse3.md"
+    host = line(page, "bridge")
+    with started(*line(page, "twin"), "0", cwd=tmp_path) as arm:
+        address = f"haply://{arm.wait_for(r'ws://([^/]+)/')}?rate=200"
+        for _ in range(FLIGHTS):
+            ended = flown(shortened(host, address), tmp_path)
+            assert ended.status == 0 and "ended early" not in ended.output, ended
