@@ -9,7 +9,7 @@ DOCS := $(VENV)/.docs# stamp: what the documentation needs is installed
 ALSO :=# `,docs` installs with the tests' packages those of the documentation: the gate needs both, and pip looks once
 BEFORE := b223e7d8# revision that benchmarks compare with
 
-.PHONY: demo test test-machine kernels floors studies bench pictures check lint types wheel firmware docs linkcheck clean
+.PHONY: demo test test-machine kernels floors studies bench pictures check lint types wheel firmware docs linkcheck protocol clean
 
 demo: $(DEMO)  ## drop the flotor: a summary here, pictures in figures/
 	@echo 'A flotor falls on a wall at 100 phases of the sampler, with and without pulse:'
@@ -106,6 +106,9 @@ firmware:  ## compile the device's firmware for a Cortex-M4, and the emulated bo
 	if [ -x $(BIN)/python ]; then \
 	  PYTHONPATH=. $(BIN)/python scripts/firmware/boards/build.py build/board.elf && $(CROSS)size build/board.elf; \
 	else echo 'firmware: no program for the emulated board, which needs the package (make demo)'; fi
+
+protocol: $(READY)  ## write C code, tables, sizes and golden bytes from the messages that bridge/wire.py declares
+	PYTHONPATH=. $(BIN)/python scripts/firmware/make_protocol.py
 
 wheel: $(READY)
 	$(BIN)/python -m pip --disable-pip-version-check wheel --quiet --no-deps --wheel-dir dist .

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from maglev_mj.bridge.wire import VERSION, Fault, HelloAck, Wall
+from maglev_mj.bridge.wire import PROPERTIES, VERSION, Fault, HelloAck, Wall
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError, PlantError
@@ -85,11 +85,11 @@ def limits_of(device: Device) -> Limits:
     return own.replace(thermal_time=coils.thermal_time)
 
 
-_TIMES = "period", "delay", "wall_period", "wall_delay"
-_OWN = "calibration", *_TIMES
 _LIMITS = [x.name for x in Limits.parameters()]
-_NANOSECONDS = "watchdog", "enable", "stale"
+_NANOSECONDS = [name for name in _LIMITS if PROPERTIES[name].type == "u64"]
 """Limits in nanoseconds on the wire."""
+_OWN = [name for name in PROPERTIES if name not in (*_LIMITS, "lockstep", "device")]
+"""Properties that a profile has under their names."""
 
 _AT_MOST = (
     ("two periods", "watchdog"),
@@ -150,8 +150,8 @@ class Profile:
         if self.limits.stale is None:
             store(self, limits=self.limits.replace(stale=min(_STALE * self.period * 1e-9, self.limits.watchdog)))
         # compare in units of the wire, to round as the device does
-        values = {**self.stated, "one period": self.period, "two periods": 2 * self.period, "delay": self.delay}
-        values |= {"wall_delay": self.wall_delay, "two wall periods": 2 * self.wall_period}
+        values = {**self.stated, "one period": self.period, "two periods": 2 * self.period}
+        values["two wall periods"] = 2 * self.wall_period
         if self.wall_period and (self.wall_period < 0 or self.period % self.wall_period):
             raise ParameterError(f"wall_period must divide {self.period} ns, the period (got {self.wall_period})")
         for name, bound in _AT_MOST:
@@ -162,17 +162,17 @@ class Profile:
 
     @property
     def stated(self) -> dict[str, Any]:
-        """Limits as HELLO_ACK states them, by name: times in whole nanoseconds."""
+        """Properties as HELLO_ACK states them, by name: times in whole nanoseconds."""
+        own = {name: getattr(self, name) for name in _OWN} | {"device": self.number, "lockstep": self.lockstep}
         limits = {name: getattr(self.limits, name) for name in _LIMITS}
-        return limits | {name: round(limits[name] * 1e9) for name in _NANOSECONDS}
+        return own | limits | {name: round(limits[name] * 1e9) for name in _NANOSECONDS}
 
     def header(self, **more: Any) -> str:
         """Return the C macro PROFILE, the firmware's `struct maglev_profile`; `more` adds or replaces members."""
         maps = self.wall_maps
-        members: dict[str, Any] = {name: getattr(self, name) for name in _TIMES}
+        members = self.stated | {"calibration": [*self.calibration]}
         if maps is not None:
             members |= {"spots": maps.spots, "pose": maps.pose_per_spot, "current": maps.current_per_wrench}
-        members |= self.stated | {"device": self.number, "calibration": [*self.calibration], "lockstep": self.lockstep}
         return macro("PROFILE", members | more)
 
     @classmethod
@@ -185,8 +185,7 @@ class Profile:
 
     def answer(self, **state: Any) -> HelloAck:
         """Return the HELLO_ACK with these properties and the given state."""
-        own = {name: getattr(self, name) for name in _OWN}
-        return HelloAck(version=VERSION, device=self.number, lockstep=self.lockstep, **own, **self.stated, **state)
+        return HelloAck(version=VERSION, **self.stated, **state)
 
     def wall_problem(self, wall: Wall) -> str:
         """Return why the device cannot render a wall, or ""."""

@@ -13,8 +13,9 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias, get_type_hints
 
 from maglev_mj.errors import ParameterError
 
@@ -110,6 +111,45 @@ _CRC_RESIDUE = 0x2144DF1C
 """CRC-32 of any data followed by its own CRC."""
 
 
+FORMATS = {"u8": "B", "i8": "b", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "f64": "d", "bytes": "s", "zeros": "x"}
+"""Types of the page, as `struct` writes them."""
+
+Six: TypeAlias = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class On:
+    """Declaration of a value on the wire, with its text on the page.
+
+    `make protocol` copies it to the firmware in C and to docs/reference/protocol.md.
+    """
+
+    kind: str  # type, or count and type: "u8", "6 f64", "16 bytes"
+    text: str = ""
+    gap: int = 0  # zero bytes before the value
+
+    @property
+    def type(self) -> str:
+        """Type of a single number, a key of `FORMATS`."""
+        return self.kind.rpartition(" ")[2]
+
+    @property
+    def count(self) -> int:
+        """Count of numbers, or of bytes."""
+        return int(self.kind.rpartition(" ")[0] or 1)
+
+    @property
+    def values(self) -> int:
+        """Count of values of `struct`, where bytes are one."""
+        return 1 if self.type == "bytes" else self.count
+
+
+def layout(body: type[Body]) -> dict[str, On]:
+    """Return the declarations of a body by name, in the order on the wire."""
+    hints = get_type_hints(body, include_extras=True)
+    return {name: hints[name].__metadata__[0] for name in body._fields}
+
+
 class Hello(NamedTuple):
     """Request for a session; the same nonce gets the same session."""
 
@@ -118,39 +158,48 @@ class Hello(NamedTuple):
 
 
 class HelloAck(NamedTuple):
-    """Answer to HELLO with the device's properties.
+    """Answer to HELLO with the device's properties."""
 
-    Times [ns], currents [A], `spot_limit` [m], `spot_speed` [m/s].
-    """
+    nonce: Annotated[int, On("u64", "of the HELLO; 0 if its version differs")]
+    status: Annotated[int, On("u8", "0 WELCOME, 1 VERSION, 2 BUSY, 3 CALIBRATION")]
+    lockstep: Annotated[int, On("u8", "1 if simulated time waits for each answer")]
+    version: Annotated[int, On("u8", "of the device")]
+    state: Annotated[int, On("u8", "0 INACTIVE, 1 ACTIVE, 2 FAULT")]
+    device: Annotated[int, On("u32", "device number")]
+    calibration: Annotated[bytes, On("16 bytes", "digest that the device requires")]
+    period: Annotated[int, On("u64", "between samples [ns]")]
+    delay: Annotated[int, On("u64", "from a command's arrival to its effect [ns]")]
+    watchdog: Annotated[int, On("u64", "longest time without a command [ns]")]
+    enable: Annotated[
+        int, On("u64", "longest time without a change of the enable line before the amplifier board opens [ns]")
+    ]
+    stale: Annotated[int, On("u64", "largest age of a sample whose answer is accepted [ns]")]
+    fault_time: Annotated[int, On("u64", "time of the first latched fault by the device's clock [ns]; 0 for none")]
+    faults: Annotated[int, On("u32", "latched faults")]
+    first: Annotated[int, On("u32", "faults latched by the first trip, all of them if several were found at once")]
+    frozen: Annotated[
+        int,
+        On(
+            "u32",
+            "number of equal consecutive readings that the sensor's noise rules out; 0: no noise, readings may repeat",
+        ),
+    ]
+    current_limit: Annotated[float, On("f64", "largest current in any coil [A]")]
+    continuous_current: Annotated[float, On("f64", "continuous current rating of a coil [A]")]
+    hover_limit: Annotated[float, On("f64", "largest hover current in any coil at ARM [A]")]
+    thermal_time: Annotated[float, On("f64", "thermal time constant of a coil [s]")]
+    spot_limit: Annotated[float, On("f64", "largest coordinate of a spot on its diode [m]")]
+    spot_speed: Annotated[float, On("f64", "largest speed of a spot, for each coordinate [m/s]")]
+    wall_period: Annotated[int, On("u64", "between samples of [walls](#walls) [ns]; 0 if the device renders none")]
+    wall_delay: Annotated[int, On("u64", "from such a sample to its effect [ns]")]
+    stiffness_limit: Annotated[float, On("f64", "largest stiffness of a wall [N/m]")]
+    damping_limit: Annotated[float, On("f64", "largest damping of a wall [N s/m]")]
+    edge_speed: Annotated[float, On("f64", "largest speed of a wall's edge [m/s]")]
 
-    nonce: int
-    status: int
-    lockstep: int
-    version: int
-    state: int
-    device: int
-    calibration: bytes
-    period: int
-    delay: int
-    watchdog: int
-    enable: int
-    stale: int
-    fault_time: int
-    faults: int
-    first: int
-    frozen: int
-    current_limit: float
-    continuous_current: float
-    hover_limit: float
-    thermal_time: float  # [s]
-    spot_limit: float
-    spot_speed: float
-    wall_period: int  # 0: no walls on the device
-    wall_delay: int
-    stiffness_limit: float  # [N/m]; for a rotation see `LEVER`
-    damping_limit: float  # [N s/m]
-    edge_speed: float  # [m/s]
 
+_OF_THE_MOMENT = "nonce", "status", "version", "state", "fault_time", "faults", "first"
+PROPERTIES = {name: on for name, on in layout(HelloAck).items() if name not in _OF_THE_MOMENT}
+"""Values of HELLO_ACK that never change: those of `Profile`, and of the firmware's `struct maglev_profile`."""
 
 LEVER = 0.03
 """Lever arm of the limits of a wall on a rotation [m]: its square for gains, its inverse for the edge's speed."""
@@ -179,16 +228,38 @@ class ControlAck(NamedTuple):
 class StateReport(NamedTuple):
     """Measurements of a device at one sample, whose number is the frame's sequence number."""
 
-    spots: tuple[float, ...]  # x and y on each of three diodes [m]
-    currents: tuple[float, ...]  # measured, six [A]
-    temperatures: tuple[float, ...]  # rise of each coil as a fraction of its limit, six; trips at 1
-    state: int
-    valid: int  # bit k: spot of diode k is valid
-    flags: int
-    faults: int
-    answered: int  # number of the sample answered by the newest command
-    age: int  # of that command [µs]; NEVER if none
-    conversions: int  # conversion counter of the sensor interface
+    spots: Annotated[Six, On("6 f64", "x and y on diodes 0, 1 and 2 [m]")]
+    currents: Annotated[Six, On("6 f32", "measured [A]")]
+    temperatures: Annotated[Six, On("6 f32", "temperature rise of each coil as a fraction of its limit; trips at 1")]
+    state: Annotated[int, On("u8")]
+    valid: Annotated[int, On("u8", "bit k: spot of diode k is valid")]
+    flags: Annotated[
+        int,
+        On(
+            "u16",
+            "1 HOLDING: commands are missing, hover currents are on; 2 ENABLED: the amplifier board reports that its "
+            "enable line toggles and currents can flow; 4 STOPPING: a controlled stop, currents flow in FAULT; set up "
+            "to the sample at which they are cut",
+        ),
+    ]
+    faults: Annotated[int, On("u32")]
+    answered: Annotated[
+        int,
+        On(
+            "u32",
+            "`answers` of the last command applied since ARM, in INACTIVE of the last one accepted; 0xFFFFFFFF for "
+            "none, as at the start of a session",
+        ),
+    ]
+    age: Annotated[
+        int,
+        On(
+            "u32",
+            "time since its arrival [us], at most 0xFFFFFFFE, and 0 if it arrived after the sample; "
+            "0xFFFFFFFF for none",
+        ),
+    ]
+    conversions: Annotated[int, On("u32", "counter of the sensor interface; wraps")]
 
 
 class Wall(NamedTuple):
@@ -225,44 +296,74 @@ class Estop(NamedTuple):
 
 
 class EstopAck(NamedTuple):
-    """Answer to an emergency stop, with time `sampled` [ns] and `currents` [A] of the last sample."""
+    """Answer to an emergency stop, with the last sample."""
 
-    request: int
-    state: int
-    faults: int
-    sampled: int
-    currents: tuple[float, ...]
+    request: Annotated[int, On("u64", "of the ESTOP")]
+    state: Annotated[int, On("u8", "resulting")]
+    faults: Annotated[int, On("u32", "resulting", gap=3)]
+    sampled: Annotated[int, On("u64", "time of the last sample [ns]; 0 before the first")]
+    currents: Annotated[Six, On("6 f32", "measured at that sample [A]")]
 
 
 Body: TypeAlias = Hello | HelloAck | Control | ControlAck | StateReport | Command | Estop | EstopAck
 
+DECLARED: Sequence[type[Body]] = (HelloAck, StateReport, EstopAck)
+"""Bodies that declare their values; those of the others are stated below, in the firmware and on the page."""
+
+
+def _format(body: type[Body]) -> str:
+    """Return the format of a body for `struct`."""
+    return "".join(
+        "x" * on.gap + f"{on.count if on.count > 1 else ''}{FORMATS[on.type]}" for on in layout(body).values()
+    )
+
+
+def _flat(body: type[Body]) -> Callable[[Any], Sequence[Any]]:
+    """Return a function from a body to flat values."""
+    parts = [f"{'*' if on.values > 1 else ''}body[{index}]" for index, on in enumerate(layout(body).values())]
+    return eval(f"lambda body: ({', '.join(parts)},)")  # type: ignore[no-any-return]  # on every frame: no loop
+
+
+def _nested(body: type[Body], start: int = 6) -> Callable[[tuple[Any, ...]], Body]:
+    """Return the inverse, from the values of header and body."""
+    parts = []
+    for on in layout(body).values():
+        parts.append(f"values[{start}:{start + on.values}]" if on.values > 1 else f"values[{start}]")
+        start += on.values
+    return eval(f"lambda values: body({', '.join(parts)})", {"body": body})  # type: ignore[no-any-return]
+
+
+def blank(body: type[Body]) -> Any:
+    """Return a declared body with all values 0."""
+    shape = struct.Struct(f"<{_format(body)}")
+    return _nested(body, 0)(shape.unpack(bytes(shape.size)))
+
+
 _TYPES: dict[int, tuple[type[Body], str]] = {
     1: (Hello, "Q16s"),
-    2: (HelloAck, "QBBBBI16sQQQQQQIII6dQQ3d"),
+    2: (HelloAck, _format(HelloAck)),
     3: (Control, "IB3xI14d"),
     4: (ControlAck, "IBBBxI"),
-    5: (StateReport, "6d6f6fBBHIIII"),
+    5: (StateReport, _format(StateReport)),
     6: (Command, "II6d6dd"),
     7: (Estop, "Q"),
-    8: (EstopAck, "QB3xIQ6f"),
+    8: (EstopAck, _format(EstopAck)),
 }
 _NUMBERS = {body: number for number, (body, _) in _TYPES.items()}
 _STRUCTS = {number: struct.Struct(_HEADER + fields) for number, (_, fields) in _TYPES.items()}
 _COMMAND, _WALL = 6, struct.Struct("<Bb2x4d")
 _WALLED = [_STRUCTS[_COMMAND].size + _WALL.size * count for count in range(MOST_WALLS + 1)]
 """Lengths of header and body of a CMD, by the number of its walls."""
-# bodies with fields of six numbers: to and from flat values
+# bodies with fields of several numbers: to and from flat values
 _FLAT: dict[int, Callable[[Any], Sequence[Any]]] = {
     3: lambda body: (*body[:3], *body[3], *body[4]),
-    5: lambda body: (*body[0], *body[1], *body[2], *body[3:]),
     6: lambda body: (body[0], body[1], *body[2], *body[3], body[4]),
-    8: lambda body: (*body[:4], *body[4]),
+    **{_NUMBERS[body]: _flat(body) for body in DECLARED},
 }
 _NESTED: dict[int, Callable[[tuple[Any, ...]], Body]] = {
     3: lambda values: Control(values[6], values[7], values[8], values[9:15], values[15:]),
-    5: lambda values: StateReport(values[6:12], values[12:18], values[18:24], *values[24:]),
     6: lambda values: Command(values[6], values[7], values[8:14], values[14:20], values[20]),
-    8: lambda values: EstopAck(values[6], values[7], values[8], values[9], values[10:]),
+    **{_NUMBERS[body]: _nested(body) for body in DECLARED},
 }
 
 

@@ -19,9 +19,17 @@ enum { COILS = MAGLEV_COILS };
 static struct maglev_device device;
 static struct maglev_profile profile = {
     .period = PERIOD, .delay = 1500000, .watchdog = 10 * PERIOD, .enable = 3 * PERIOD, .stale = 4 * PERIOD,
-    .current_limit = 10.0, .continuous_current = 3.0, .hover_limit = 1.5, .thermal_time = 10.0, .spot_limit = 0.012,
-    .spot_speed = 1.0, .frozen = 20, .device = 1, .wall_period = PERIOD / 5, .wall_delay = 200000,
-    .stiffness_limit = 1e5, .damping_limit = 400.0, .edge_speed = 0.1,
+    .hover_limit = 1.5, .frozen = 20, .device = 1, .wall_period = PERIOD / 5, .wall_delay = 200000,
+    /* limits, by make protocol */
+    .current_limit = 10.0,
+    .continuous_current = 3.0,
+    .thermal_time = 10.0,
+    .spot_limit = 0.012,
+    .spot_speed = 1.0,
+    .stiffness_limit = 100000.0,
+    .damping_limit = 400.0,
+    .edge_speed = 0.1,
+    /* end */
     .pose = {[0] = 1.0, [7] = 1.0, [14] = 1.0, [21] = 1.0, [28] = 1.0, [35] = 1.0},
     .current = {[0] = 0.5, [7] = 0.5, [14] = 0.5, [21] = 0.5, [28] = 0.5, [35] = 0.5}};
 static uint64_t now, state_of_random;

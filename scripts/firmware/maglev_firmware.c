@@ -3,11 +3,10 @@
 
    Bounded time: every loop below runs over the coils, the spots, or the bytes of a frame, of which there are
    MAGLEV_LARGEST at most; nothing waits and nothing calls itself. The longest ways through are
-     maglev_receive  a HELLO with a key: CRC over 60 bytes and 2 blocks of BLAKE2s to check it, CRC over 216 bytes and 5
-                     blocks for the answer; 29 000 instructions of a Cortex-M4. A CMD: 16 000, without a key 7 000; with
+     maglev_receive  a HELLO with a key: its CRC and tag, and those of the answer; 29 000 instructions of a Cortex-M4. A CMD: 16 000, without a key 7 000; with
                      one wall 25 000 and 15 500, with six 44 000 and 28 000. 384 bytes that are no frame: 5 000.
-     maglev_sample   read(), the guards, one exp step, one drive() or cut(), toggle(), CRC over 152 bytes and 4 blocks of
-                     BLAKE2s; 27 000 instructions, without a key 17 000. In a controlled stop 2 000 more.
+     maglev_sample   read(), the guards, one exp step, one drive() or cut(), toggle(), CRC and tag of the STATE;
+                     27 000 instructions, without a key 17 000. In a controlled stop 2 000 more.
      maglev_wall     read(), the guard of the spots, two products of six by six, add(); 20 000 instructions with one wall,
                      48 000 with six, each with a filter.
    Add 4 400 for each maglev_heat() and what the hardware's functions take. Doubles are the wire's; a Cortex-M4
@@ -199,18 +198,36 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
     switch (f->type) {
     case MAGLEV_HELLO: u64(c, &f->of.hello.nonce), hash(c, f->of.hello.calibration); break;
     case MAGLEV_HELLO_ACK:
-        u64(c, &f->of.hello_ack.nonce), u8(c, &f->of.hello_ack.status), u8(c, &f->of.hello_ack.lockstep);
-        u8(c, &f->of.hello_ack.version), u8(c, &f->of.hello_ack.state), u32(c, &f->of.hello_ack.device);
-        hash(c, f->of.hello_ack.calibration), u64(c, &f->of.hello_ack.period), u64(c, &f->of.hello_ack.delay);
-        u64(c, &f->of.hello_ack.watchdog), u64(c, &f->of.hello_ack.enable), u64(c, &f->of.hello_ack.stale);
+        /* HELLO_ACK, by make protocol */
+        u64(c, &f->of.hello_ack.nonce);
+        u8(c, &f->of.hello_ack.status);
+        u8(c, &f->of.hello_ack.lockstep);
+        u8(c, &f->of.hello_ack.version);
+        u8(c, &f->of.hello_ack.state);
+        u32(c, &f->of.hello_ack.device);
+        hash(c, f->of.hello_ack.calibration);
+        u64(c, &f->of.hello_ack.period);
+        u64(c, &f->of.hello_ack.delay);
+        u64(c, &f->of.hello_ack.watchdog);
+        u64(c, &f->of.hello_ack.enable);
+        u64(c, &f->of.hello_ack.stale);
         u64(c, &f->of.hello_ack.fault_time);
-        u32(c, &f->of.hello_ack.faults), u32(c, &f->of.hello_ack.first), u32(c, &f->of.hello_ack.frozen);
-        f64(c, &f->of.hello_ack.current_limit, 1), f64(c, &f->of.hello_ack.continuous_current, 1);
-        f64(c, &f->of.hello_ack.hover_limit, 1), f64(c, &f->of.hello_ack.thermal_time, 1);
-        f64(c, &f->of.hello_ack.spot_limit, 1), f64(c, &f->of.hello_ack.spot_speed, 1);
-        u64(c, &f->of.hello_ack.wall_period), u64(c, &f->of.hello_ack.wall_delay);
-        f64(c, &f->of.hello_ack.stiffness_limit, 1), f64(c, &f->of.hello_ack.damping_limit, 1);
-        f64(c, &f->of.hello_ack.edge_speed, 1); break;
+        u32(c, &f->of.hello_ack.faults);
+        u32(c, &f->of.hello_ack.first);
+        u32(c, &f->of.hello_ack.frozen);
+        f64(c, &f->of.hello_ack.current_limit, 1);
+        f64(c, &f->of.hello_ack.continuous_current, 1);
+        f64(c, &f->of.hello_ack.hover_limit, 1);
+        f64(c, &f->of.hello_ack.thermal_time, 1);
+        f64(c, &f->of.hello_ack.spot_limit, 1);
+        f64(c, &f->of.hello_ack.spot_speed, 1);
+        u64(c, &f->of.hello_ack.wall_period);
+        u64(c, &f->of.hello_ack.wall_delay);
+        f64(c, &f->of.hello_ack.stiffness_limit, 1);
+        f64(c, &f->of.hello_ack.damping_limit, 1);
+        f64(c, &f->of.hello_ack.edge_speed, 1);
+        /* end */
+        break;
     case MAGLEV_CTRL:
         u32(c, &f->of.ctrl.request), u8(c, &f->of.ctrl.operation), gap(c, 3), u32(c, &f->of.ctrl.faults);
         f64(c, f->of.ctrl.hover, MAGLEV_COILS), f64(c, f->of.ctrl.stop, MAGLEV_STOP); break;
@@ -218,10 +235,19 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
         u32(c, &f->of.ctrl_ack.request), u8(c, &f->of.ctrl_ack.operation), u8(c, &f->of.ctrl_ack.result);
         u8(c, &f->of.ctrl_ack.state), gap(c, 1), u32(c, &f->of.ctrl_ack.faults); break;
     case MAGLEV_STATE:
-        f64(c, f->of.state.spots, MAGLEV_SPOTS), f32(c, f->of.state.currents, MAGLEV_COILS);
-        f32(c, f->of.state.temperatures, MAGLEV_COILS), u8(c, &f->of.state.state), u8(c, &f->of.state.valid);
-        u16(c, &f->of.state.flags), u32(c, &f->of.state.faults), u32(c, &f->of.state.answered);
-        u32(c, &f->of.state.age), u32(c, &f->of.state.conversions); break;
+        /* STATE, by make protocol */
+        f64(c, f->of.state.spots, 6);
+        f32(c, f->of.state.currents, 6);
+        f32(c, f->of.state.temperatures, 6);
+        u8(c, &f->of.state.state);
+        u8(c, &f->of.state.valid);
+        u16(c, &f->of.state.flags);
+        u32(c, &f->of.state.faults);
+        u32(c, &f->of.state.answered);
+        u32(c, &f->of.state.age);
+        u32(c, &f->of.state.conversions);
+        /* end */
+        break;
     case MAGLEV_CMD:
         u32(c, &f->of.cmd.answers), u32(c, &f->of.cmd.flags), f64(c, f->of.cmd.held, MAGLEV_COILS);
         f64(c, f->of.cmd.pulsed, MAGLEV_COILS), f64(c, &f->of.cmd.width, 1);
@@ -232,8 +258,13 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
         break;
     case MAGLEV_ESTOP: u64(c, &f->of.estop.request); break;
     default:
-        u64(c, &f->of.estop_ack.request), u8(c, &f->of.estop_ack.state), gap(c, 3), u32(c, &f->of.estop_ack.faults);
-        u64(c, &f->of.estop_ack.sampled), f32(c, f->of.estop_ack.currents, MAGLEV_COILS);
+        /* ESTOP_ACK, by make protocol */
+        u64(c, &f->of.estop_ack.request);
+        u8(c, &f->of.estop_ack.state);
+        gap(c, 3), u32(c, &f->of.estop_ack.faults);
+        u64(c, &f->of.estop_ack.sampled);
+        f32(c, f->of.estop_ack.currents, 6);
+        /* end */
     }
 }
 
@@ -611,13 +642,30 @@ static size_t ignore(struct maglev_device *d, enum maglev_reason reason) {
 static size_t greet(struct maglev_device *d, uint64_t now, uint64_t nonce, uint8_t status, uint8_t *answer) {
     const struct maglev_profile *p = d->profile;
     struct maglev_frame f = {MAGLEV_HELLO_ACK, status == MAGLEV_WELCOME ? d->session : 0, 0, now, .of.hello_ack = {
-        .nonce = nonce, .status = status, .lockstep = p->lockstep, .version = MAGLEV_VERSION, .state = d->state,
-        .device = p->device, .period = p->period, .delay = p->delay, .watchdog = p->watchdog, .enable = p->enable,
-        .stale = p->stale, .fault_time = d->fault_time, .faults = d->faults, .first = d->first, .frozen = p->frozen,
-        .current_limit = p->current_limit, .continuous_current = p->continuous_current, .hover_limit = p->hover_limit,
-        .thermal_time = p->thermal_time, .spot_limit = p->spot_limit, .spot_speed = p->spot_speed,
-        .wall_period = p->wall_period, .wall_delay = p->wall_delay, .stiffness_limit = p->stiffness_limit,
-        .damping_limit = p->damping_limit, .edge_speed = p->edge_speed}};
+        .nonce = nonce, .status = status, .version = MAGLEV_VERSION, .state = d->state,
+        .fault_time = d->fault_time, .faults = d->faults, .first = d->first,
+        /* properties, by make protocol */
+        .lockstep = p->lockstep,
+        .device = p->device,
+        .period = p->period,
+        .delay = p->delay,
+        .watchdog = p->watchdog,
+        .enable = p->enable,
+        .stale = p->stale,
+        .frozen = p->frozen,
+        .current_limit = p->current_limit,
+        .continuous_current = p->continuous_current,
+        .hover_limit = p->hover_limit,
+        .thermal_time = p->thermal_time,
+        .spot_limit = p->spot_limit,
+        .spot_speed = p->spot_speed,
+        .wall_period = p->wall_period,
+        .wall_delay = p->wall_delay,
+        .stiffness_limit = p->stiffness_limit,
+        .damping_limit = p->damping_limit,
+        .edge_speed = p->edge_speed,
+        /* end */
+    }};
     copy_bytes(f.of.hello_ack.calibration, p->calibration, MAGLEV_HASH);
     return maglev_encode(p, &f, answer);
 }
@@ -686,7 +734,7 @@ static bool positive(double value) { return finite(value) && value > 0.0; }
 /* Consistency of the profile: see HELLO_ACK in the protocol. Times first, so
    that twice a period does not overflow. */
 static bool agree(const struct maglev_profile *p) {
-    return p->watchdog <= LONGEST && p->period <= p->watchdog / 2 && p->delay <= 2 * p->period &&
+    return p->lockstep <= 1 && p->watchdog <= LONGEST && p->period <= p->watchdog / 2 && p->delay <= 2 * p->period &&
            p->enable <= p->watchdog && p->stale >= p->period && p->stale <= p->watchdog &&
            p->hover_limit <= p->continuous_current && p->continuous_current <= p->current_limit &&
            (p->wall_period ? p->period % p->wall_period == 0 : !p->wall_delay) &&

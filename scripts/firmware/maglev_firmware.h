@@ -48,31 +48,35 @@ extern const char *const maglev_reasons[MAGLEV_REASONS];
 
 /* Properties of a device. */
 struct maglev_profile {
+    /* properties, by make protocol */
+    uint8_t lockstep;            /* 1 if simulated time waits for each answer */
+    uint32_t device;             /* device number */
+    uint8_t calibration[16];     /* digest that the device requires */
     uint64_t period;             /* between samples [ns] */
     uint64_t delay;              /* from a command's arrival to its effect [ns] */
     uint64_t watchdog;           /* longest time without a command [ns] */
-    uint64_t enable;             /* longest time without a change of the enable line [ns] */
-    uint64_t stale;              /* largest age of the answered sample [ns]; normally four periods */
+    uint64_t enable;             /* longest time without a change of the enable line before the amplifier board opens
+                                    [ns] */
+    uint64_t stale;              /* largest age of a sample whose answer is accepted [ns] */
+    uint32_t frozen;             /* number of equal consecutive readings that the sensor's noise rules out; 0: no noise,
+                                    readings may repeat */
     double current_limit;        /* largest current in any coil [A] */
-    double continuous_current;   /* continuous rating of a coil [A] */
-    double hover_limit;          /* largest hover current in a coil at ARM [A] */
+    double continuous_current;   /* continuous current rating of a coil [A] */
+    double hover_limit;          /* largest hover current in any coil at ARM [A] */
     double thermal_time;         /* thermal time constant of a coil [s] */
     double spot_limit;           /* largest coordinate of a spot on its diode [m] */
-    double spot_speed;           /* largest speed of a spot [m/s] */
-    uint64_t wall_period;        /* between samples of walls [ns], a whole fraction of `period`; 0: no walls */
+    double spot_speed;           /* largest speed of a spot, for each coordinate [m/s] */
+    uint64_t wall_period;        /* between samples of walls [ns]; 0 if the device renders none */
     uint64_t wall_delay;         /* from such a sample to its effect [ns] */
-    double stiffness_limit;      /* of a wall [N/m] */
-    double damping_limit;        /* of a wall [N s/m] */
-    double edge_speed;           /* of a wall [m/s] */
+    double stiffness_limit;      /* largest stiffness of a wall [N/m] */
+    double damping_limit;        /* largest damping of a wall [N s/m] */
+    double edge_speed;           /* largest speed of a wall's edge [m/s] */
+    /* end */
     double spots[MAGLEV_SPOTS];  /* at the centre [m]; with the two maps below from the calibration, for walls */
     double pose[36];             /* row-major, pose per change of the spots [1, rad/m] */
     double current[36];          /* row-major, current per wrench [A/N, A/(N m)] */
-    uint32_t frozen;             /* consecutive equal readings ruled out by sensor noise; 0: no noise */
-    uint32_t device;             /* device number */
     uint32_t key_length;         /* 16 to 32 bytes, or 0 for no key */
     uint8_t key[MAGLEV_KEY];
-    uint8_t calibration[MAGLEV_HASH];
-    bool lockstep;               /* simulated time waits for each answer; false on a board */
 };
 
 /* Measurements at a sample. */
@@ -116,25 +120,52 @@ struct maglev_frame {
     union {
         struct { uint64_t nonce; uint8_t calibration[MAGLEV_HASH]; } hello;
         struct {
+            /* HELLO_ACK, by make protocol */
             uint64_t nonce;
-            uint8_t status, lockstep, version, state;
+            uint8_t status;
+            uint8_t lockstep;
+            uint8_t version;
+            uint8_t state;
             uint32_t device;
-            uint8_t calibration[MAGLEV_HASH];
-            uint64_t period, delay, watchdog, enable, stale, fault_time;
-            uint32_t faults, first, frozen;
-            double current_limit, continuous_current, hover_limit, thermal_time, spot_limit, spot_speed;
-            uint64_t wall_period, wall_delay;
-            double stiffness_limit, damping_limit, edge_speed;
+            uint8_t calibration[16];
+            uint64_t period;
+            uint64_t delay;
+            uint64_t watchdog;
+            uint64_t enable;
+            uint64_t stale;
+            uint64_t fault_time;
+            uint32_t faults;
+            uint32_t first;
+            uint32_t frozen;
+            double current_limit;
+            double continuous_current;
+            double hover_limit;
+            double thermal_time;
+            double spot_limit;
+            double spot_speed;
+            uint64_t wall_period;
+            uint64_t wall_delay;
+            double stiffness_limit;
+            double damping_limit;
+            double edge_speed;
+            /* end */
         } hello_ack;
         struct { uint32_t request; uint8_t operation; uint32_t faults; double hover[MAGLEV_COILS], stop[MAGLEV_STOP];
         } ctrl;
         struct { uint32_t request; uint8_t operation, result, state; uint32_t faults; } ctrl_ack;
         struct {
-            double spots[MAGLEV_SPOTS];
-            float currents[MAGLEV_COILS], temperatures[MAGLEV_COILS];
-            uint8_t state, valid;
+            /* STATE, by make protocol */
+            double spots[6];
+            float currents[6];
+            float temperatures[6];
+            uint8_t state;
+            uint8_t valid;
             uint16_t flags;
-            uint32_t faults, answered, age, conversions;
+            uint32_t faults;
+            uint32_t answered;
+            uint32_t age;
+            uint32_t conversions;
+            /* end */
         } state;
         struct {
             uint32_t answers, flags;
@@ -143,7 +174,14 @@ struct maglev_frame {
             struct maglev_wall walls[MAGLEV_WALLS];
         } cmd;
         struct { uint64_t request; } estop;
-        struct { uint64_t request; uint8_t state; uint32_t faults; uint64_t sampled; float currents[MAGLEV_COILS];
+        struct {
+            /* ESTOP_ACK, by make protocol */
+            uint64_t request;
+            uint8_t state;
+            uint32_t faults;
+            uint64_t sampled;
+            float currents[6];
+            /* end */
         } estop_ack;
     } of;
 };

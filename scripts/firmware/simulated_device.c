@@ -48,9 +48,18 @@ static void fail(const char *what, const char *name) {
 
 struct plant plant = {.fault = NO_FAULT, .random = 1};
 struct maglev_device device;
-struct maglev_profile profile = {.current_limit = 10.0, .continuous_current = 3.0, .thermal_time = 10.0,
-                                 .spot_limit = 0.012, .spot_speed = 1.0, .stiffness_limit = 1e5,
-                                 .damping_limit = 400.0, .edge_speed = 0.1};
+struct maglev_profile profile = {
+    /* limits, by make protocol */
+    .current_limit = 10.0,
+    .continuous_current = 3.0,
+    .thermal_time = 10.0,
+    .spot_limit = 0.012,
+    .spot_speed = 1.0,
+    .stiffness_limit = 100000.0,
+    .damping_limit = 400.0,
+    .edge_speed = 0.1,
+    /* end */
+};
 
 void render(void) { maglev_wall(&device); }
 

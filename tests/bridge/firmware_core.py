@@ -44,7 +44,7 @@ def _profile() -> list[tuple[str, Any]]:
         "uint8_t": c_uint8,
         "bool": c_bool,
     }
-    counts = {"": 0, "MAGLEV_KEY": 32, "MAGLEV_HASH": 16, "MAGLEV_SPOTS": 6, "36": 36}
+    counts = {"": 0, "MAGLEV_KEY": 32, "MAGLEV_SPOTS": 6, "16": 16, "36": 36}
     (text,) = re.findall(r"struct maglev_profile \{\n(.*?)\};", header, re.DOTALL)
     declared = re.findall(r"^    (\w+) (\w+)(?:\[(\w+)\])?;", text, re.MULTILINE)
     return [(name, kinds[kind] * counts[count] if count else kinds[kind]) for kind, name, count in declared]
@@ -138,10 +138,7 @@ class CoreFirmware:
 
     def __init__(self, profile: Profile, amplifiers: Amplifiers, codec: Codec, draw: Callable[[], int]) -> None:
         self.profile, self._amplifiers, self._codec, self._core = profile, amplifiers, codec, library()
-        own = {"period": profile.period, "delay": profile.delay, "device": profile.number}
-        known = _Profile(**own, **profile.stated, lockstep=profile.lockstep)
-        known.calibration[:] = profile.calibration
-        known.wall_period, known.wall_delay = profile.wall_period, profile.wall_delay
+        known = _Profile(**profile.stated | {"calibration": tuple(profile.calibration)})
         if (maps := profile.wall_maps) is not None:
             known.spots[:], known.pose[:], known.current[:] = maps.spots, [*chain(*maps[1])], [*chain(*maps[2])]
         if (key := codec._key) is not None:

@@ -22,7 +22,19 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import cobs_decode, cobs_encode
 from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
-from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State, Wall
+from maglev_mj.bridge.wire import (
+    VERSION,
+    Codec,
+    Command,
+    Control,
+    ControlAck,
+    Estop,
+    Fault,
+    Hello,
+    Operation,
+    State,
+    Wall,
+)
 from tests.bridge.firmware_core import FOLDER, SANITIZED, STRICT, CoreFirmware, library
 from tests.bridge.test_wire import sealed
 from tests.conftest import COMPILER
@@ -249,6 +261,7 @@ def test_it_does_what_the_firmware_in_python_does(
     ("change", "limits"),
     [
         ({"period": 0}, {}),
+        ({"lockstep": 2}, {}),
         ({}, {"watchdog": 1e-10}),
         ({}, {"enable": 1e-10}),
         ({}, {"spot_speed": 0.0}),
@@ -313,7 +326,7 @@ def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
     side = Side(CoreFirmware, PROFILE, None)
     for length, reason in ((384, "version"), (385, "length")):
         data = bytearray(length)
-        data[:4] = b"MJ\x05\x01"
+        data[:4] = b"MJ" + bytes((VERSION + 1, 1))
         answer = side.device.receive(sealed(bytes(data)), 0, "host")
         assert (answer is not None) == (reason == "version") and side.codec.dropped[reason] == 1
 

@@ -12,7 +12,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from maglev_mj.bridge import connection
+from maglev_mj.bridge import connection, wire
 from maglev_mj.bridge.connection import Connection, profile_of
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.links import LinkError
@@ -169,7 +169,7 @@ def foreign() -> bytes:
     """Return an untagged frame of another version."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("maglev_mj.bridge.wire.VERSION", 7)
-        return Codec().encode(0, 0, 0, HelloAck(0, 1, 0, 7, 0, 0, bytes(16), *[0] * 9, *[0.0] * 6, *[0] * 5))
+        return Codec().encode(0, 0, 0, wire.blank(HelloAck)._replace(status=HelloStatus.VERSION, version=7))
 
 
 class Disturbed(Doctored):
@@ -194,7 +194,7 @@ def test_an_untagged_frame_of_another_version_does_not_end_a_keyed_handshake() -
     assert plant.state == State.INACTIVE
     with pytest.raises(HandshakeError, match=r"no device answered within 1 s; frames dropped: \d+ for version \(7\)$"):
         RemotePlant(Disturbed(Twin(TwinParameters(), key=KEY), KEY, mute=True), key=KEY)
-    with pytest.raises(HandshakeError, match="protocol version mismatch: device 7, host 4"):
+    with pytest.raises(HandshakeError, match=f"protocol version mismatch: device 7, host {wire.VERSION}"):
         RemotePlant(Disturbed(Twin(TwinParameters()), None))
 
 

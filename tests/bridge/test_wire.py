@@ -9,18 +9,23 @@ import hashlib
 import json
 import math
 import re
+import runpy
 import struct
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from maglev_mj.bridge import wire
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import cobs_encode
 from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.wire import (
+    FORMATS,
     MAGIC,
     VERSION,
     Codec,
@@ -50,6 +55,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "reference" / "protocol.md").read_text(encoding="utf-8")
 TEXT = " ".join(PAGE.split())
 KEY = bytes(range(32))
+NOW, LATER = bytes([VERSION]), bytes([VERSION + 1])
 BODIES: dict[str, Any] = {
     "HELLO": Hello,
     "HELLO_ACK": HelloAck,
@@ -60,7 +66,6 @@ BODIES: dict[str, Any] = {
     "ESTOP": Estop,
     "ESTOP_ACK": EstopAck,
 }
-FORMATS = {"u8": "B", "i8": "b", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "f64": "d", "bytes": "s", "zeros": "x"}
 
 
 def golden_bytes() -> dict[str, bytes]:
@@ -298,14 +303,14 @@ def test_frames_without_the_right_key_are_dropped() -> None:
     ("data", "reason"),
     [
         (b"", "short"),
-        (b"MJ\x04\x06", "crc"),
+        (b"MJ" + NOW + b"\x06", "crc"),
         (b"JM\x03\x06" + bytes(132), "magic"),
-        (sealed(b"MJ\x05\x07" + bytes(28)), "version"),
-        (sealed(b"MJ\x04\x09" + bytes(132)), "type"),
-        (sealed(b"MJ\x04\x06" + bytes(4)), "length"),
-        (sealed(b"MJ\x04\x06" + bytes(133)), "length"),
-        (sealed(b"MJ\x04\x06" + bytes(132 + 7 * 36)), "length"),
-        (b"MJ\x05\x06" + bytes(132), "crc"),
+        (sealed(b"MJ" + LATER + b"\x07" + bytes(28)), "version"),
+        (sealed(b"MJ" + NOW + b"\x09" + bytes(132)), "type"),
+        (sealed(b"MJ" + NOW + b"\x06" + bytes(4)), "length"),
+        (sealed(b"MJ" + NOW + b"\x06" + bytes(133)), "length"),
+        (sealed(b"MJ" + NOW + b"\x06" + bytes(132 + 7 * 36)), "length"),
+        (b"MJ" + LATER + b"\x06" + bytes(132), "crc"),
     ],
 )
 def test_what_is_no_frame_is_counted_by_reason(data: bytes, reason: str) -> None:
@@ -323,3 +328,47 @@ def test_newer_goes_round(start: int) -> None:
     assert not newer(start, start)
     opposite = (start + 2**31) % 2**32  # half way round neither is the newer
     assert not newer(opposite, start) and not newer(start, opposite)
+
+
+def test_nothing_that_follows_from_the_messages_is_stale() -> None:
+    made = runpy.run_path(str(ROOT / "scripts" / "firmware" / "make_protocol.py"))
+    for path, text in made["files"]():
+        assert path.read_text(encoding="utf-8") == text, f"{path.relative_to(ROOT)} is stale: make protocol"
+
+
+UNITS = [unit for unit in FORMATS if unit not in ("bytes", "zeros")]
+
+
+@st.composite
+def messages(draw: st.DrawFn) -> tuple[Any, list[Any], bytes]:
+    """Return a class of random declarations, values of its fields, and their bytes."""
+    declared: list[tuple[str, Any]] = []
+    values, data = [], b""
+    for index in range(draw(st.integers(1, 12))):
+        unit, count, gap = draw(st.sampled_from([*UNITS, "bytes"])), draw(st.integers(1, 6)), draw(st.integers(0, 3))
+        kind = f"{count} {unit}" if count > 1 or unit == "bytes" else unit
+        declared.append((f"v{index}", Annotated[Any, wire.On(kind, gap=gap)]))
+        numbers = draw(st.lists(st.integers(0, 127), min_size=count, max_size=count))
+        values.append(bytes(numbers) if unit == "bytes" else tuple(numbers) if count > 1 else numbers[0])
+        packed = [struct.pack("<" + FORMATS[unit].replace("s", "B"), number) for number in numbers]
+        data += bytes(gap) + b"".join(packed)
+    return NamedTuple("Body", declared), values, data
+
+
+@given(messages())
+def test_a_message_is_packed_as_declared(message: tuple[Any, list[Any], bytes]) -> None:
+    kind, values, data = message
+    body, shape = kind(*values), struct.Struct(f"<{wire._format(kind)}")
+    assert shape.pack(*wire._flat(kind)(body)) == data
+    assert wire._nested(kind, 0)(shape.unpack(data)) == body
+    assert shape.pack(*wire._flat(kind)(wire.blank(kind))) == bytes(len(data))
+
+
+@pytest.mark.parametrize("body", wire.DECLARED)
+def test_a_declared_message_survives_the_wire(body: Any) -> None:
+    values = [
+        bytes(range(on.count)) if on.type == "bytes" else index if on.count == 1 else tuple(range(on.count))
+        for index, on in enumerate(wire.layout(body).values())
+    ]
+    frame = Frame(1, 2, 3, body(*values))
+    assert Codec().decode(Codec().encode(*frame)) == frame

@@ -108,15 +108,10 @@ def sessions(key: bytes | None) -> list[Frames]:
     ends = [frame(9, Control(2, operation, 0, SIX)) for operation in (*Operation, 3, 99)]
     reset = frame(10, Control(3, Operation.RESET, 0, SIX))
     others: list[Any] = [
-        wire.HelloAck._make(
-            (
-                *(5, 0, 0, 3, 0, 1, CALIBRATION, PERIOD, 0, 0, 0, 0, 0, 0, 0, 20, 10.0, 3.0, 1.4, 10.0, 0.012, 1.0),
-                *(0, 0, 1e5, 400.0, 0.1),
-            )
-        ),
+        wire.blank(wire.HelloAck)._replace(nonce=5, calibration=CALIBRATION),
         wire.ControlAck(1, 1, 0, 0, 0),
-        wire.StateReport(SIX, SIX, SIX, 0, 7, 0, 0, 0, 0, 1),
-        EstopAck(77, 2, 128, 0, SIX),
+        wire.blank(wire.StateReport),
+        wire.blank(EstopAck),
     ]
     whole = [[hello], [stop], flight, [*flight, stop, reset, arm], [hello, *(frame(1, one) for one in others)]]
     walled = [*flight, frame(4, wire.Command(3, 0, SIX, SIX, 0.0, walls))]
@@ -229,7 +224,7 @@ class DamagedLine:
 
     def __init__(self, twin: Twin, draw: random.Random, key: bytes | None) -> None:
         self._link, self._draw, self._key, self._codec = VirtualLink(twin), draw, key, Codec(key)
-        self._recent: Frames = [self._codec.encode(SESSION, 0, 0, EstopAck(77, 2, 128, 0, SIX))]
+        self._recent: Frames = [self._codec.encode(SESSION, 0, 0, wire.blank(EstopAck)._replace(request=77))]
 
     def send(self, data: bytes) -> None:
         frame = self._codec.decode(data)

@@ -645,7 +645,7 @@ _ignores("stale", "that answers a sample older than `stale`", headers=_old_answe
 @check("frames that only a device sends are ignored", state=State.ACTIVE)
 def _direction(t: Tester) -> str:
     ack = wire.ControlAck(t.request + 1, Operation.TRIP, 0, State.FAULT, 1)
-    for body in (t.last.body, ack, t.welcome, wire.EstopAck(draw(), State.FAULT, Fault.ESTOP, 0, ZERO)):
+    for body in (t.last.body, ack, t.welcome, wire.blank(wire.EstopAck)._replace(request=draw())):
         t.links[0].send(t.encode(body, sequence=t.sequence + 1))
         with case(type(body).__name__):
             t.expect(State.ACTIVE)
