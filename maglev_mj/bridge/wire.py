@@ -321,7 +321,7 @@ def _format(body: type[Body]) -> str:
 def _flat(body: type[Body]) -> Callable[[Any], Sequence[Any]]:
     """Return a function from a body to flat values."""
     parts = [f"{'*' if on.values > 1 else ''}body[{index}]" for index, on in enumerate(layout(body).values())]
-    return eval(f"lambda body: ({', '.join(parts)},)")  # type: ignore[no-any-return]  # on every frame: no loop
+    return eval(f"lambda body: [{', '.join(parts)}]")  # type: ignore[no-any-return]  # on every frame: no loop
 
 
 def _nested(body: type[Body], start: int = 6) -> Callable[[tuple[Any, ...]], Body]:
