@@ -113,7 +113,7 @@ class Flight:
         self._delays: deque[float] = deque(maxlen=_ANSWERS)
         self._warn, self._check_due = warn, session.FrameClock(1.0)  # of the recording: once a second
         self._delay_guard = DelayGuard(delay_limit(critical_delay, plant.period))
-        self._power_guard = PowerGuard(plant.period, self._inertia)
+        self._power_guard = PowerGuard(plant.period, self._inertia, plant.scale)
         self.reason, self._judge = "", judge
         self._name = ", ".join(filter(None, (f"{scene.name} on a device", rendered)))
         if file is not None:

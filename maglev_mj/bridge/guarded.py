@@ -18,6 +18,7 @@ from maglev_mj.bridge.flight_guards import DeviceSample, device_guards
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import UNKNOWN, HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
+from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.wire import CUT, MOST_WALLS, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError
@@ -44,13 +45,14 @@ class GuardedPlant:
         delay: Time from a command's arrival to its effect [s].
         lockstep: True if the device waits for each answer.
         limits: The smaller of the device's and the host's limits; `stated` are the device's.
+        scale: Thresholds that follow from the device's file.
         walls_clock: Sample period and delay of walls on the device [s]; None for a device without walls.
         renders_walls: True if the device renders walls at its own rate.
         latched: Faults latched in the device at the handshake, as one line; empty without faults.
         cycles: Last cycles, written to a file on a fault.
         guards: Checks of each sample, in order; an alarm in flight cuts the currents.
         disarmed: True after this host armed the device and switched the currents off.
-        guided: True in takeoff and landing; the larger of the default and the chosen envelope then applies.
+        guided: True in takeoff and landing; the larger of the device's own and the chosen envelope then applies.
         refuse: Check of each limited command of a scene, before it is sent: if True, only the weight is carried.
         alarm: First alarm of the guards for the last sample, as text; empty without.
         state: State of the device at the last sample; `faults` are its faults then.
@@ -89,7 +91,8 @@ class GuardedPlant:
     ) -> None:
         link = open_link(link, key)
         self.calibration = calibration = calibration or Calibration.nominal()
-        host = (limits or HostLimits()).scaled(calibration.base.scale)
+        self.scale = scale = Scale.of(calibration.device)
+        host = (limits or HostLimits()).scaled(scale)
         self._hover: list[float] = calibration.hover.tolist()
         weight = calibration.mass * math.hypot(*calibration.gravity)
         if problem := safety.weight_fault(weight, self._hover, host, host.narrowed(_LARGEST)):
@@ -106,7 +109,7 @@ class GuardedPlant:
             self.state, self.faults = State(welcome.state), Fault(welcome.faults)
             self.first, self.fault_time = Fault(welcome.first), welcome.fault_time
             self.samples = self._connection.samples
-            self.guards = device_guards(self.limits, host, self.period)
+            self.guards = device_guards(self.limits, host, self.period, scale)
             self.cycles = LastCycles(Path(folder))
             self._track = tracker_of(calibration.beams)
             offsets = calibration.spot_offsets

@@ -14,6 +14,7 @@ import numpy as np
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.guarded import GuardedPlant
 from maglev_mj.bridge.realtime import interrupt, stopping
+from maglev_mj.bridge.scale import Scale
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, PlantError
@@ -28,17 +29,8 @@ LANDING_TIME = 2.0
 LANDING_DELAY = 0.02
 """Design delay of the hold of an early landing [s]; it is stable up to 59 ms at 200 Hz, 53 ms at 1 kHz."""
 
-_DROP_SPEED, _FAST_TIME = 0.3, 0.1
-"""Speed of a dropped flotor [m/s], and total time above it that cuts an early landing [s]."""
-
-_DISTANCE, _ANGLE = 0.002, math.radians(3.0)
-"""Largest distance and angle from the path of a takeoff, for the range of the published joystick."""
-
-_SLOW, _SLOW_SPIN = 5e-3, 0.1
-"""Largest speed [m/s] and angular speed [rad/s] at rest.
-
-At 200 Hz: 300 times the apparent speed from spot noise of half a resolution step, 3 times that from noise of 50 µm.
-"""
+_FAST_TIME = 0.1
+"""Total time above the speed of a dropped flotor that cuts an early landing [s]."""
 
 _WINDOW, _BLOCKS = 0.1, 5
 
@@ -51,10 +43,11 @@ class Motion:
 
     Args:
         period: Sample period [s].
+        scale: Scale of the device: the largest speeds at rest.
     """
 
-    def __init__(self, period: float) -> None:
-        self._period = period
+    def __init__(self, period: float, scale: Scale) -> None:
+        self._period, self._slow = period, (scale.rest, scale.rest_spin)
         self._samples: deque[Sample] = deque(maxlen=max(round(_WINDOW / period), 2) + 1)
         self.add = self._samples.append
 
@@ -81,17 +74,22 @@ class Motion:
     @property
     def at_rest(self) -> bool:
         """True if the flotor is at rest."""
-        speed, spin = self.speeds
-        return speed <= _SLOW and spin <= _SLOW_SPIN
+        (speed, spin), (slow, slow_spin) = self.speeds, self._slow
+        return speed <= slow and spin <= slow_spin
 
     def __str__(self) -> str:
         return _speeds_text(*self.speeds)
 
 
 class Swing:
-    """Detector of a flotor that oscillates in an early landing, faster than one that is dropped."""
+    """Detector of a flotor that oscillates in an early landing, faster than one that is dropped.
 
-    def __init__(self) -> None:
+    Args:
+        drop: Speed of a dropped flotor [m/s].
+    """
+
+    def __init__(self, drop: float) -> None:
+        self._drop = drop
         self._last: tuple[float, Sequence[float]] | None = None
         self._fast = 0.0
 
@@ -101,7 +99,7 @@ class Swing:
         if last is None or time <= last[0]:
             return 0.0
         speed = math.dist(pose[:3], last[1][:3]) / (time - last[0])
-        self._fast += (time - last[0]) * (speed > _DROP_SPEED)
+        self._fast += (time - last[0]) * (speed > self._drop)
         return speed if self._fast > _FAST_TIME else 0.0
 
 
@@ -147,8 +145,7 @@ class Leader:
 
     def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
         self.period = period
-        body, scale = calibration.body, calibration.base.scale
-        self._bounds = _DISTANCE * min(scale[:3]), _ANGLE * min(scale[3:])
+        body, self._scale = calibration.body, Scale.of(calibration.device)
         hold = Hold.critically_damped(inertia=body.inertia, period=period, delay=delay)
         self._controller = Controller([Bias(0.0 - body.load), hold], period=period)
         self.aim(straight(ZERO, ZERO, 1.0))
@@ -162,7 +159,7 @@ class Leader:
         """
         self._path = path
         self._astray, self._first = off_path, -1
-        self.motion = Motion(self.period)
+        self.motion = Motion(self.period, self._scale)
         self._controller.reset()
 
     def step(self, sample: Sample) -> Command:
@@ -172,8 +169,9 @@ class Leader:
         self.motion.add(sample)
         goal = self._path.at((sample.tick - self._first) * self.period)
         error = [actual - target for actual, target in zip(sample.position, goal)]
-        distance, angle = self._bounds
-        if self._astray is not None and (math.hypot(*error[:3]) > distance or math.hypot(*error[3:]) > angle):
+        scale = self._scale
+        astray = math.hypot(*error[:3]) > scale.path or math.hypot(*error[3:]) > scale.path_angle
+        if astray and self._astray is not None:
             self._astray(sample.position)
         return self._controller.step(Sample(sample.tick, sample.time, error))
 

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
+from maglev_mj.bridge.scale import Scale
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.frames import ZERO, Array, Command
 from maglev_mj.plants.coils import wrench_of
@@ -17,17 +18,11 @@ from maglev_mj.plants.coils import wrench_of
 _CORNER = 31.0
 """Corner of each of two cascaded low-pass filters [Hz]; -3 dB at 20 Hz together."""
 
-_LIFTED = 4e-4
-"""Distance from the stop at which the flotor has lifted off [m]."""
-
 _FEWEST, _MOST = 8, 60
 """Fewest samples after liftoff, and most that are fitted."""
 
-_ARM = 0.03
-"""Lever arm that converts angles to paths [m]."""
-
-_NOISE, _CERTAIN, _PROMPT = 3e-6, 0.02, 2e-4
-"""Pose noise [m]; largest standard errors of a gain and of the sensor's delay [s]."""
+_CERTAIN, _PROMPT = 0.02, 2e-4
+"""Largest standard errors of a gain and of the sensor's delay [s]."""
 
 LATE = 0.5
 """Smallest delay of a sensor that is acted on, in sample periods: above its uncertainty over a jittery line."""
@@ -57,8 +52,8 @@ _DRIFT = 0.2
 _COIL_STEP, _COMPARED, _BETWEEN, _EVERY = 0.005, 2, 3, 2
 """Step of the check of the coils in flight [s]; steps that are compared, between them, and from check to check."""
 
-_LOSSES, _UNSURE, _REST, _WEAKEST = (1.0, 2.0), 0.1, 0.005, 0.15
-"""Loss of gain of a dead and a reversed coil; tolerance; largest share left of the squared change; least change [A]."""
+_LOSSES, _UNSURE, _REST = (1.0, 2.0), 0.1, 0.005
+"""Loss of gain of a dead and a reversed coil; tolerance; largest share left of the squared change."""
 
 UNKNOWN: Sequence[float] = (math.nan,) * 6  # pose or wrench that is not available
 _BUFFER = 64
@@ -340,7 +335,7 @@ class CoilEstimator:
     sensor_delay = math.nan
 
     def __init__(self, calibration: Calibration, period: float) -> None:
-        self._period = period
+        self._period, self._scale = period, Scale.of(calibration.device)
         self._paths = calibration.coils.wrench_per_current * (period**2 / calibration.body.inertia)[:, None]
         self._fall = np.concatenate([period**2 * calibration.gravity, np.zeros(3)])
         self._rows: list[tuple[float, ...]] = []
@@ -360,12 +355,12 @@ class CoilEstimator:
     def estimate(self) -> tuple[Array, float]:
         """Return the coil gains relative to the calibration, (6,), and the sensor's delay [s]; NaN if uncertain."""
         rows = self._summed()
-        lifted = np.flatnonzero(np.abs(rows[:, :3] - rows[:1, :3]).max(axis=1, initial=0.0) > _LIFTED)
+        lifted = np.flatnonzero(np.abs(rows[:, :3] - rows[:1, :3]).max(axis=1, initial=0.0) > self._scale.lifted)
         if not lifted.size or len(rows) - lifted[0] < _FEWEST:
             return np.full(6, np.nan), math.nan
         matrix, residual = self._fit(rows[lifted[0] :], range(6))
         changes = np.linalg.lstsq(matrix, residual, rcond=None)[0]
-        errors = _NOISE * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix)))
+        errors = self._scale.noise * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix)))
         *gains, delay = np.where(errors < [_CERTAIN] * 6 + [_PROMPT], changes, np.nan)
         return 1.0 + np.array(gains), float(delay)
 
@@ -390,7 +385,7 @@ class CoilEstimator:
         # on its stop the flotor can still rotate
         matrix, path = self._fit(self._summed(), range(3, 6))
         matrix = matrix[:, :6]
-        sizes = (matrix**2).sum(axis=0) + _NOISE**2
+        sizes = (matrix**2).sum(axis=0) + self._scale.noise**2
         return f"coil {int(np.argmax((matrix.T @ path) ** 2 / sizes))} is the most likely cause: weak, dead or reversed"
 
     def _fit(self, rows: Array, axes: Sequence[int]) -> tuple[Array, Array]:
@@ -401,7 +396,7 @@ class CoilEstimator:
         project = np.eye(len(rows)) - drift @ np.linalg.pinv(drift)
         parts, paths = [], []
         for axis in axes:
-            scaled = (1.0 if axis < 3 else _ARM) * project
+            scaled = (1.0 if axis < 3 else self._scale.lever) * project
             coils, fall = self._paths[axis], self._fall[axis]
             speed = (rows[:, 13:19] @ coils + fall * rows[:, 19]) / self._period
             parts.append(scaled @ np.column_stack([rows[:, 6:12] * coils, -speed]))
@@ -437,6 +432,7 @@ class CoilMonitor:
         self.add = self._samples.append
         to_currents = np.linalg.inv(calibration.coils.wrench_per_current).T
         self._per_change = (calibration.body.inertia / self._step**2)[:, None] * to_currents
+        self._least = _COMPARED * Scale.of(calibration.device).least ** 2
 
     def fault(self) -> str:
         """Return a message about a coil that fails; "" if none does. Call it after each sample: every 10 ms it checks.
@@ -457,7 +453,7 @@ class CoilMonitor:
         changes = unexplained[-_COMPARED:] - unexplained[:_COMPARED].mean(axis=0)
         squares = (changes**2).sum(axis=0)
         coil, total = int(squares.argmax()), float(squares.sum())
-        if not total > _COMPARED * _WEAKEST**2:  # also for NaN, of a lost sample
+        if not total > self._least:  # also for NaN, of a lost sample
             return ""
         flowing, before = acting[-_COMPARED:, coil], acting[:_COMPARED, coil].mean()
         for driven in (flowing, flowing - before):  # failed between both; or before them

@@ -75,7 +75,7 @@ class RemotePlant(GuardedPlant):
     def takeoff(self, duration: float = 0.6, *, watch: _Watch | None = None, check_coils: bool = False) -> None:
         """Check that the flotor is at rest, arm, and move it to the centre.
 
-        At rest: up to 5 mm/s and 0.1 rad/s over 0.1 s. Slow work is done before the currents flow.
+        At rest: up to `Scale.rest` and `Scale.rest_spin` over 0.1 s. Slow work is done before the currents flow.
 
         Args:
             duration: Duration of the motion [s].
@@ -139,7 +139,7 @@ class RemotePlant(GuardedPlant):
         """
         if not reason:
             return self._landed(self._leader, duration, watch)
-        swing, cycles = Swing(), self.cycles.mark(Fault(0), reason, self._about())
+        swing, cycles = Swing(self.scale.drop), self.cycles.mark(Fault(0), reason, self._about())
 
         def check() -> bool:
             if self.state is State.ACTIVE and (speed := swing.check(self.pose, self.samples.tick * self.period)):
@@ -178,7 +178,7 @@ class RemotePlant(GuardedPlant):
 
     def _observed(self, duration: float) -> Motion:
         """Observe the motion for at least `duration` [s], until it covers 0.1 s or a guard raises alarm."""
-        motion, self.alarm = Motion(self.period), ""
+        motion, self.alarm = Motion(self.period, self.scale), ""
         end = self.samples.tick + round(duration / self.period)
         while self.samples.tick < end or not (motion.full or self.alarm):
             try:

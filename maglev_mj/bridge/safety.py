@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.wire import PROPERTIES, VERSION, Fault, HelloAck, Wall
 from maglev_mj.control.timeline import Timeline, Timing
-from maglev_mj.device import Device
+from maglev_mj.device import Device, published_device
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, ZERO, Array, Command, clipped, unit_of
 from maglev_mj.parameters import Parameters, flag, number, param, read_json, store
@@ -202,13 +204,20 @@ class Profile:
         return "" if 0.0 <= wall.cutoff < math.inf else f"cutoff of a wall must be 0 or above (got {wall.cutoff:g})"
 
 
-def _scaled_limit(help: str, unit: str, value: float) -> Any:
-    """Declare a limit for the published joystick's range, scaled by a device's unless it is set."""
-    return param(f"{help}, scaled by the range", unit, default=None, derive=lambda _: value, above=0.0)
+_SCALED = {"envelope": "envelope", "envelope_angle": "tilt", "speed_limit": "speed", "spin_limit": "spin"}
+"""Limits of the host that follow from the device's file unless they are set, and their names in `Scale`."""
+
+
+def _scaled_limit(name: str, help: str, unit: str) -> Any:
+    """Declare a limit that follows from the device's file; the published joystick's until `HostLimits.scaled`."""
+    own = attrgetter(_SCALED[name])
+    return param(help, unit, default=None, derive=lambda _: own(Scale.of(published_device())), above=0.0)
 
 
 class HostLimits(Parameters):
     """Limits of the host; the smaller of these and the device's apply.
+
+    Envelope and speeds that are not set are the device's own, see `Scale`; here those of the published joystick.
 
     Example:
         >>> from maglev_mj import HostLimits
@@ -220,10 +229,10 @@ class HostLimits(Parameters):
     continuous_current: float | None = param("continuous current limit", "A", default=None, optional=True, above=0.0)
     force_limit: float | None = param("force limit per axis, with weight", "N", default=None, optional=True, above=0.0)
     torque_limit: float | None = param("torque limit per axis", "N m", default=None, optional=True, above=0.0)
-    envelope: float = _scaled_limit("position limit in flight; just outside the stops", "m", 0.0055)
-    envelope_angle: float = _scaled_limit("rotation limit in flight", "rad", math.radians(7.5))
-    speed_limit: float = param("flotor speed limit", "m/s", default=0.6, above=0.0)
-    spin_limit: float = param("flotor angular speed limit", "rad/s", default=15.0, above=0.0)
+    envelope: float = _scaled_limit("envelope", "position limit in flight; just outside the stops", "m")
+    envelope_angle: float = _scaled_limit("envelope_angle", "rotation limit in flight", "rad")
+    speed_limit: float = _scaled_limit("speed_limit", "flotor speed limit", "m/s")
+    spin_limit: float = _scaled_limit("spin_limit", "flotor angular speed limit", "rad/s")
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -241,11 +250,17 @@ class HostLimits(Parameters):
             return None
         return [self.force_limit or math.inf] * 3 + [self.torque_limit or math.inf] * 3
 
-    def scaled(self, scale: Array) -> Self:
-        """Return limits with an envelope scaled by that of a device, (6,), unless it was set."""
-        factors = {"envelope": scale[:3].max(), "envelope_angle": scale[3:].max()}
-        own = {name: float(factors[name] * getattr(self, name)) for name in factors if name in self._derived}
-        return self.replace(**own)
+    def scaled(self, scale: Scale | Array) -> Self:
+        """Return limits with the device's own in place of those that were not set.
+
+        Args:
+            scale: Scale of the device; or only its range as a multiple of the published joystick's, (6,).
+        """
+        if not isinstance(scale, Scale):
+            own = Scale.of(published_device())
+            far, turned = float(scale[:3].max()), float(scale[3:].max())
+            scale = replace(own, envelope=own.envelope * far, tilt=own.tilt * turned)
+        return self.replace(**{name: getattr(scale, _SCALED[name]) for name in _SCALED if name in self._derived})
 
     def narrowed(self, limits: Limits) -> Limits:
         """Return the smaller of the device's and the host's limits."""
@@ -409,12 +424,18 @@ class SpotGuard:
 
 
 class FlotorGuard:
-    """Detector of a flotor outside its envelope or too fast."""
+    """Detector of a flotor outside its envelope or too fast.
 
-    def __init__(self, limits: HostLimits) -> None:
-        default = HostLimits()
-        self._own = limits.envelope, limits.envelope_angle**2
-        self._guided = max(limits.envelope, default.envelope), max(limits.envelope_angle, default.envelope_angle) ** 2
+    Args:
+        limits: Limits of the host.
+        scale: Scale of the device; None if the limits hold in takeoff and landing, too.
+    """
+
+    def __init__(self, limits: HostLimits, scale: Scale | None = None) -> None:
+        far, turned = limits.envelope, limits.envelope_angle
+        self._own = self._guided = far, turned**2
+        if scale is not None:
+            self._guided = max(far, scale.envelope), max(turned, scale.tilt) ** 2
         self._fast, self._turning = limits.speed_limit**2, limits.spin_limit**2
         self._last: Sequence[float] | None = None
 
@@ -424,7 +445,7 @@ class FlotorGuard:
         Args:
             position: Measured pose [m, rad], six components.
             elapsed: Time since the previous pose [s].
-            guided: True in takeoff and landing; the larger of the default and the chosen envelope then applies.
+            guided: True in takeoff and landing; the larger of the device's own and the chosen envelope then applies.
         """
         x, y, z, rx, ry, rz = position
         last, self._last = self._last, position

@@ -14,30 +14,29 @@ from maglev_mj.spec import GRAVITY, RANGE
 _HAND = 20.0
 """Force of a strong hand [N], or the device's largest if that is smaller."""
 
-_SLOWEST = 1.0 / 12.0
-"""Largest speed at rest as a share of the speed of a dropped flotor: a coarse sensor must not make motion rest."""
-
-_STEPS = 40.0
-"""Resolution steps above the stop that show a flotor that has lifted off."""
+_SLOWEST = 5.0
+"""Largest factor on the speed at rest: a noisy sensor must not make motion rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
     """Thresholds of a device, in SI units.
 
-    Those of the published joystick, times the power of mass m, gravity g, range of motion x, radius of gyration r and
-    force F by which each scales. F is that of a hand of 20 N, or of the coils if they are weaker; g is 9.81 m/s² for a
-    device without gravity.
+    Those of the published joystick, times the power by which each scales of mass m, gravity g, longest and shortest
+    range of motion x and s, distance d along gravity from the centre to the stop, radius of gyration r, force F and
+    noise n of the sensor. F is that of a hand of 20 N, or of the coils if they are weaker; g is 9.81 m/s² for a device
+    without gravity; a range or a noise that the file does not state is the published joystick's.
 
     Attributes:
         off: Largest current of a coil that is off [A]; six of them lift 22 % of the weight.
-        least: Least change of a coil's current from which a missing force is judged [A]; as `off`.
-        drop: Speed of a flotor that falls from the centre to its stop [m/s], sqrt(g x).
-        speed: Speed limit [m/s], sqrt(x / m): 84 % of the speed that a hand of 20 N reaches across the range.
+        least: Least change of a coil's current from which a missing force is judged [A]; as `off`, or n / g times it.
+        drop: Speed of a flotor that falls from the centre to its stop [m/s], sqrt(g d).
+        speed: Speed limit [m/s], sqrt(x / m): 84 % of the speed that a hand of 20 N reaches across the range; at least
+            twice `drop`.
         spin: Angular speed limit [rad/s], `speed` / r.
         envelope: Position limit, just outside the stops [m], x.
         tilt: Rotation limit, just outside the stops [rad].
-        stored: Energy that laws may store without decay [J], F x: of a hand's force along the range.
+        stored: Energy that laws may store without decay [J], F x: a hand's in a spring along the range.
         generated: Limit of generated energy [J], m `drop`².
         wall_energy: The same of walls on the device [J], half of it.
         reversals: Limit of the force reversals in 0.2 s [N], F.
@@ -48,12 +47,12 @@ class Scale:
         lever: Lever arm of the limits of a wall on a rotation [m], r.
         stiffness: Stiffness limit of a wall on the device [N/m], m.
         damping: Damping limit of a wall on the device [N s/m], m.
-        rest: Largest speed at rest [m/s]: `drop` or the sensor's resolution, at most a twelfth of `drop`.
-        rest_spin: Largest angular speed at rest [rad/s], `rest` / r.
-        lifted: Distance from the stop of a flotor that has lifted off [m]: x, at least 40 resolution steps.
-        noise: Noise of a measured pose [m]: the sensor's resolution.
-        path: Largest distance from the path of a takeoff [m], the shortest x.
-        path_angle: Largest angle from the path of a takeoff [rad].
+        rest: Largest speed at rest [m/s], `drop`, or n if that is more; at most five times as `drop`.
+        rest_spin: Largest angular speed at rest [rad/s], `drop` / r; the same with the noise of rotations.
+        lifted: Distance from the stop of a flotor that has lifted off [m]: d, or n if that is more.
+        noise: Noise of a measured pose [m], n.
+        path: Largest distance from the path of a takeoff [m], s.
+        path_angle: Largest angle from the path of a takeoff [rad], as the smallest range of rotation.
     """
 
     off: float
@@ -90,17 +89,17 @@ class Scale:
             device: Description of the device, with coils.
         """
         own, published = _sizes(device), _sizes(published_device())
-        m, g, x, r, force, lift, resolution, far, tilt, narrow = (a / b for a, b in zip(own, published))
-        drop, current = math.sqrt(g * x), m * g / lift
-        fast = math.sqrt(x / m)  # a hand is as strong on any device
-        rest = min(max(5e-3 * drop, 1e-3 * resolution), _SLOWEST * 0.3 * drop)
+        m, g, x, s, d, tilt, narrow, r, force, lift, noise, turning = (a / b for a, b in zip(own, published))
+        noise, turning = noise or 1.0, turning or 1.0
+        drop = math.sqrt(g * d)
+        fast = max(math.sqrt(x / m), drop)  # a hand is as strong on any device
         return Scale(
-            off=0.25 * current,
-            least=0.15 * current,
+            off=0.25 * m * g / lift,
+            least=0.15 * m * max(g, noise) / lift,
             drop=0.3 * drop,
             speed=0.6 * fast,
             spin=15.0 * fast / r,
-            envelope=0.0055 * far,
+            envelope=0.0055 * x,
             tilt=math.radians(7.5) * tilt,
             stored=0.045 * force * x,
             generated=0.008 * m * drop**2,
@@ -113,11 +112,11 @@ class Scale:
             lever=0.03 * r,
             stiffness=1e5 * m,
             damping=400.0 * m,
-            rest=rest,
-            rest_spin=0.1 * rest / (5e-3 * r),
-            lifted=max(4e-4 * x, _STEPS * own[6]),
-            noise=3e-6 * resolution,
-            path=0.002 * x,
+            rest=5e-3 * min(max(drop, 0.2 * noise), _SLOWEST * drop),
+            rest_spin=0.1 * min(max(drop / r, 0.02 * turning), _SLOWEST * drop / r),
+            lifted=max(4e-4 * d, 2e-4 * noise),
+            noise=3e-6 * noise,
+            path=0.002 * s,
             path_angle=math.radians(3.0) * narrow,
         )
 
@@ -125,8 +124,8 @@ class Scale:
 def _sizes(device: Device) -> tuple[float, ...]:
     """Return the sizes from which the thresholds follow, in SI units.
 
-    Mass, gravity, shortest range, radius of gyration, force, lift of one ampere in each coil, resolution; longest
-    range, largest and smallest tilt.
+    Mass; gravity; longest and shortest range, and range along gravity; largest and smallest tilt; radius of gyration;
+    force; lift of one ampere in each coil; noise of translations and of rotations.
     """
     coils = device.coils
     assert coils is not None, "only devices with coils are flown"
@@ -135,16 +134,18 @@ def _sizes(device: Device) -> tuple[float, ...]:
     down = gravity / weight if weight else np.array([0.0, 0.0, -1.0])
     unit = coils.wrench_per_current(device.body.centre_of_mass)[:3]
     reach = np.where(np.isfinite(device.reach), device.reach, RANGE)
-    strongest = float(device.force_limit[:3].min())
+    noise = np.hypot(np.array(device.sensor.resolution) / math.sqrt(12.0), device.sensor.noise)
     return (
         device.mass,
         weight or GRAVITY,
-        float(reach[:3].min()),
-        math.sqrt(float(device.inertia[3:].mean()) / device.mass),
-        min(_HAND, strongest),
-        float(np.abs(down @ unit).sum()),
-        float(max(device.sensor.resolution[:3])),
         float(reach[:3].max()),
+        float(reach[:3].min()),
+        float(1.0 / (np.abs(down) / reach[:3]).max()),
         float(reach[3:].max()),
         float(reach[3:].min()),
+        math.sqrt(float(device.inertia[3:].mean()) / device.mass),
+        min(_HAND, float(device.force_limit[:3].min())),
+        float(np.abs(down @ unit).sum()),
+        float(noise[:3].max()),
+        float(noise[3:].max()),
     )

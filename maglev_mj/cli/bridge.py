@@ -86,7 +86,9 @@ def _add_scene(parser: Parser) -> None:
 
 def _add_limits(parser: Parser) -> None:
     group = parser.group(_LIMITS)
-    add_parameters(group, HostLimits)
+    published, scaled = HostLimits(), [item.name for item in HostLimits.parameters() if item.derive is not None]
+    own = {name: f"the device's own; {getattr(published, name):.4g} on the published joystick" for name in scaled}
+    add_parameters(group, published, sources=own)
     group.add_argument(
         "--profile", metavar="FILE", type=Path, help="JSON file with these limits by name; options override it"
     )

@@ -19,6 +19,7 @@ from maglev_mj.bridge.flight_guards import shown as pose_shown
 from maglev_mj.bridge.landing import Leader, Motion, straight
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.safety import OFF, OutputLimiter
+from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import ZERO, Sample
@@ -28,7 +29,7 @@ _PATIENCE = 2.0  # [s]
 _ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}
 _TRIES = 10  # repetitions of a check if this host was late
 _LED = 0.6  # [s] of takeoff and landing
-_ASIDE, _ASKEW = 0.001, 0.03  # from the centre [m], [rad]
+_OFF_CENTRE = 0.5  # from the centre, as a share of the largest error of a takeoff
 _Numbers: TypeAlias = Sequence[float]
 _Walls: TypeAlias = tuple[wire.Wall, ...]
 _Law: TypeAlias = Callable[[Any], _Numbers]
@@ -155,6 +156,7 @@ class Tester:
         self._times: dict[int, int] = {}  # of the last frame from each address
         self._random, self._raw, self._idle = random.Random(1), b"", 0
         self._track, self._offsets = tracker_of(calibration.beams), calibration.spot_offsets.tolist()
+        self._scale = Scale.of(calibration.device)
 
     def now(self) -> int:
         """Return the link's clock [ns]."""
@@ -444,13 +446,14 @@ class Tester:
     def hovers(self) -> str:
         """Check that the flotor hovers at the centre; return its pose as text."""
         pose = self.locate(self.expect(State.ACTIVE))
-        if math.hypot(*pose[:3]) > _ASIDE or math.hypot(*pose[3:]) > _ASKEW:
+        most, turned = _OFF_CENTRE * self._scale.path, _OFF_CENTRE * self._scale.path_angle
+        if math.hypot(*pose[:3]) > most or math.hypot(*pose[3:]) > turned:
             fail(f"the flotor hovers off centre: {pose_shown(pose)}")
         return pose_shown(pose)
 
     def _rest(self) -> list[float]:
         """Wait until the flotor is at rest and return its pose."""
-        motion, end = Motion(self.welcome.period * 1e-9), self.now() + 10_000_000_000
+        motion, end = Motion(self.welcome.period * 1e-9, self._scale), self.now() + 10_000_000_000
         while not (motion.full and motion.at_rest):
             frame = self.states(1)[0]
             motion.add(Sample(frame.sequence, frame.time * 1e-9, self.locate(frame)))
