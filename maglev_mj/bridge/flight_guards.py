@@ -288,7 +288,7 @@ class PowerGuard:
                     most = total
                 if small > capped:
                     capped = small
-        most, capped, (reversals, small, free, least) = most / weight, capped / weight, self._limits
+        most, capped, (strong, weak, free, least) = most / weight, capped / weight, self._limits
         stored = self._stored - energy
         if stored < 0.0:
             stored *= self._forget
@@ -299,14 +299,18 @@ class PowerGuard:
         if weight > _HEAVY:
             self._reversals, self._small = ([x / weight for x in six] for six in (self._reversals, self._small))
             self._weight = 1.0
-        if most > reversals:
-            return f"the laws vibrate: {number_text(most, 3)} N of force reversals in {_MEMORY:g} s, limit {number_text(reversals, 3)} N"
-        if capped > small:
-            sums = f"force reversals capped at {number_text(cap, 3)} N each in {_MEMORY:g} s"
-            return f"the laws vibrate: {number_text(capped, 3)} N of {sums}, limit {number_text(small, 3)} N"
+        if most > strong:
+            return _vibration(most, "force reversals", strong)
+        if capped > weak:
+            return _vibration(capped, f"force reversals capped at {number_text(cap, 3)} N each", weak)
         if coming > 0.0:
             stored -= coming
         if stored < least:
-            excess = f"{number_text(-1e3 * stored, 3)} mJ more than they absorbed"
-            return f"the laws generate energy: {excess}, limit {number_text(-1e3 * least, 3)} mJ"
+            excess, limit = (number_text(-1e3 * energy, 3) for energy in (stored, least))
+            return f"the laws generate energy: {excess} mJ more than they absorbed, limit {limit} mJ"
         return ""
+
+
+def _vibration(total: float, reversals: str, limit: float) -> str:
+    total_text, limit_text = number_text(total, 3), number_text(limit, 3)
+    return f"the laws vibrate: {total_text} N of {reversals} in {_MEMORY:g} s, limit {limit_text} N"

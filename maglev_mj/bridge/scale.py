@@ -39,7 +39,7 @@ class Scale:
         stored: Energy that laws may store without decay [J], F x: a hand's in a spring along the range.
         generated: Limit of generated energy [J], m `drop`².
         wall_energy: The same of walls on the device [J], half of it.
-        reversals: Limit of the force reversals in 0.2 s [N], F.
+        reversals: Limit of the force reversals in 0.2 s [N], F; twice the most of good flights, with taps of 20 N.
         capped: Limit of the same sum with each reversal capped [N], F.
         cap: Cap of one reversal [N], F.
         recede: Speed at which the edges of walls recede in a controlled stop [m/s], `drop`.

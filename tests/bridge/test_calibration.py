@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import HostLimits, RemotePlant, Sample, Twin, TwinParameters
+from maglev_mj import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.landing import Leader, straight
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.device import Device, devices
 from maglev_mj.errors import ParameterError
@@ -125,15 +124,3 @@ def test_a_stage_of_its_own_file_takes_off_and_lands() -> None:
         assert device.land(0.2).at_rest
     with pytest.raises(HandshakeError, match="calibration mismatch"):
         RemotePlant(VirtualLink(Twin(TwinParameters(calibration=known))))
-
-
-def test_the_tolerances_of_a_flight_scale_with_the_range() -> None:
-    scale = Device.load("stage").scale
-    assert HostLimits().scaled(scale).envelope == pytest.approx(0.0055 * 0.002 / 0.0045)
-    assert HostLimits(envelope=0.003).scaled(scale).envelope == 0.003
-    astray: list[Any] = []
-    leader = Leader(Calibration.load("stage"), 1e-3, 9e-4)
-    leader.aim(straight([0.0] * 6, [0.0] * 6, 1.0), astray.append)
-    for tick, offset in enumerate((0.0008, 0.001)):
-        leader.step(Sample(tick, 1e-3 * tick, [0.0, 0.0, offset, 0.0, 0.0, 0.0]))
-    assert len(astray) == 1

@@ -238,10 +238,10 @@ def test_a_hand_that_lets_go_of_a_spring_is_not_refused() -> None:
 
 
 def test_a_swing_is_cut_after_a_tenth_of_a_second() -> None:
-    swing = Swing()
+    swing = Swing(0.3)
     said = [swing.check([0.35 * time, 0.0, 0.0], time) for time in np.arange(0.0, 0.2, 0.005)]
     assert not any(said[:20]) and said[22] == pytest.approx(0.35)
-    slow = Swing()
+    slow = Swing(0.3)
     assert not any(slow.check([0.29 * time, 0.0, 0.0], time) for time in np.arange(0.0, 0.5, 0.005))
 
 

@@ -13,8 +13,10 @@ from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import Motion
 from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.wire import Fault, Operation, State
+from maglev_mj.device import published_device
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample
 from maglev_mj.scenes import find_scene
@@ -48,7 +50,7 @@ def test_a_flotor_at_rest_is_detected_with_any_noise(noise: float, period: float
 
 def watched(period: float, pose: Any) -> Motion:
     """Return the motion of a pose as a function of time."""
-    motion = Motion(period)
+    motion = Motion(period, Scale.of(published_device()))
     for tick in range(5000):
         if motion.full:
             break
@@ -223,7 +225,7 @@ def test_a_takeoff_that_ends_early_may_land_but_not_fly_on(until: float) -> None
             assert rig.plant.land().at_rest
 
 
-def test_takeoff_and_landing_have_the_default_envelope_and_the_own_speed() -> None:
+def test_takeoff_and_landing_have_the_devices_own_envelope_and_the_hosts_speed() -> None:
     rig = Rig(hand=late_hand([0.0, 0.0, 12.0, 0.0, 0.0, 0.0], 0.8), host={"limits": HostLimits(envelope=0.003)})
     rig.plant.takeoff()
     rig.plant.land()  # against the upper stop
