@@ -306,7 +306,7 @@ class PowerGuard:
         if coming > 0.0:
             stored -= coming
         if stored < least:
-            excess, limit = (number_text(-1e3 * energy, 3) for energy in (stored, least))
+            excess, limit = number_text(-1e3 * stored, 3), number_text(-1e3 * least, 3)
             return f"the laws generate energy: {excess} mJ more than they absorbed, limit {limit} mJ"
         return ""
 
