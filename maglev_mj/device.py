@@ -70,6 +70,7 @@ class Coils(Parameters):
     continuous_current: float = param("", "A", default=None, derive=lambda coils: coils.current_limit, above=0.0)
     thermal_time: float = param("thermal time constant", "s", default=10.0, at_least=0.01, at_most=1e7)
     resistance: float | None = param("resistance", "ohm", default=None, optional=True, above=0.0)
+    meter: float = param("resolution of the measured currents", "A", default=0.0, at_least=0.0, at_most=20.0)
 
     def check(self) -> None:
         """See `Parameters`."""

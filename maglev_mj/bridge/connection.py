@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from typing import NamedTuple, TypeVar
@@ -12,7 +11,7 @@ from typing import NamedTuple, TypeVar
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.links import Link, open_link
-from maglev_mj.bridge.safety import OFF, Profile
+from maglev_mj.bridge.safety import Profile, at_most
 from maglev_mj.bridge.wire import WRAP, Codec, Frame, HelloStatus, Operation, State, StateReport, fault_names
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import ZERO
@@ -25,9 +24,6 @@ _HELLO_INTERVAL, _ESTOP_INTERVAL = 0.1, 0.005
 TAKEOVER = 1.0
 """Silence after which an idle device drops its host [s]."""
 
-_STOPPED = 4
-"""Number of equal timestamps that indicates a stopped clock, as in lockstep."""
-
 T = TypeVar("T")
 
 
@@ -35,11 +31,13 @@ class EstopReport(NamedTuple):
     """Outcome of an emergency stop.
 
     Attributes:
-        confirmed: True if the device is in the fault state and has measured no current since.
+        confirmed: True if the device is in the fault state and has measured its currents off since, or is in lockstep.
         duration: Time from the first request to the end [s].
         faults: Faults latched in the device; 0 without an answer.
         currents: Last measured currents [A], six; empty without an answer.
         at: Device time of its first answer [ns]; 0 without an answer.
+        off: Largest current that counts as off on the device, if a sample since its first answer shows no larger one
+            [A]; None otherwise.
     """
 
     confirmed: bool
@@ -47,15 +45,19 @@ class EstopReport(NamedTuple):
     faults: int
     currents: tuple[float, ...]
     at: int
+    off: float | None
 
     def __str__(self) -> str:
         names = fault_names(self.faults)
         if self.confirmed:
-            return f"stopped: {names}, no current {self.duration * 1e3:.1f} ms after the first request"
+            after = f"{self.duration * 1e3:.1f} ms after the first request"
+            if self.off is None:
+                return f"stopped: {names} {after}; in lockstep no sample follows, so the currents are not measured"
+            return f"stopped: {names}, {at_most(self.off)} {after}"
         reason = f"no answer within {self.duration:.3g} s"
         if self.currents:
             coil = max(range(6), key=lambda index: abs(self.currents[index]))
-            reason = f"faults {names}, {self.currents[coil]:.2f} A in coil {coil}"
+            reason = f"faults {names}, {self.currents[coil]:.2g} A in coil {coil}"
         return f"not confirmed: cut the power ({reason})"
 
 
@@ -89,23 +91,25 @@ def estop(link: Link | str, key: bytes | None = None, patience: float = 1.0) -> 
 def _stop(link: Link, codec: Codec, patience: float, others: Callable[[Frame | None], object]) -> EstopReport:
     """Send ESTOP until the device confirms it; pass other frames to `others`."""
     body = wire.Estop(draw())
-    start, times, answer = link.now(), Counter[int](), None
-    confirmed, first = False, 0
+    start, first = link.now(), None
+    answer: wire.EstopAck | None = None
+    off, confirmed = False, False
     for data in _requested(link, codec, 0, body, _ESTOP_INTERVAL, patience):
         frame = codec.decode(data)
         if frame is None or not isinstance(frame.body, wire.EstopAck) or frame.body.request != body.request:
             others(frame)
             continue
-        answer, first = frame.body, first if times else frame.time
-        times[frame.time] += 1
-        # in lockstep no sample may follow: the clock is stopped until the host answers
-        stopped = len(times) == 1 and times[frame.time] >= _STOPPED
-        off = answer.sampled > first and all(abs(current) < OFF for current in answer.currents)
-        confirmed = answer.state == State.FAULT and (off or stopped)
+        answer, first = frame.body, frame.time if first is None else first
+        off = answer.sampled > first and all(abs(current) <= answer.off_current for current in answer.currents)
+        # in lockstep no sample may follow: simulated time stands still until the host answers
+        confirmed = answer.state == State.FAULT and (off or answer.lockstep == 1)
         if confirmed:
             break
-    faults, currents = (answer.faults, answer.currents) if answer is not None else (0, ())
-    return EstopReport(confirmed, (link.now() - start) * 1e-9, faults, currents, first)
+    duration = (link.now() - start) * 1e-9
+    if answer is None:
+        return EstopReport(False, duration, 0, (), 0, None)
+    limit = answer.off_current if off else None
+    return EstopReport(confirmed, duration, answer.faults, answer.currents, first or 0, limit)
 
 
 def exchange(
@@ -241,7 +245,8 @@ class Connection:
             self.welcome = self._join(calibration)
             self.profile = profile_of(self.welcome, self._handshake_time)
             self.samples = SampleCounter(self.profile.period)
-            self.answers = AnswerTiming(0, math.nan, math.nan, self.profile.delay / 1e9, 0)
+            self._delay = (self.profile.delay + self.profile.latency) / 1e9
+            self.answers = AnswerTiming(0, math.nan, math.nan, self._delay, 0)
         except BaseException as error:
             self.close()
             if isinstance(error, (ValueError, ArithmeticError)) and not isinstance(error, MaglevError):
@@ -293,7 +298,7 @@ class Connection:
     def _time(self, frame: Frame) -> None:
         """Update the delays of answers from a sample."""
         report: StateReport = frame.body  # type: ignore[assignment]
-        period, delay, samples = self.profile.period / 1e9, self.profile.delay / 1e9, self.samples
+        period, delay, samples = self.profile.period / 1e9, self._delay, self.samples
         self.sequence, behind = frame.sequence, (frame.sequence - report.answered) & WRAP
         fresh = report.age != wire.NEVER and report.answered != self._answered
         self._answered = report.answered

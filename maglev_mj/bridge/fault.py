@@ -16,6 +16,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
+from maglev_mj.bridge.safety import at_most
 from maglev_mj.bridge.wire import Fault, Frame, State, StateReport, fault_names
 from maglev_mj.errors import ParameterError, PlantError, file_path
 from maglev_mj.files import errors_named
@@ -77,12 +78,13 @@ class DeviceFault(PlantError):
     Attributes:
         faults: Faults that the device or host raised.
         path: File with the last 200 cycles; None if it could not be written.
-        off: True if a sample since has shown the device without current; otherwise the message says to cut the power.
+        off: Largest current that counts as off, if a sample since has shown no larger one [A]; None otherwise, and the
+            message says to cut the power.
     """
 
-    def __init__(self, faults: Fault, message: str, path: Path | None, *, off: bool) -> None:
+    def __init__(self, faults: Fault, message: str, path: Path | None, *, off: float | None) -> None:
         where = f"; the last cycles are in {path}" if path is not None else ""
-        said = "currents off" if off else "currents not confirmed off: cut the power at the amplifiers"
+        said = "currents not confirmed off: cut the power at the amplifiers" if off is None else at_most(off)
         super().__init__(f"{fault_names(faults)}: {message}{where}; {said}")
         self.faults, self.path, self.off = faults, path, off
 

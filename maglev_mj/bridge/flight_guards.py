@@ -98,7 +98,7 @@ def device_guards(limits: Limits, own: HostLimits, period: float, scale: Scale) 
         _pose,
         _response,
         partial(_envelope, FlotorGuard(own, scale)),
-        partial(_currents, CoilGuard()),
+        partial(_currents, CoilGuard(limits.off_current)),
         partial(_holding, 2e6 * period),
         _enabled,
         _clock,

@@ -19,7 +19,7 @@ from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import UNKNOWN, HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
 from maglev_mj.bridge.scale import Scale
-from maglev_mj.bridge.wire import CUT, MOST_WALLS, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
+from maglev_mj.bridge.wire import CUT, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import AXES, ZERO, Command, DeviceWall, Sample, unit_of
@@ -42,7 +42,7 @@ class GuardedPlant:
 
     Attributes:
         period: Sample period [s].
-        delay: Time from a command's arrival to its effect [s].
+        delay: Time from a command's arrival to its effect, plus the age of a pose at its sample [s].
         lockstep: True if the device waits for each answer.
         limits: The smaller of the device's and the host's limits; `stated` are the device's.
         scale: Thresholds that follow from the device's file.
@@ -104,7 +104,9 @@ class GuardedPlant:
             self.stated, self.limits = profile.limits, host.narrowed(profile.limits)
             if problem := safety.weight_fault(weight, self._hover, host, self.limits):
                 raise HandshakeError(f"the device cannot hover: {problem}")
-            self.period, self.delay = profile.period / 1e9, profile.delay / 1e9
+            if problem := safety.off_fault(profile.limits, calibration.device):
+                raise HandshakeError(f"the device cannot tell that its coils are off: {problem}")
+            self.period, self.delay = profile.period / 1e9, (profile.delay + profile.latency) / 1e9
             self.lockstep, self.latched = profile.lockstep, self._connection.latched
             self.state, self.faults = State(welcome.state), Fault(welcome.faults)
             self.first, self.fault_time = Fault(welcome.first), welcome.fault_time
@@ -145,8 +147,8 @@ class GuardedPlant:
         Raises:
             ParameterError: If the device cannot render one, with its limit.
         """
-        if len(walls) > MOST_WALLS:
-            raise ParameterError(f"the device renders at most {MOST_WALLS} walls (got {len(walls)})")
+        if len(walls) > (most := self._connection.profile.limits.wall_count):
+            raise ParameterError(f"the device renders at most {most} walls (got {len(walls)})")
         sent = tuple([Wall(axis, side, edge, k, b, cutoff or 0.0) for axis, edge, side, k, b, cutoff in walls])
         for wall in sent:
             if problem := self._connection.profile.wall_problem(wall):
@@ -160,13 +162,14 @@ class GuardedPlant:
             ParameterError: As `check_walls`, or if an edge moves faster than the device allows.
         """
         linear, sent = self._maps.pose(self.report.spots), []
-        last, speed = self._walls, self._connection.profile.limits.edge_speed
+        last, limits = self._walls, self._connection.profile.limits
         elapsed = (self.samples.tick - self._walled_until + _WALLED) * self.period
         for index, wall in enumerate(self.check_walls(walls)):
             wall = wall._replace(edge=wall.edge + linear[wall.axis] - self.pose[wall.axis])
             if index < len(last) and wall[:2] == last[index][:2]:
-                if (moved := abs(wall.edge - last[index].edge)) > speed / wall.lever * elapsed:
-                    limit = f"at most {speed / wall.lever:g} {unit_of('m', wall.axis, False)}/s, the device's limit"
+                speed = limits.edge_speed / limits.lever_of(wall.axis)
+                if (moved := abs(wall.edge - last[index].edge)) > speed * elapsed:
+                    limit = f"at most {speed:g} {unit_of('m', wall.axis, False)}/s, the device's limit"
                     axis = AXES[wall.axis]
                     raise ParameterError(f"edge of the wall on {axis} must move at {limit} (got {moved / elapsed:.3g})")
             sent.append(wall)
@@ -435,16 +438,16 @@ class GuardedPlant:
         with suppress(Exception):
             self._keep_cycle(self.last_currents, None, 0.0)
             path = self.cycles.write(self.cycles.mark(faults, message, self._about()))
-        raise DeviceFault(faults, message, path, off=self._shows_off())
+        raise DeviceFault(faults, message, path, off=self.stated.off_current if self._shows_off() else None)
 
     def _shows_off(self) -> bool:
-        """Return True once a sample shows the device without current, after its answer to the last request."""
+        """Return True once a sample shows the currents off, after the device's answer to the last request."""
         frame = self._frame
         with suppress(Exception):  # a link that has failed proves nothing
             for _ in range(_PROOFS + math.ceil(self._stop[6] / self.period)):
                 if frame is not None and frame.time > self._connection.settled:
                     report: StateReport = frame.body  # type: ignore[assignment]
-                    off = report.state != _ACTIVE and all(abs(current) <= safety.OFF for current in report.currents)
+                    off = report.state != _ACTIVE and self.stated.are_off(report.currents)
                     if off and not report.flags & _STOPPING:
                         return True
                 if self.lockstep:  # the device waits for an answer

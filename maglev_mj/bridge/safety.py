@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from maglev_mj.bridge.scale import Scale
-from maglev_mj.bridge.wire import PROPERTIES, VERSION, Fault, HelloAck, Wall
+from maglev_mj.bridge.wire import MOST_WALLS, PROPERTIES, VERSION, Fault, HelloAck, Wall
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.device import Device, published_device
 from maglev_mj.errors import ParameterError, PlantError
@@ -23,9 +23,6 @@ from maglev_mj.spec import Spec
 
 WARNING_RISE = 0.8
 """Temperature rise that raises a warning, as a share of the limit."""
-
-OFF = 0.25
-"""Largest measured current of a coil that is off [A]."""
 
 _NO_FAULT = Fault(0)
 _CONTINUOUS = Spec.continuous_current.value
@@ -38,6 +35,8 @@ _HEADROOM = 1.25
 """Factor over the weight and the hover currents, as headroom for control."""
 _ROOM = 12.0 / 4.5
 """Position limit of a pose sensor in ranges, as that of the published spots."""
+_METER_STEPS = 3.0
+"""Least `off_current` in steps of the current meter."""
 _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
 """Bounds of reported temperatures; ratio of a measured current to the limit that counts as overcurrent."""
 
@@ -63,6 +62,35 @@ class Limits(Parameters):
     stiffness_limit: float = param("stiffness limit of a wall", "N/m", default=1e5, at_least=0.0, at_most=1e8)
     damping_limit: float = param("damping limit of a wall", "N s/m", default=400.0, at_least=0.0, at_most=1e6)
     edge_speed: float = param("speed limit of a wall's edge", "m/s", default=0.1, at_least=0.0, at_most=10.0)
+    wall_count: int = param("largest number of walls", default=MOST_WALLS, at_least=0, at_most=MOST_WALLS)
+    lever: float = param("lever arm of a wall on a rotation", "m", default=0.03, above=0.0, at_most=10.0)
+    energy: float = param("energy limit of the walls", "J", default=0.004, above=0.0, at_most=1e3)
+    recede: float = param("speed of edges in a controlled stop", "m/s", default=0.03, at_least=0.0, at_most=10.0)
+    off_current: float = param("largest current of a coil that is off", "A", default=0.25, above=0.0, at_most=20.0)
+
+    def lever_of(self, axis: int) -> float:
+        """Return the lever arm of the limits of a wall on an axis [m]; 1 on a translation."""
+        return 1.0 if axis < 3 else self.lever
+
+    def are_off(self, currents: Iterable[float]) -> bool:
+        """Return True if measured currents [A] count as off; False for NaN."""
+        return all(abs(current) <= self.off_current for current in currents)
+
+
+def at_most(current: float) -> str:
+    """Return a bound of the currents [A] as text, rounded up."""
+    digits = 1 - math.floor(math.log10(current)) if 0.0 < current < math.inf else 0
+    return f"at most {math.ceil(current * 10.0**digits * (1.0 - 1e-9)) / 10.0**digits:g} A in each coil"
+
+
+def off_fault(limits: Limits, device: Device) -> str:
+    """Return a message if currents that a device takes for off could lift its flotor, or its meter is too coarse."""
+    off, largest = limits.off_current, Scale.of(device).off_limit
+    if off > largest:
+        return f"off_current must be at most {largest:.3g} A, which lifts 25 % of the weight (got {off:.3g})"
+    if device.coils is not None and off < _METER_STEPS * device.coils.meter:
+        return f"off_current must be at least three times coils.meter, {device.coils.meter:.3g} A (got {off:.3g})"
+    return ""
 
 
 def macro(name: str, members: Mapping[str, Any]) -> str:
@@ -75,12 +103,20 @@ def macro(name: str, members: Mapping[str, Any]) -> str:
 
 
 def limits_of(device: Device) -> Limits:
-    """Return the limits of a device with coils."""
+    """Return the limits of a device with coils; thresholds by its `Scale`, within the bounds of `Limits`."""
     coils = device.coils
-    if coils is None or device.published:
+    if coils is None:
         return Limits()
-    steady = coils.continuous_current
-    own = Limits(current_limit=coils.current_limit, continuous_current=steady, hover_limit=steady)
+    steady, scale = coils.continuous_current, Scale.of(device)
+    own = Limits(current_limit=coils.current_limit, continuous_current=steady, hover_limit=steady).replace(
+        stiffness_limit=min(scale.stiffness, 1e8),
+        damping_limit=min(scale.damping, 1e6),
+        edge_speed=min(scale.edge, 10.0),
+        lever=min(scale.lever, 10.0),
+        energy=min(scale.wall_energy, 1e3),
+        recede=min(scale.recede, 10.0),
+        off_current=min(scale.off, steady),
+    )
     farthest = _ROOM * max(*device.range.translation, device.sensor.lever * float(device.reach[3:].max()))
     if device.sensor.kind == "pose":  # whose values are the pose itself
         own = own.replace(spot_limit=min(max(own.spot_limit, farthest), 0.1))
@@ -101,6 +137,8 @@ _AT_MOST = (
     ("stale", "watchdog"),
     ("hover_limit", "continuous_current"),
     ("continuous_current", "current_limit"),
+    ("off_current", "continuous_current"),
+    ("latency", "two periods"),
     ("wall_delay", "two wall periods"),
 )
 """Pairs in which the first must be at most the second, as in HELLO_ACK."""
@@ -143,11 +181,13 @@ class Profile:
     number: int = 1
     wall_period: int = 0  # of walls on the device [ns]; 0 for none
     wall_delay: int = 0  # [ns]
+    latency: int = 0  # age of the spots at a sample's time [ns]
     wall_maps: WallMaps | None = None  # not on the wire
 
     def __post_init__(self) -> None:
         number("period", self.period * 1e-9, at_least=1e-5, at_most=0.1)
-        number("delay", self.delay * 1e-9, at_least=0.0, at_most=0.1)
+        for name in ("delay", "latency"):
+            number(name, getattr(self, name) * 1e-9, at_least=0.0, at_most=0.1)
         flag("lockstep", self.lockstep)
         if self.limits.stale is None:
             store(self, limits=self.limits.replace(stale=min(_STALE * self.period * 1e-9, self.limits.watchdog)))
@@ -191,7 +231,7 @@ class Profile:
 
     def wall_problem(self, wall: Wall) -> str:
         """Return why the device cannot render a wall, or ""."""
-        limits, lever = self.limits, wall.lever
+        limits, lever = self.limits, self.limits.lever_of(wall.axis)
         if not self.wall_period:
             return "the device renders no walls"
         if wall.axis not in range(6) or wall.side not in (-1, 0, 1) or not math.isfinite(wall.edge):
@@ -359,17 +399,21 @@ def reading_fault(limits: Limits, currents: Sequence[float], temperatures: Seque
 
 
 class CoilGuard:
-    """Detector of coil currents that do not follow the command."""
+    """Detector of coil currents that do not follow the command.
+
+    Args:
+        tolerance: Tolerance of a current, plus a tenth of the command [A]; see `Limits.off_current`.
+    """
 
     _PATIENCE = 3
 
-    def __init__(self) -> None:
-        self._strikes = 0
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance, self._strikes = tolerance, 0
 
     def check(self, commanded: Sequence[float], measured: Sequence[float]) -> Fault:
         """Compare the currents of a sample [A], six each."""
         for target, actual in () if measured == commanded else zip(commanded, measured):  # fast path: a twin
-            if not abs(target - actual) <= OFF + _TOLERANCE * abs(target):
+            if not abs(target - actual) <= self._tolerance + _TOLERANCE * abs(target):
                 self._strikes += 1
                 return Fault.COIL_NOT_FOLLOWING if self._strikes >= self._PATIENCE else _NO_FAULT
         self._strikes = 0

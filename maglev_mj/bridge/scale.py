@@ -29,6 +29,7 @@ class Scale:
 
     Attributes:
         off: Largest current of a coil that is off [A]; six of them lift 22 % of the weight.
+        off_limit: Largest `off` that a host accepts [A]; six of them lift a quarter of the weight.
         least: Least change of a coil's current from which a missing force is judged [A]; as `off`, or n / g times it.
         drop: Speed of a flotor that falls from the centre to its stop [m/s], sqrt(g d).
         speed: Speed limit [m/s], sqrt(x / m): 84 % of the speed that a hand of 20 N reaches across the range; at least
@@ -56,6 +57,7 @@ class Scale:
     """
 
     off: float
+    off_limit: float
     least: float
     drop: float
     speed: float
@@ -95,6 +97,7 @@ class Scale:
         fast = max(math.sqrt(x / m), drop)  # a hand is as strong on any device
         return Scale(
             off=0.25 * m * g / lift,
+            off_limit=0.25 * own[0] * own[1] / own[9],
             least=0.15 * m * max(g, noise) / lift,
             drop=0.3 * drop,
             speed=0.6 * fast,

@@ -94,10 +94,10 @@ MAGIC = 0x4A4D
 """The bytes "MJ"."""
 _MAGIC = MAGIC.to_bytes(2, "little")
 
-VERSION = 4
+VERSION = 5
 
-MOST_WALLS = 6
-"""Largest number of walls in a CMD."""
+MOST_WALLS = 12
+"""Largest number of walls in a CMD: the faces of a box in six axes."""
 
 WRAP = NEVER = 0xFFFFFFFF
 """Largest sequence number; sentinel for 'no command' in its number and age."""
@@ -169,6 +169,7 @@ class HelloAck(NamedTuple):
     calibration: Annotated[bytes, On("16 bytes", "digest that the device requires")]
     period: Annotated[int, On("u64", "between samples [ns]")]
     delay: Annotated[int, On("u64", "from a command's arrival to its effect [ns]")]
+    latency: Annotated[int, On("u64", "age of the spots at the time of their sample [ns]")]
     watchdog: Annotated[int, On("u64", "longest time without a command [ns]")]
     enable: Annotated[
         int, On("u64", "longest time without a change of the enable line before the amplifier board opens [ns]")
@@ -195,14 +196,22 @@ class HelloAck(NamedTuple):
     stiffness_limit: Annotated[float, On("f64", "largest stiffness of a wall [N/m]")]
     damping_limit: Annotated[float, On("f64", "largest damping of a wall [N s/m]")]
     edge_speed: Annotated[float, On("f64", "largest speed of a wall's edge [m/s]")]
+    wall_count: Annotated[int, On("u32", "largest number of walls in a CMD, at most 12")]
+    lever: Annotated[
+        float,
+        On(
+            "f64",
+            "lever arm of the limits of a wall on a rotation [m]: squared for gains, inverse for the edge's speed",
+        ),
+    ]
+    energy: Annotated[float, On("f64", "energy that the walls may return beyond what they took [J]")]
+    recede: Annotated[float, On("f64", "speed at which the walls' edges recede in a controlled stop [m/s]")]
+    off_current: Annotated[float, On("f64", "largest measured current of a coil that counts as off [A]")]
 
 
 _OF_THE_MOMENT = "nonce", "status", "version", "state", "fault_time", "faults", "first"
 PROPERTIES = {name: on for name, on in layout(HelloAck).items() if name not in _OF_THE_MOMENT}
 """Values of HELLO_ACK that never change: those of `Profile`, and of the firmware's `struct maglev_profile`."""
-
-LEVER = 0.03
-"""Lever arm of the limits of a wall on a rotation [m]: its square for gains, its inverse for the edge's speed."""
 
 
 class Control(NamedTuple):
@@ -272,11 +281,6 @@ class Wall(NamedTuple):
     damping: float  # [N s/m, N m s/rad]
     cutoff: float  # [Hz]
 
-    @property
-    def lever(self) -> float:
-        """Lever arm of the limits [m]; 1 for a translation."""
-        return 1.0 if self.axis < 3 else LEVER
-
 
 class Command(NamedTuple):
     """Commanded currents [A], six each: `pulsed` for the first `width` seconds, then `held`; and all walls."""
@@ -296,13 +300,15 @@ class Estop(NamedTuple):
 
 
 class EstopAck(NamedTuple):
-    """Answer to an emergency stop, with the last sample."""
+    """Answer to an emergency stop, with the last sample; a host without a session knows nothing else of the device."""
 
     request: Annotated[int, On("u64", "of the ESTOP")]
     state: Annotated[int, On("u8", "resulting")]
-    faults: Annotated[int, On("u32", "resulting", gap=3)]
+    lockstep: Annotated[int, On("u8", "as in HELLO_ACK: no sample follows without an answer")]
+    faults: Annotated[int, On("u32", "resulting", gap=2)]
     sampled: Annotated[int, On("u64", "time of the last sample [ns]; 0 before the first")]
     currents: Annotated[Six, On("6 f32", "measured at that sample [A]")]
+    off_current: Annotated[float, On("f64", "as in HELLO_ACK [A]")]
 
 
 Body: TypeAlias = Hello | HelloAck | Control | ControlAck | StateReport | Command | Estop | EstopAck

@@ -385,7 +385,9 @@ def _with_remedy(address: str, ends: Sequence[str]) -> Iterator[None]:
         again = shlex.join(["maglev-mj", "bridge", address, *ends, "--reset"])
         serial = address.startswith("serial:") and Fault.WATCHDOG in error.faults
         hint = "; a busy machine delays serial data: keep a CPU core free" if serial else ""
-        raise PlantError(f"{error}{hint}; {'' if error.off else 'then '}clear the fault with: {again}") from error
+        raise PlantError(
+            f"{error}{hint}; {'then ' if error.off is None else ''}clear the fault with: {again}"
+        ) from error
 
 
 @contextmanager

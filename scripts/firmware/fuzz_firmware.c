@@ -29,6 +29,11 @@ static struct maglev_profile profile = {
     .stiffness_limit = 100000.0,
     .damping_limit = 400.0,
     .edge_speed = 0.1,
+    .wall_count = 12,
+    .lever = 0.03,
+    .energy = 0.004,
+    .recede = 0.03,
+    .off_current = 0.25,
     /* end */
     .pose = {[0] = 1.0, [7] = 1.0, [14] = 1.0, [21] = 1.0, [28] = 1.0, [35] = 1.0},
     .current = {[0] = 0.5, [7] = 0.5, [14] = 0.5, [21] = 0.5, [28] = 0.5, [35] = 0.5}};

@@ -19,22 +19,18 @@
 #define LONGEST_STOP 1.0 /* [s] */
 #define SOFT (MAGLEV_WATCHDOG | MAGLEV_INVALID_COMMAND | MAGLEV_HOST) /* TRIP with these only: controlled stop */
 #define PATIENCE 3     /* consecutive samples with a wrong current */
-#define CLOSE 0.25     /* [A]; tolerance of currents, */
-#define CLOSE_SHARE 0.1 /* plus this fraction of the command */
+#define CLOSE_SHARE 0.1 /* of a command, tolerated beside `off_current` */
 #define IMPLAUSIBLE 4.0 /* times the largest spot speed: a sensor error */
 #define WARNING_RISE 0.8 /* temperature at which RESET is refused */
 #define ROUNDING 1e-9  /* of the host's currents */
-#define LEVER 0.03     /* [m]; of the limits of walls on rotations */
-#define ENERGY 4e-3    /* [J]; returned by walls beyond what they took */
 #define MEMORY 1.0     /* [s]; in which generated energy is forgotten */
-#define RECEDE 0.03    /* [m/s]; edges in a controlled stop */
 #define TWO_PI 6.283185307179586
 
 enum { MAGIC = 0x4A4D, HEADER = 20, CRC = 4, TAG = 16, BLOCK = 64, WALL = 36 };
 
 const char *const maglev_reasons[MAGLEV_REASONS] = {"short", "magic", "crc", "version", "type", "length", "tag",
                                                     "direction", "session", "old", "inactive", "busy"};
-static const uint8_t SIZES[MAGLEV_TYPES] = {0, 44, 200, 144, 32, 136, 132, 28, 68}; /* of header and body */
+static const uint8_t SIZES[MAGLEV_TYPES] = {0, 44, 244, 144, 32, 136, 132, 28, 76}; /* of header and body */
 
 #ifdef MAGLEV_NO_LIBRARY /* what the compiler needs of a C library */
 void *memset(void *start, int value, size_t count);
@@ -208,6 +204,7 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
         hash(c, f->of.hello_ack.calibration);
         u64(c, &f->of.hello_ack.period);
         u64(c, &f->of.hello_ack.delay);
+        u64(c, &f->of.hello_ack.latency);
         u64(c, &f->of.hello_ack.watchdog);
         u64(c, &f->of.hello_ack.enable);
         u64(c, &f->of.hello_ack.stale);
@@ -226,6 +223,11 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
         f64(c, &f->of.hello_ack.stiffness_limit, 1);
         f64(c, &f->of.hello_ack.damping_limit, 1);
         f64(c, &f->of.hello_ack.edge_speed, 1);
+        u32(c, &f->of.hello_ack.wall_count);
+        f64(c, &f->of.hello_ack.lever, 1);
+        f64(c, &f->of.hello_ack.energy, 1);
+        f64(c, &f->of.hello_ack.recede, 1);
+        f64(c, &f->of.hello_ack.off_current, 1);
         /* end */
         break;
     case MAGLEV_CTRL:
@@ -261,9 +263,11 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
         /* ESTOP_ACK, by make protocol */
         u64(c, &f->of.estop_ack.request);
         u8(c, &f->of.estop_ack.state);
-        gap(c, 3), u32(c, &f->of.estop_ack.faults);
+        u8(c, &f->of.estop_ack.lockstep);
+        gap(c, 2), u32(c, &f->of.estop_ack.faults);
         u64(c, &f->of.estop_ack.sampled);
         f32(c, f->of.estop_ack.currents, 6);
+        f64(c, &f->of.estop_ack.off_current, 1);
         /* end */
     }
 }
@@ -411,9 +415,9 @@ static bool strikes(uint8_t *count, bool so, uint8_t enough) {
     return *count >= enough;
 }
 
-static bool follows(const struct maglev_reading *r) {
+static bool follows(const struct maglev_reading *r, double close) {
     for (int i = 0; i < MAGLEV_COILS; i++)
-        if (!(size(r->commanded[i] - r->measured[i]) <= CLOSE + CLOSE_SHARE * size(r->commanded[i]))) return false;
+        if (!(size(r->commanded[i] - r->measured[i]) <= close + CLOSE_SHARE * size(r->commanded[i]))) return false;
     return true;
 }
 
@@ -422,7 +426,7 @@ static uint32_t flight_fault(struct maglev_device *d, const struct maglev_readin
     fault |= spot_fault(d->profile, &d->diodes, r, d->profile->period, r->number);
     if (d->has_conversions && r->conversions == d->conversions) fault |= MAGLEV_SENSOR_STOPPED;
     d->has_conversions = true, d->conversions = r->conversions;
-    if (strikes(&d->not_following, !follows(r), PATIENCE)) fault |= MAGLEV_COIL_NOT_FOLLOWING;
+    if (strikes(&d->not_following, !follows(r, d->profile->off_current), PATIENCE)) fault |= MAGLEV_COIL_NOT_FOLLOWING;
     if (strikes(&d->not_enabled, !r->enabled, 2)) fault |= MAGLEV_WATCHDOG;
     return fault;
 }
@@ -458,7 +462,9 @@ static void forget_walls(struct maglev_device *d) {
     for (int i = 0; i < MAGLEV_WALLS; i++) d->wall_speeds[i] = d->wall_forces[i] = 0.0;
 }
 
-static double lever_of(const struct maglev_wall *w) { return w->axis < 3 ? 1.0 : LEVER; }
+static double lever_of(const struct maglev_profile *p, const struct maglev_wall *w) {
+    return w->axis < 3 ? 1.0 : p->lever;
+}
 
 static bool alike(const struct maglev_wall *one, const struct maglev_wall *other) {
     return one->axis == other->axis && one->side == other->side;
@@ -472,11 +478,11 @@ static bool renders(const struct maglev_device *d, const struct maglev_wall *w, 
     uint32_t all = d->has_next ? d->next_count : d->count;
     double pose[6];
     if (!count) return true;
-    if (!p->wall_period || !d->diodes.known) return false;
+    if (!p->wall_period || count > p->wall_count || !d->diodes.known) return false;
     locate(p, d->diodes.spots, pose);
     for (uint32_t i = 0; i < count; i++, w++) {
         if (w->axis >= 6 || w->side < -1 || w->side > 1) return false;
-        double lever = lever_of(w);
+        double lever = lever_of(p, w);
         if (!(w->stiffness >= 0.0 && w->stiffness <= p->stiffness_limit * lever * lever)) return false;
         if (!(w->damping >= 0.0 && w->damping <= p->damping_limit * lever * lever)) return false;
         if (!finite(w->edge) || !(w->cutoff >= 0.0 && finite(w->cutoff))) return false;
@@ -526,7 +532,7 @@ static void render(struct maglev_device *d, uint64_t now, const double *spots, d
     d->energy -= (surplus > 0.0 ? surplus : 0.0) * elapsed / MEMORY, d->stored = 0.0;
     for (uint32_t i = 0; i < d->count; i++) {
         const struct maglev_wall *w = d->walls + i;
-        double edge = w->edge - w->side * (RECEDE * stopping / lever_of(w)), x = pose[w->axis], old = d->pose[w->axis];
+        double edge = w->edge - w->side * (p->recede * stopping / lever_of(p, w)), x = pose[w->axis], old = d->pose[w->axis];
         double stiffness = (d->holding || d->stopping) && !w->side ? 0.0 : w->stiffness;
         double moved = x - old, first = old - edge, offset = x - edge, speed = moved / elapsed;
         if (w->cutoff > 0.0)
@@ -612,7 +618,7 @@ static bool arm(struct maglev_device *d, const double *hover, const double *stop
 }
 
 static bool reset(struct maglev_device *d) {
-    bool off = d->state != MAGLEV_ACTIVE && !d->stopping && all_within(d->measured, CLOSE);
+    bool off = d->state != MAGLEV_ACTIVE && !d->stopping && all_within(d->measured, d->profile->off_current);
     if (!off || !(warmest(d) < WARNING_RISE)) return false;
     d->state = MAGLEV_INACTIVE, d->faults = d->first = 0, d->fault_time = 0;
     return true;
@@ -649,6 +655,7 @@ static size_t greet(struct maglev_device *d, uint64_t now, uint64_t nonce, uint8
         .device = p->device,
         .period = p->period,
         .delay = p->delay,
+        .latency = p->latency,
         .watchdog = p->watchdog,
         .enable = p->enable,
         .stale = p->stale,
@@ -664,6 +671,11 @@ static size_t greet(struct maglev_device *d, uint64_t now, uint64_t nonce, uint8
         .stiffness_limit = p->stiffness_limit,
         .damping_limit = p->damping_limit,
         .edge_speed = p->edge_speed,
+        .wall_count = p->wall_count,
+        .lever = p->lever,
+        .energy = p->energy,
+        .recede = p->recede,
+        .off_current = p->off_current,
         /* end */
     }};
     copy_bytes(f.of.hello_ack.calibration, p->calibration, MAGLEV_HASH);
@@ -724,7 +736,8 @@ static size_t obey(struct maglev_device *d, const struct maglev_frame *f, uint64
 static size_t emergency(struct maglev_device *d, const struct maglev_frame *f, uint64_t now, uint8_t *answer) {
     latch(d, MAGLEV_ESTOPPED, now, false);
     struct maglev_frame a = {MAGLEV_ESTOP_ACK, 0, 0, now, .of.estop_ack = {
-        .request = f->of.estop.request, .state = d->state, .faults = d->faults, .sampled = d->sampled}};
+        .request = f->of.estop.request, .state = d->state, .lockstep = d->profile->lockstep, .faults = d->faults,
+        .sampled = d->sampled, .off_current = d->profile->off_current}};
     for (int i = 0; i < MAGLEV_COILS; i++) a.of.estop_ack.currents[i] = single(d->measured[i]);
     return maglev_encode(d->profile, &a, answer);
 }
@@ -737,16 +750,19 @@ static bool agree(const struct maglev_profile *p) {
     return p->lockstep <= 1 && p->watchdog <= LONGEST && p->period <= p->watchdog / 2 && p->delay <= 2 * p->period &&
            p->enable <= p->watchdog && p->stale >= p->period && p->stale <= p->watchdog &&
            p->hover_limit <= p->continuous_current && p->continuous_current <= p->current_limit &&
+           p->off_current <= p->continuous_current && p->latency <= 2 * p->period && p->wall_count <= MAGLEV_WALLS &&
            (p->wall_period ? p->period % p->wall_period == 0 : !p->wall_delay) &&
            p->wall_delay <= 2 * p->wall_period && finite(p->stiffness_limit) && p->stiffness_limit >= 0.0 &&
-           finite(p->damping_limit) && p->damping_limit >= 0.0 && finite(p->edge_speed) && p->edge_speed >= 0.0;
+           finite(p->damping_limit) && p->damping_limit >= 0.0 && finite(p->edge_speed) && p->edge_speed >= 0.0 &&
+           finite(p->recede) && p->recede >= 0.0;
 }
 
 bool maglev_start(struct maglev_device *d, const struct maglev_profile *p, const struct maglev_hardware *h) {
     bool key = p->key_length == 0 || (p->key_length >= 16 && p->key_length <= MAGLEV_KEY);
     if (!key || !p->period || !p->enable || !positive(p->current_limit) ||
         !positive(p->continuous_current) || !positive(p->hover_limit) || !positive(p->thermal_time) ||
-        !positive(p->spot_limit) || !positive(p->spot_speed) || !agree(p) ||
+        !positive(p->spot_limit) || !positive(p->spot_speed) || !positive(p->lever) ||
+        !positive(p->energy) || !positive(p->off_current) || !agree(p) ||
         !h->read || !h->drive || !h->cut || !h->toggle || !h->now || !h->random ||
         (p->wall_period && !h->add)) return false;
     for (size_t i = 0; i < sizeof *d; i++) ((uint8_t *)d)[i] = 0;
@@ -800,7 +816,7 @@ size_t maglev_sample(struct maglev_device *d, uint8_t *data) {
     copy_six(d->measured, r.measured);
     uint32_t fault = warmest(d) < 1.0 ? 0 : MAGLEV_COIL_OVERTEMP;
     if (d->state == MAGLEV_ACTIVE || d->stopping) fault = flight_fault(d, &r, fault);
-    else if (strikes(&d->not_off, !all_within(r.measured, CLOSE), PATIENCE)) fault |= MAGLEV_COIL_NOT_OFF;
+    else if (strikes(&d->not_off, !all_within(r.measured, d->profile->off_current), PATIENCE)) fault |= MAGLEV_COIL_NOT_OFF;
     bool stopping = d->stopping, lost = d->state == MAGLEV_ACTIVE && silent(d, r.time, fault);
     if (fault || lost) latch(d, fault | (lost ? MAGLEV_WATCHDOG : 0), r.time, !fault);
     stopping |= d->stopping; /* also where it ends: these currents were measured before */
@@ -822,7 +838,7 @@ void maglev_wall(struct maglev_device *d) {
     }
     render(d, r.time, r.spots, currents);
     d->hardware->add(d->hardware->context, r.time, currents);
-    if (!(d->energy - d->stored > ENERGY)) return;
+    if (!(d->energy - d->stored > d->profile->energy)) return;
     forget_walls(d);
     for (int i = 0; i < MAGLEV_COILS; i++) currents[i] = 0.0;
     d->hardware->add(d->hardware->context, r.time, currents);

@@ -1,4 +1,4 @@
-/* Device side of docs/reference/protocol.md, version 4, in freestanding C99: no heap, no library, no clock.
+/* Device side of docs/reference/protocol.md, version 5, in freestanding C99: no heap, no library, no clock.
 
    A board fills in a profile and a hardware structure, then calls maglev_receive() for each received frame and
    maglev_sample() once per sample period. README.md specifies the interrupts, and the function and time limit of each
@@ -11,15 +11,15 @@
 #include <stdint.h>
 
 enum {
-    MAGLEV_VERSION = 4,
+    MAGLEV_VERSION = 5,
     MAGLEV_COILS = 6,
     MAGLEV_SPOTS = 6,     /* x and y on diodes 0, 1 and 2 */
     MAGLEV_STOP = 8,      /* controlled stop at ARM: damping by spots, six [s/m], duration [s], lift */
     MAGLEV_HASH = 16,     /* bytes of a calibration digest */
     MAGLEV_KEY = 32,      /* largest key [bytes] */
-    MAGLEV_WALLS = 6,     /* walls in a CMD */
-    MAGLEV_LARGEST = 384, /* largest frame [bytes] */
-    MAGLEV_STUFFED = MAGLEV_LARGEST + 4 /* largest frame on a serial link [bytes] */
+    MAGLEV_WALLS = 12,    /* walls in a CMD: the faces of a box in six axes */
+    MAGLEV_LARGEST = 600, /* largest frame [bytes]: a CMD with all walls and a tag has 584 */
+    MAGLEV_STUFFED = MAGLEV_LARGEST + 5 /* largest frame on a serial link [bytes] */
 };
 
 enum maglev_type {
@@ -54,6 +54,7 @@ struct maglev_profile {
     uint8_t calibration[16];     /* digest that the device requires */
     uint64_t period;             /* between samples [ns] */
     uint64_t delay;              /* from a command's arrival to its effect [ns] */
+    uint64_t latency;            /* age of the spots at the time of their sample [ns] */
     uint64_t watchdog;           /* longest time without a command [ns] */
     uint64_t enable;             /* longest time without a change of the enable line before the amplifier board opens
                                     [ns] */
@@ -71,6 +72,12 @@ struct maglev_profile {
     double stiffness_limit;      /* largest stiffness of a wall [N/m] */
     double damping_limit;        /* largest damping of a wall [N s/m] */
     double edge_speed;           /* largest speed of a wall's edge [m/s] */
+    uint32_t wall_count;         /* largest number of walls in a CMD, at most 12 */
+    double lever;                /* lever arm of the limits of a wall on a rotation [m]: squared for gains, inverse for
+                                    the edge's speed */
+    double energy;               /* energy that the walls may return beyond what they took [J] */
+    double recede;               /* speed at which the walls' edges recede in a controlled stop [m/s] */
+    double off_current;          /* largest measured current of a coil that counts as off [A] */
     /* end */
     double spots[MAGLEV_SPOTS];  /* at the centre [m]; with the two maps below from the calibration, for walls */
     double pose[36];             /* row-major, pose per change of the spots [1, rad/m] */
@@ -130,6 +137,7 @@ struct maglev_frame {
             uint8_t calibration[16];
             uint64_t period;
             uint64_t delay;
+            uint64_t latency;
             uint64_t watchdog;
             uint64_t enable;
             uint64_t stale;
@@ -148,6 +156,11 @@ struct maglev_frame {
             double stiffness_limit;
             double damping_limit;
             double edge_speed;
+            uint32_t wall_count;
+            double lever;
+            double energy;
+            double recede;
+            double off_current;
             /* end */
         } hello_ack;
         struct { uint32_t request; uint8_t operation; uint32_t faults; double hover[MAGLEV_COILS], stop[MAGLEV_STOP];
@@ -178,9 +191,11 @@ struct maglev_frame {
             /* ESTOP_ACK, by make protocol */
             uint64_t request;
             uint8_t state;
+            uint8_t lockstep;
             uint32_t faults;
             uint64_t sampled;
             float currents[6];
+            double off_current;
             /* end */
         } estop_ack;
     } of;

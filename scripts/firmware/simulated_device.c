@@ -58,6 +58,11 @@ struct maglev_profile profile = {
     .stiffness_limit = 100000.0,
     .damping_limit = 400.0,
     .edge_speed = 0.1,
+    .wall_count = 12,
+    .lever = 0.03,
+    .energy = 0.004,
+    .recede = 0.03,
+    .off_current = 0.25,
     /* end */
 };
 

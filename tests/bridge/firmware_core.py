@@ -30,7 +30,7 @@ STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 TRAPPED = ["-O1", "-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
 
-_LARGEST, _REASONS, _NO_FRAME = 384, 12, 7
+_LARGEST, _REASONS, _NO_FRAME = 600, 12, 7
 _Six = c_double * 6
 
 

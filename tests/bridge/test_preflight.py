@@ -127,7 +127,7 @@ class Loading(InProcess):
         left = getattr(owner, count) - 1
         setattr(owner, count, left)
         self.line.impair(Impairment(delay=0.002 if left >= 0 else 0.0))
-        return left < 0
+        return bool(left < 0)
 
     def answer(self) -> Any:
         return self._function(*self._question) if self._works(self, "looks") else None

@@ -20,7 +20,7 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import Line, VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
-from maglev_mj.bridge.wire import Codec, Control, Estop, Fault, Hello, Operation, State
+from maglev_mj.bridge.wire import Codec, Control, Estop, EstopAck, Fault, Hello, Operation, State
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.cli.twin import _hand
 from maglev_mj.errors import ParameterError, PlantError
@@ -183,7 +183,7 @@ def test_an_estop_before_the_first_sample_is_taken() -> None:
     answer = twin.receive(Codec().encode(0, 0, 0, Estop(3)), 0, "anyone")
     assert answer is not None and twin.firmware.faults == Fault.ESTOP
     frame = Codec().decode(answer)
-    assert frame is not None and frame.body[:5] == (3, State.FAULT, Fault.ESTOP, 0, ZERO)
+    assert frame is not None and frame.body == EstopAck(3, State.FAULT, 0, Fault.ESTOP, 0, ZERO, 0.25)
 
 
 R = math.radians(6.0)

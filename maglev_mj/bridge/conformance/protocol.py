@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any, TypeAlias
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.conformance.tester import Tester, case, check, close, constant, fail, is_off, same, shown
+from maglev_mj.bridge.conformance.tester import Tester, case, check, constant, fail, same, shown
 from maglev_mj.bridge.connection import draw, profile_of
 from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus, Operation, Result, State, fault_names
 from maglev_mj.frames import ZERO
@@ -194,7 +194,7 @@ def _reset_flowing(t: Tester) -> str:
     t.bring(State.ACTIVE, t.half, answering=False)
     t.ask(Operation.TRIP)
     answer = t.ask(Operation.RESET)
-    if answer.result != Result.REFUSED and not is_off(t.last.body.currents):
+    if answer.result != Result.REFUSED and not t.is_off(t.last.body.currents):
         fail(f"done with {shown(t.last.body.currents)} A")
     return f"result {answer.result}"
 
@@ -238,7 +238,7 @@ def _period(t: Tester) -> str:
         fail(f"{mean / 1e6:.3f} ms by arrival instead of {period / 1e6:g} ms")
     for body in (frame.body for frame in frames):
         on = max(map(abs, body.spots)) <= t.welcome.spot_limit
-        seen = body.valid, body.flags, on, is_off(body.currents)
+        seen = body.valid, body.flags, on, t.is_off(body.currents)
         same("valid, flags, spots on their diodes, currents off", seen, (7, 0, 1, 1))
     return f"{period / 1e6:g} ms by time stamp, {mean / 1e6:.3f} ms by arrival"
 
@@ -289,7 +289,7 @@ def _currents(t: Tester) -> str:
     for leave in (Operation.DISARM, Operation.TRIP):
         t.bring(State.ACTIVE, t.half)
         with case(f"in ACTIVE, before {leave.name}"):
-            close(t.states(1)[0], t.half)
+            t.close(t.states(1)[0], t.half)
         t.ask(leave)
         with case(f"after {leave.name}"):
             t.zero()
@@ -315,8 +315,8 @@ def _pulse(t: Tester) -> str:
     t.bring(State.ACTIVE, answering=False)
     t.command(t.states(1)[0].sequence, ZERO, t.half, welcome.period * 1e-9)
     during, after = t.states(2)
-    close(during, t.half)
-    close(after, ZERO)
+    t.close(during, t.half)
+    t.close(after, ZERO)
     return f"{shown(t.half)} A for a period"
 
 
@@ -457,9 +457,9 @@ def _walls(t: Tester) -> str:
     wall, currents = _pressing(t)
     for held in (ZERO, t.half):
         t.walls, t.law = (wall,), constant(held)
-        close(t.states(6)[-1], [a + b for a, b in zip(held, currents)])
+        t.close(t.states(6)[-1], [a + b for a, b in zip(held, currents)])
     t.walls = ()
-    close(t.states(6)[-1], t.half)
+    t.close(t.states(6)[-1], t.half)
     if not t.welcome.lockstep:
         for side, expected in ((-1, currents), (0, ZERO)):
             t.bring(State.ACTIVE)
@@ -468,7 +468,7 @@ def _walls(t: Tester) -> str:
             t.answering = False
             frames = t.states(t.welcome.watchdog // t.welcome.period)
             waiting = [frame for frame in frames if frame.body.flags & Flag.HOLDING] or fail("HOLDING is never set")
-            close(waiting[-1], [a + b for a, b in zip(t.half, expected)])
+            t.close(waiting[-1], [a + b for a, b in zip(t.half, expected)])
     return f"{shown(currents)} A for {wall.stiffness:.3g} N/m"
 
 
@@ -516,7 +516,7 @@ def _fading(t: Tester) -> str:
             if abs((span := on[-1].time - on[0].time) - 200_000_000) > 2 * period:
                 fail(f"ended after {span / 1e6:.4g} ms instead of 200 ms")
             for frame in on:
-                close(frame, [(1.0 - (frame.time - on[0].time) / 2e8) * current for current in t.half])
+                t.close(frame, [(1.0 - (frame.time - on[0].time) / 2e8) * current for current in t.half])
             t.zero()
     return f"zero after {span / 1e6:.4g} ms"
 

@@ -18,7 +18,7 @@ from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight_guards import shown as pose_shown
 from maglev_mj.bridge.landing import Leader, Motion, straight
 from maglev_mj.bridge.links import Link
-from maglev_mj.bridge.safety import OFF, OutputLimiter
+from maglev_mj.bridge.safety import OutputLimiter, at_most
 from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError, PlantError
@@ -280,7 +280,7 @@ class Tester:
             or (body.state == State.FAULT) != bool(body.faults)
             or (body.flags & Flag.HOLDING and body.state != State.ACTIVE)
             or (stopping and body.state != State.FAULT),
-            "cut": self._idle > 3 and not is_off(body.currents),
+            "cut": self._idle > 3 and not self.is_off(body.currents),
         }
         if before is not None:
             steps = (frame.sequence - before.sequence) & WRAP
@@ -386,8 +386,18 @@ class Tester:
             if not isinstance(error, MaglevError):
                 raise
 
+    def is_off(self, currents: Sequence[float]) -> bool:
+        """Return True if measured currents [A] count as off."""
+        return max(map(abs, currents)) <= self.welcome.off_current
+
+    def close(self, frame: Any, expected: Sequence[float]) -> None:
+        """Check that the measured currents are close to the expected ones [A]."""
+        measured, tolerance = frame.body.currents, 0.4 * self.welcome.off_current
+        if any(abs(actual - current) > tolerance + 0.1 * abs(current) for actual, current in zip(measured, expected)):
+            fail(f"{shown(measured)} A measured instead of {shown(expected)} A")
+
     def stopped(self, peer: int = 0, faults: int = Fault.ESTOP) -> str:
-        """Request emergency stops until no current is measured; return the time taken as text."""
+        """Request emergency stops until the measured currents are off; return the time taken as text."""
         body, start, first = wire.Estop(draw()), self.now(), None
         while True:
             frame = self.exchange(body, peer=peer) or fail("no answer to ESTOP")
@@ -395,8 +405,13 @@ class Tester:
             same("state, faults in ESTOP_ACK", (ack.state, ack.faults), (State.FAULT, faults))
             if not 0 <= frame.time - ack.sampled <= 2 * self.welcome.period:
                 fail(f"sampled at {ack.sampled} ns, reported at {frame.time} ns")
-            if self.welcome.lockstep or (ack.sampled > first.time and is_off(ack.currents)):
-                return f"{(self.now() - start) / 1e6:.1f} ms until no current was measured"
+            stated = self.welcome.lockstep, self.welcome.off_current
+            same("lockstep, off_current in ESTOP_ACK", (ack.lockstep, ack.off_current), stated)
+            taken = f"{(self.now() - start) / 1e6:.1f} ms"
+            if self.welcome.lockstep:
+                return f"{taken}; in lockstep no sample follows"
+            if ack.sampled > first.time and self.is_off(ack.currents):
+                return f"{taken} until {at_most(ack.off_current)} was measured"
             if self.now() - start > 1_000_000_000:
                 fail(f"{shown(ack.currents)} A measured 1 s after ESTOP")
             self.wait(0.005)
@@ -404,7 +419,7 @@ class Tester:
     def zero(self) -> str:
         """Check that the currents are zero from the second sample on."""
         for frame in self.states(4)[1:]:
-            if not is_off(frame.body.currents):
+            if not self.is_off(frame.body.currents):
                 fail(f"{shown(frame.body.currents)} A after the cut instead of 0 A")
         return "currents zero"
 
@@ -485,17 +500,6 @@ def same(what: str, actual: Any, expected: Any) -> str:
     if actual != expected:
         fail(f"{what} {shown(actual, expected)} instead of {shown(expected, expected)}")
     return f"{what} {shown(actual, expected)}"
-
-
-def close(frame: Any, expected: Sequence[float]) -> None:
-    """Check that the measured currents are close to the expected ones [A]."""
-    if any(abs(actual - current) > 0.1 + 0.1 * abs(current) for actual, current in zip(frame.body.currents, expected)):
-        fail(f"{shown(frame.body.currents)} A measured instead of {shown(expected)} A")
-
-
-def is_off(currents: Sequence[float]) -> bool:
-    """Return True if measured currents [A] count as zero."""
-    return max(map(abs, currents)) <= OFF
 
 
 def shown(value: Any, like: Any = None) -> str:

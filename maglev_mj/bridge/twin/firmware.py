@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Profile, SpotGuard, ThermalModel, command_fault
+from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, Profile, SpotGuard, ThermalModel, command_fault
 from maglev_mj.bridge.wire import MOST_WALLS, NEVER, WRAP, Codec, Fault, HelloStatus, Operation, State, Wall, newer
 from maglev_mj.frames import ZERO
 
@@ -20,12 +20,8 @@ _SILENCE = 1_000_000_000
 _HELLO = 1
 
 
-ENERGY = 4e-3
-"""Limit of the energy that the walls return beyond what they took [J]: that of 0.7 kg at 0.11 m/s."""
 _MEMORY = 1.0
 """Time constant with which generated energy is forgotten [s]: sensor noise in a wall generates a little."""
-RECEDE = 0.03
-"""Speed at which the edges recede in a controlled stop [m/s]."""
 _ROUNDING = 1e-9
 
 
@@ -97,7 +93,8 @@ class Firmware:
         self._stale = 0 if profile.lockstep else profile.stated["stale"]
 
     def _reset_guards(self) -> None:
-        self._coils, self._off, self._disabled = CoilGuard(), CoilGuard(), 0
+        off = self.profile.limits.off_current
+        self._coils, self._off, self._disabled = CoilGuard(off), CoilGuard(off), 0
         self._spots = SpotGuard(self.profile.limits, self.profile.period * 1e-9)
 
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
@@ -114,7 +111,9 @@ class Firmware:
             return self._hello(body, now, peer)
         if isinstance(body, wire.Estop):
             self.trip(Fault.ESTOP, now)
-            answer = wire.EstopAck(body.request, self.state, self.faults, self._sampled_at, tuple(self._measured))
+            sampled, profile = (self._sampled_at, tuple(self._measured)), self.profile
+            off = profile.limits.off_current
+            answer = wire.EstopAck(body.request, self.state, profile.lockstep, self.faults, *sampled, off)
             return codec.encode(0, 0, now, answer)
         if not isinstance(body, (wire.Command, wire.Control)):
             self.counts["direction"] += 1
@@ -334,7 +333,7 @@ class Firmware:
         return True
 
     def _reset(self) -> bool:
-        off = all(abs(x) <= OFF for x in self._measured)
+        off = self.profile.limits.are_off(self._measured)
         if self.state == State.ACTIVE or self.stopping or max(self._thermal.rises) >= WARNING_RISE or not off:
             return False
         self.state, self.faults, self._first, self._fault_time = State.INACTIVE, Fault(0), Fault(0), 0
@@ -370,7 +369,7 @@ class Walls:
     @property
     def unstable(self) -> bool:
         """True if the walls have returned more energy than they took, by more than allowed."""
-        return self._energy - self._stored > ENERGY
+        return self._energy - self._stored > self._profile.limits.energy
 
     def fault(self, walls: Sequence[Wall], spots: Sequence[float] | None, periods: int) -> Fault:
         """Return the fault of a command's walls, if any.
@@ -385,11 +384,21 @@ class Walls:
         profile, latest = self._profile, self._walls if self._pending is None else self._pending
         if not walls:
             return Fault(0)
-        if spots is None or profile.wall_maps is None or any(map(profile.wall_problem, walls)):
+        if (
+            len(walls) > profile.limits.wall_count
+            or spots is None
+            or profile.wall_maps is None
+            or any(map(profile.wall_problem, walls))
+        ):
             return Fault.INVALID_COMMAND
         pose = profile.wall_maps.pose(spots)
         for index, wall in enumerate(walls):
-            step = profile.limits.edge_speed * (profile.period * 1e-9) * (1.0 + _ROUNDING) / wall.lever
+            step = (
+                profile.limits.edge_speed
+                * (profile.period * 1e-9)
+                * (1.0 + _ROUNDING)
+                / profile.limits.lever_of(wall.axis)
+            )
             depth = wall.edge - pose[wall.axis]
             moved = wall.side * depth if wall.side else abs(depth)
             if index < len(latest) and wall[:2] == latest[index][:2]:
@@ -432,7 +441,7 @@ class Walls:
             silent: True while commands are missing, and in a controlled stop.
             stopping: Time since the start of the controlled stop [s]; 0 without.
         """
-        maps, limit = self._profile.wall_maps, self._profile.limits.current_limit
+        maps, limits = self._profile.wall_maps, self._profile.limits
         assert maps is not None
         if self._pending is not None and now >= self._due:
             self._switch()
@@ -442,7 +451,7 @@ class Walls:
         surplus, stored = max(self._energy - self._stored, 0.0), 0.0
         energy = self._energy - surplus * elapsed / _MEMORY
         for index, (axis, side, edge, stiffness, damping, cutoff) in enumerate(self._walls):
-            edge -= side * (RECEDE * stopping / self._walls[index].lever)
+            edge -= side * (limits.recede * stopping / limits.lever_of(axis))
             stiffness = 0.0 if silent and not side else stiffness
             moved, first, offset = pose[axis] - before[axis], before[axis] - edge, pose[axis] - edge
             speed, last = moved / elapsed, self._speeds[index]
@@ -460,7 +469,7 @@ class Walls:
         currents = [p * a + q * b + r * c + s * d + t * e + u * f for p, q, r, s, t, u in maps.current_per_wrench]
         share = 1.0
         for current, peak, other in zip(currents, *self._peaks):
-            room = max(limit - max(peak, other), 0.0)
+            room = max(limits.current_limit - max(peak, other), 0.0)
             if abs(current) > room:
                 share = min(share, room / abs(current))
         if share < 1.0:  # reduced together, so that the direction stays

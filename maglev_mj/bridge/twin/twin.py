@@ -57,6 +57,7 @@ class TwinParameters:
 
     period: float = _OF_DEVICE  # sample period [s]
     delay: float = _OF_DEVICE  # from a command's arrival (lockstep: from the sample) to its effect [s]
+    latency: float = _OF_DEVICE  # age of a pose at its sample [s]: simulated by a pose without age and a longer delay
     lockstep: bool = False  # simulated time waits for each command
     calibration: Calibration = field(default_factory=Calibration.nominal)  # a host needs the same digest
     truth: Calibration | None = None  # the true one; `calibration` by default
@@ -78,11 +79,13 @@ class TwinParameters:
         usual: dict[str, Any] = {"quantum": spots, "noise": 0.5 * spots}
         if isinstance(scale := self.calibration.beams, PoseScale):
             usual = {"quantum": scale.spots(device.sensor.resolution), "noise": scale.spots(device.sensor.noise)}
-        usual |= {"period": device.period, "delay": device.delay, "pose": device.rest, "limits": limits_of(device)}
+        usual |= {"period": device.period, "delay": device.loop.delay, "latency": device.sensor.latency}
+        usual |= {"pose": device.rest, "limits": limits_of(device)}
         store(self, **{name: value for name, value in usual.items() if getattr(self, name) is None})
         numbers("pose", self.pose, shape="(6,)")
         # whole nanoseconds, the protocol's unit of time
-        period, delay = (round(number(name, getattr(self, name)) * 1e9) for name in ("period", "delay"))
+        times = "period", "delay", "latency"
+        period, delay, latency = (round(number(name, getattr(self, name)) * 1e9) for name in times)
         noise = np.asarray(self.noise)
         limits, most = self.limits, _MARGIN * np.abs(self.calibration.hover).max()
         limits = limits.replace(
@@ -97,7 +100,7 @@ class TwinParameters:
             own = period // next(part for part in range(count, 0, -1) if period % part == 0)
             late = round(number("wall_delay", self.wall_delay, at_least=0.0) * 1e9)
             stated |= {"wall_period": own, "wall_delay": min(late, 2 * own), "wall_maps": self.calibration.wall_maps}
-        store(self, profile=Profile(period=period, delay=delay, **stated))
+        store(self, profile=Profile(period=period, delay=delay, latency=latency, **stated))
 
 
 class AmplifierBoard:
@@ -111,7 +114,7 @@ class AmplifierBoard:
     """
 
     def __init__(self, plant: MuJoCoPlant | ExactCoilPlant, parameters: TwinParameters) -> None:
-        self._plant, self._lockstep, self._delay = plant, parameters.lockstep, parameters.delay
+        self._plant, self._lockstep, self._delay = plant, parameters.lockstep, parameters.delay + parameters.latency
         self._enable = parameters.profile.stated["enable"]
         self._sampled_at, self.now, self._opens = -1, 0, 0
         self._commands: Sequence[float] = ZERO
@@ -406,7 +409,7 @@ class WallClock:
 def _plant(
     parameters: TwinParameters, truth: Calibration, hand_force: HandForce | None
 ) -> MuJoCoPlant | ExactCoilPlant:
-    timing = Timing(period=parameters.period, delay=parameters.delay)
+    timing = Timing(period=parameters.period, delay=parameters.delay + parameters.latency)
     start: Any = {"pose": parameters.pose, "hand_force": hand_force}
     own: dict[str, Any] = {"mass": truth.mass, "inertia": truth.inertia, "gravity": truth.gravity}
     if parameters.plant == "exact":
@@ -485,8 +488,9 @@ class TwinServer:
     """Server of a twin: samples on schedule, receives and sends frames.
 
     In real time it samples at absolute deadlines; if it is late by whole periods, simulated time stands still for
-    them, and while it computes a sample: a device measures a sample at once. In lockstep it takes a sample when the last one is answered, repeats it after 20, 40, 80 ms and so on without
-    an answer, and drops the host after 2 s. Emergency stops are handled before all other frames.
+    them, and while it computes a sample: a device measures a sample at once. In lockstep it takes a sample when the
+    last one is answered, repeats it after 20, 40, 80 ms and so on without an answer, and drops the host after 2 s.
+    Emergency stops are handled before all other frames.
 
     Args:
         twin: The device.
