@@ -54,7 +54,8 @@ def drawn(seed: int) -> Device:
     draw = np.random.default_rng(seed)
 
     def between(low: float, high: float, count: int) -> list[float]:
-        return np.exp(draw.uniform(math.log(low), math.log(high), count)).tolist()
+        drawn: list[float] = np.exp(draw.uniform(math.log(low), math.log(high), count)).tolist()
+        return drawn
 
     mass, radius = *between(0.02, 10.0, 1), *between(0.01, 0.1, 1)
     inertia = [mass * radius**2 * part for part in between(0.5, 2.0, 3)]
@@ -165,7 +166,7 @@ def test_a_stage_of_2_mm_is_guided_within_its_own_envelope() -> None:
         crossed(guard, 2, guided, guided=True)
         crossed(guard, 2, chosen or guided)
     only = HostLimits().scaled(STAGE.scale)  # from its range alone
-    assert (only.envelope, only.speed_limit) == (pytest.approx(scale.envelope), 0.6)
+    assert only.envelope == pytest.approx(scale.envelope) and only.speed_limit == 0.6
     crossed(FlotorGuard(only), 2, scale.envelope, guided=True)
 
 
@@ -194,7 +195,12 @@ def test_takeoff_and_landing_have_the_numbers_of_the_measured_device(monkeypatch
     assert plant._hand.coils._scale == plant._leader._scale == scale
     assert plant._hand.failing._least == 2.0 * scale.least**2
     drops: list[float] = []
-    monkeypatch.setattr("maglev_mj.bridge.remote.Swing", lambda drop: drops.append(drop) or Swing(drop))
+
+    def swing(drop: float) -> Swing:
+        drops.append(drop)
+        return Swing(drop)
+
+    monkeypatch.setattr("maglev_mj.bridge.remote.Swing", swing)
     plant.takeoff(0.2)
     assert plant.land(0.2, reason="late").at_rest and drops == [scale.drop]
 
