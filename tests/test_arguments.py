@@ -139,7 +139,7 @@ def test_a_rate_is_taken_for_a_period() -> None:
 @pytest.mark.parametrize("kind", [MaglevError, *below(MaglevError)])
 def test_an_error_is_short_and_the_same_after_pickle(kind: type[MaglevError]) -> None:
     for text in ("short", "long " * 200_000 + "end"):
-        error = kind(next(iter(Fault)), text, Path("a"), off=True) if kind is DeviceFault else kind(text)
+        error = kind(next(iter(Fault)), text, Path("a"), off=0.25) if kind is DeviceFault else kind(text)
         error.cycles = ((Sample(0, 0.0, [0.0] * 6), Command([0.0] * 6)),)
         again = pickle.loads(pickle.dumps(error))
         assert type(again) is kind and str(again) == str(error) and vars(again).keys() == vars(error).keys()

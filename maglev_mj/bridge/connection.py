@@ -57,7 +57,7 @@ class EstopReport(NamedTuple):
         reason = f"no answer within {self.duration:.3g} s"
         if self.currents:
             coil = max(range(6), key=lambda index: abs(self.currents[index]))
-            reason = f"faults {names}, {self.currents[coil]:.2g} A in coil {coil}"
+            reason = f"faults {names}, {self.currents[coil]:.3g} A in coil {coil}"
         return f"not confirmed: cut the power ({reason})"
 
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from maglev_mj.bridge.scale import Scale
+from maglev_mj.bridge.scale import OFF_LIFT, Scale
 from maglev_mj.bridge.wire import MOST_WALLS, PROPERTIES, VERSION, Fault, HelloAck, Wall
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.device import Device, published_device
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.frames import AXES, ZERO, Array, Command, clipped, unit_of
+from maglev_mj.frames import AXES, ZERO, Command, clipped, unit_of
 from maglev_mj.parameters import Parameters, flag, number, param, read_json, store
 from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
@@ -35,8 +35,8 @@ _HEADROOM = 1.25
 """Factor over the weight and the hover currents, as headroom for control."""
 _ROOM = 12.0 / 4.5
 """Position limit of a pose sensor in ranges, as that of the published spots."""
-_METER_STEPS = 3.0
-"""Least `off_current` in steps of the current meter."""
+_LIFT, _METER_STEPS = 0.25, 3.0
+"""Largest share of the weight that currents at `off_current` may lift; its least value in steps of the meter."""
 _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
 """Bounds of reported temperatures; ratio of a measured current to the limit that counts as overcurrent."""
 
@@ -85,7 +85,7 @@ def at_most(current: float) -> str:
 
 def off_fault(limits: Limits, device: Device) -> str:
     """Return a message if currents that a device takes for off could lift its flotor, or its meter is too coarse."""
-    off, largest = limits.off_current, Scale.of(device).off_limit
+    off, largest = limits.off_current, Scale.of(device).off * _LIFT / OFF_LIFT
     if off > largest:
         return f"off_current must be at most {largest:.3g} A, which lifts 25 % of the weight (got {off:.3g})"
     if device.coils is not None and off < _METER_STEPS * device.coils.meter:
@@ -290,16 +290,8 @@ class HostLimits(Parameters):
             return None
         return [self.force_limit or math.inf] * 3 + [self.torque_limit or math.inf] * 3
 
-    def scaled(self, scale: Scale | Array) -> Self:
-        """Return limits with the device's own in place of those that were not set.
-
-        Args:
-            scale: Scale of the device; or only its range as a multiple of the published joystick's, (6,).
-        """
-        if not isinstance(scale, Scale):
-            own = Scale.of(published_device())
-            far, turned = float(scale[:3].max()), float(scale[3:].max())
-            scale = replace(own, envelope=own.envelope * far, tilt=own.tilt * turned)
+    def scaled(self, scale: Scale) -> Self:
+        """Return limits with the device's own in place of those that were not set."""
         return self.replace(**{name: getattr(scale, _SCALED[name]) for name in _SCALED if name in self._derived})
 
     def narrowed(self, limits: Limits) -> Limits:

@@ -9,10 +9,13 @@ from functools import lru_cache
 import numpy as np
 
 from maglev_mj.device import Device, published_device
-from maglev_mj.spec import GRAVITY, RANGE
+from maglev_mj.spec import GRAVITY, RANGE, Spec
 
 _HAND = 20.0
 """Force of a strong hand [N], or the device's largest if that is smaller."""
+
+OFF_LIFT = 0.25 * 3.0 * Spec.force_constant.value / (Spec.moving_mass.value * GRAVITY)
+"""Share of the weight that currents at `Scale.off` lift: 22 %."""
 
 _SLOWEST = 5.0
 """Largest factor on the speed at rest: a noisy sensor must not make motion rest."""
@@ -29,7 +32,6 @@ class Scale:
 
     Attributes:
         off: Largest current of a coil that is off [A]; six of them lift 22 % of the weight.
-        off_limit: Largest `off` that a host accepts [A]; six of them lift a quarter of the weight.
         least: Least change of a coil's current from which a missing force is judged [A]; as `off`, or n / g times it.
         drop: Speed of a flotor that falls from the centre to its stop [m/s], sqrt(g d).
         speed: Speed limit [m/s], sqrt(x / m): 84 % of the speed that a hand of 20 N reaches across the range; at least
@@ -57,7 +59,6 @@ class Scale:
     """
 
     off: float
-    off_limit: float
     least: float
     drop: float
     speed: float
@@ -97,7 +98,6 @@ class Scale:
         fast = max(math.sqrt(x / m), drop)  # a hand is as strong on any device
         return Scale(
             off=0.25 * m * g / lift,
-            off_limit=0.25 * own[0] * own[1] / own[9],
             least=0.15 * m * max(g, noise) / lift,
             drop=0.3 * drop,
             speed=0.6 * fast,

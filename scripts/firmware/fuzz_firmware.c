@@ -146,7 +146,7 @@ static void fill(struct maglev_frame *f) {
         f->of.cmd.count = (uint32_t)draw(MAGLEV_WALLS + 1);
         for (uint32_t i = 0; i < f->of.cmd.count; i++) {
             bool odd = draw(200) == 0;
-            f->of.cmd.walls[i] = (struct maglev_wall){odd ? 6 : (uint8_t)i, (int8_t)draw(3) - 1,
+            f->of.cmd.walls[i] = (struct maglev_wall){odd ? 6 : (uint8_t)(i % 6), (int8_t)draw(3) - 1,
                 odd ? number_at_random() : 1e-3, odd ? number_at_random() : 10.0, 1e-3, draw(2) ? 0.0 : 200.0};
         }
         break;

@@ -232,8 +232,9 @@ static void read_hand(const char *text) {
 }
 
 static int golden(void) {
-    char text[2 * MAGLEV_LARGEST + 1];
-    while (scanf("%512s", text) == 1) {
+    char text[2 * MAGLEV_LARGEST + 2];
+    while (fgets(text, sizeof text, stdin)) {
+        text[strcspn(text, "\n")] = 0;
         uint8_t data[MAGLEV_LARGEST];
         struct maglev_frame frame;
         if (maglev_decode(&profile, data, read_hex(data, sizeof data, text), &frame) != MAGLEV_REASONS)

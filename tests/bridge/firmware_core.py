@@ -30,7 +30,7 @@ STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 TRAPPED = ["-O1", "-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
 
-_LARGEST, _REASONS, _NO_FRAME = 600, 12, 7
+LARGEST, _REASONS, _NO_FRAME = 600, 12, 7
 _Six = c_double * 6
 
 
@@ -216,7 +216,7 @@ class CoreFirmware:
         self._now = now
         if peer not in self._peers:
             self._peers.append(peer)
-        answer = ctypes.create_string_buffer(_LARGEST)
+        answer = ctypes.create_string_buffer(LARGEST)
         length = self._core.maglev_receive(self._memory, data, len(data), self._peers.index(peer), answer)
         for name, count in self._counted()[:_NO_FRAME]:
             if count:
@@ -230,7 +230,7 @@ class CoreFirmware:
         self._reading = _Reading(now, *six, number, conversions, reading.valid, reading.enabled)
         for seconds, currents in (reading.intervals or ((0.0, reading.measured),)) if self.heats else ():
             self._core.maglev_heat(self._memory, seconds, _Six(*currents))
-        frame = ctypes.create_string_buffer(_LARGEST)
+        frame = ctypes.create_string_buffer(LARGEST)
         length = self._core.maglev_sample(self._memory, frame)
         return self._passed_on(frame.raw[:length])
 

@@ -142,7 +142,7 @@ def test_a_current_that_does_not_fall_is_not_confirmed() -> None:
     rig.twin.firmware.sample = measured  # type: ignore[method-assign]
     report = estop(Beside(rig), patience=0.5)
     assert not report.confirmed and report.faults & Fault.ESTOP
-    assert "not confirmed: cut the power (faults" in str(report) and "-1.50 A in coil 4" in str(report)
+    assert "not confirmed: cut the power (faults" in str(report) and "-1.5 A in coil 4" in str(report)
 
 
 def test_a_device_that_answers_and_flies_on_has_not_stopped() -> None:

@@ -35,7 +35,7 @@ from maglev_mj.bridge.wire import (
     State,
     Wall,
 )
-from tests.bridge.firmware_core import FOLDER, SANITIZED, STRICT, CoreFirmware, library
+from tests.bridge.firmware_core import FOLDER, LARGEST, SANITIZED, STRICT, CoreFirmware, library
 from tests.bridge.test_wire import sealed
 from tests.conftest import COMPILER
 
@@ -324,36 +324,36 @@ def test_no_session_has_the_number_0() -> None:
 
 def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
     side = Side(CoreFirmware, PROFILE, None)
-    for length, reason in ((384, "version"), (385, "length")):
+    for length, reason in ((LARGEST, "version"), (LARGEST + 1, "length")):
         data = bytearray(length)
         data[:4] = b"MJ" + bytes((VERSION + 1, 1))
         answer = side.device.receive(sealed(bytes(data)), 0, "host")
         assert (answer is not None) == (reason == "version") and side.codec.dropped[reason] == 1
 
 
-@pytest.mark.parametrize("length", [1, 8, 253, 254, 255, 384])
+@pytest.mark.parametrize("length", [1, 8, 253, 254, 255, 508, 509, LARGEST])
 def test_cobs_is_that_of_the_serial_line(length: int) -> None:
     core, draw = library(), random.Random(length)
-    line = ctypes.create_string_buffer(512)
+    line = ctypes.create_string_buffer(1024)
     for zeros in (0.0, 0.01, 0.3, 1.0):
         data = bytes(0 if draw.random() < zeros else draw.randrange(1, 256) for _ in range(length))
-        out = ctypes.create_string_buffer(length + 4)
+        out = ctypes.create_string_buffer(length + 5)
         size = core.maglev_stuff(data, ctypes.c_size_t(length), out)
         sent = out.raw[:size]
         assert sent == b"\0" + cobs_encode(data) + b"\0"
-        noise = bytes(draw.randrange(1, 256) for _ in range(draw.randrange(600)))
+        noise = bytes(draw.randrange(1, 256) for _ in range(draw.randrange(900)))
         lengths = [core.maglev_unstuff(line, ctypes.c_uint8(byte)) for byte in noise + sent]
         assert lengths[-1] == length and line.raw[:length] == data
 
 
 def test_bytes_of_a_line_that_are_no_frame_are_skipped() -> None:
     core, draw = library(), random.Random(3)
-    line = ctypes.create_string_buffer(512)
+    line = ctypes.create_string_buffer(1024)
     for _ in range(500):
-        piece = bytes(draw.choice([1, 2, 3, 255, draw.randrange(1, 256)]) for _ in range(draw.choice([3, 8, 500])))
+        piece = bytes(draw.choice([1, 2, 3, 255, draw.randrange(1, 256)]) for _ in range(draw.choice([3, 8, 800])))
         lengths = [core.maglev_unstuff(line, ctypes.c_uint8(byte)) for byte in piece + b"\0"]
         decoded = cobs_decode(piece) or b""
-        decoded = decoded if len(decoded) <= 384 else b""
+        decoded = decoded if len(decoded) <= LARGEST else b""
         assert not any(lengths[:-1]) and line.raw[: lengths[-1]] == decoded
 
 

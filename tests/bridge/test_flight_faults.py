@@ -219,8 +219,9 @@ def test_currents_are_said_to_be_off_only_after_a_sample_without(met: str, fault
             plant.drive([1.0] * 6)
         line.impair(impairment)
         plant.fail(fault, "for a test")
-    assert caught.value.off == off and ("currents off" in str(caught.value)) == off
-    assert ("cut the power" in str(caught.value)) != off
+    said = str(caught.value)
+    assert caught.value.off == (0.25 if off else None) and ("at most 0.25 A in each coil" in said) == off
+    assert ("cut the power" in said) != off
     assert not off or not twin.plant.currents.any()
 
 
@@ -234,7 +235,7 @@ def test_a_silent_serial_link_is_reported_with_a_remedy(
     assert cli.main(["bridge", address, "--seconds", "1"]) == 1
     fault = " ".join(capsys.readouterr().err.split())
     assert fault.startswith("maglev-mj bridge: WATCHDOG: reported by the device; the last cycles are in ")
-    assert "; currents off; a busy machine delays serial data" in fault
+    assert "; at most 0.25 A in each coil; a busy machine delays serial data" in fault
     assert f"clear the fault with: maglev-mj bridge {shlex.quote(address)} --reset" in fault
 
 
@@ -283,7 +284,7 @@ def test_the_command_reports_cause_and_remedy_in_one_line(
     assert status == 1 and twin.firmware.faults == Fault.HOST and record.exists()
     told = f"mine.py, line 8: ValueError: no square root; the last cycles are in {box}"
     again = "maglev-mj bridge udp://127.0.0.1:1 '--key=a key' --reset"
-    assert fault == f"maglev-mj bridge: HOST: {told}; currents off; clear the fault with: {again}"
+    assert fault == f"maglev-mj bridge: HOST: {told}; at most 0.25 A in each coil; clear the fault with: {again}"
     assert "host latency, arrival to answer" in said.out
     walls = "wall stiffness 6000 N/m (7000 requested)"
     assert f"{walls}; keep hands off" in " ".join(said.out.split())

@@ -64,6 +64,7 @@ def with_(**values: Any) -> Callable[[Any], Any]:
 ABSURD: list[tuple[str, Any, str]] = [
     *(("period", value, "period must be between 1e-5 and 0.1") for value in (0, 9_999, 100_000_001, 2**64 - 1)),
     *(("delay", value, "delay must be between 0 and 0.1") for value in (100_000_001, 2**64 - 1)),
+    *(("latency", value, "latency must be between 0 and 0.1") for value in (100_000_001, 2**64 - 1)),
     *(("watchdog", value, "watchdog must be") for value in (0, 999_999, 1_000_000_001, 2**64 - 1)),
     *(("enable", value, "enable must be") for value in (0, 9_999, 1_000_000_001)),
     *(("stale", value, "stale must be") for value in (0, 9_999, 1_000_000_001)),
@@ -79,14 +80,21 @@ ABSURD: list[tuple[str, Any, str]] = [
             ("stiffness_limit", -0.1, 1.1e8),
             ("damping_limit", -0.1, 1.1e6),
             ("edge_speed", -0.1, 10.1),
+            ("lever", 0.0, 10.1),
+            ("energy", 0.0, 1.1e3),
+            ("recede", -0.1, 10.1),
+            ("off_current", 0.0, 20.1),
         )
         for value in (NAN, INF, -INF, -1.0, 1e9, least, most)
     ),
     ("frozen", 1_000_001, "frozen must be"),
+    ("wall_count", 13, "wall_count must be"),
     ("lockstep", 2, "lockstep must be"),
     ("state", 3, "state must be"),
     # which each alone may be
     ("watchdog", 9_999_999, "two periods must be at most watchdog, 0.009999999 s [(]got 0.01 s"),
+    ("latency", 10_000_001, "latency must be at most two periods, 0.01 s [(]got 0.010000001 s"),
+    ("off_current", 3.5, "off_current must be at most continuous_current, 3 A [(]got 3.5 A"),
     ("delay", 10_000_001, "delay must be at most two periods, 0.01 s [(]got 0.010000001 s"),
     ("enable", 50_000_001, "enable must be at most watchdog, 0.05 s [(]got 0.050000001 s"),
     ("stale", 4_999_999, "one period must be at most stale, 0.004999999 s [(]got 0.005 s"),

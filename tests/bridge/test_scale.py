@@ -165,9 +165,6 @@ def test_a_stage_of_2_mm_is_guided_within_its_own_envelope() -> None:
         guard = FlotorGuard(limits, scale)
         crossed(guard, 2, guided, guided=True)
         crossed(guard, 2, chosen or guided)
-    only = HostLimits().scaled(STAGE.scale)  # from its range alone
-    assert only.envelope == pytest.approx(scale.envelope) and only.speed_limit == 0.6
-    crossed(FlotorGuard(only), 2, scale.envelope, guided=True)
 
 
 def remote(device: Device) -> RemotePlant:

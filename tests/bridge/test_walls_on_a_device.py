@@ -239,7 +239,7 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: checked(Drop(wall_on="device", damping=500.0)), "damping of the wall on z .* 400 N s/m, the device's"),
     (lambda: checked(Drop(wall_on="device"), wall_period=0.0), "renders no walls"),
     (lambda: check_step(safe(6e3, 80.0), safe(6e4, 80.0), [0, 0, -1e-3, 0, 0, 0]), "force step on z .*54 N"),
-    (lambda: plant_of().check_walls([DeviceWall(0)] * (MOST_WALLS + 1)), "at most 6 walls"),
+    (lambda: plant_of().check_walls([DeviceWall(0)] * (MOST_WALLS + 1)), "at most 12 walls"),
     (lambda: plant_of().check_walls([DeviceWall(4, 0.0, 1, 100.0)]), "on ry .* 90 N m/rad"),
     (lambda: drive(plant_of(wall_period=0.0), safe(6e3, 80.0), 1), "cannot render walls on the device"),
 ]

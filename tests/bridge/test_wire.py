@@ -309,7 +309,7 @@ def test_frames_without_the_right_key_are_dropped() -> None:
         (sealed(b"MJ" + NOW + b"\x09" + bytes(132)), "type"),
         (sealed(b"MJ" + NOW + b"\x06" + bytes(4)), "length"),
         (sealed(b"MJ" + NOW + b"\x06" + bytes(133)), "length"),
-        (sealed(b"MJ" + NOW + b"\x06" + bytes(132 + 7 * 36)), "length"),
+        (sealed(b"MJ" + NOW + b"\x06" + bytes(132 + 13 * 36)), "length"),
         (b"MJ" + LATER + b"\x06" + bytes(132), "crc"),
     ],
 )
