@@ -112,7 +112,7 @@ class Flight:
         self._actions = session.device_actions(type(scene))
         self._delays: deque[float] = deque(maxlen=_ANSWERS)
         self._warn, self._check_due = warn, session.FrameClock(1.0)  # of the recording: once a second
-        self._delay_guard = DelayGuard(delay_limit(critical_delay, plant.period))
+        self._delay_guard = DelayGuard(delay_limit(critical_delay, plant.period, own=plant.delay))
         self._power_guard = PowerGuard(plant.period, self._inertia, plant.scale)
         self.reason, self._judge = "", judge
         self._name = ", ".join(filter(None, (f"{scene.name} on a device", rendered)))
@@ -273,7 +273,7 @@ class Flight:
             critical, note = answer
             if critical is None:
                 raise ParameterError(note)
-            limit = delay_limit(critical, self._plant.period)
+            limit = delay_limit(critical, self._plant.period, own=self._plant.delay)
         controller = session.device_controller(scene, self._weight)
         yield  # creating it takes half a period at 1 kHz: check it one sample later
         session.check_step(self._controller, controller, self._position, self._step_force)

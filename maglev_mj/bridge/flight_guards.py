@@ -25,7 +25,10 @@ from maglev_mj.spec import INERTIA, MAX_DELAY_PERIODS
 _DELAY_SHARE = 0.8
 """Delay limit as a share of the critical delay: near the critical delay a loop rings long after a tap."""
 _FULL_SHARE = 0.005
-"""Critical delay up to which the limit is the critical delay itself [s]: a share would stop usual delays."""
+"""Critical delay up to which the limit is the critical delay itself [s]: a share would stop usual delays.
+
+Both are counted from the delay that is the device's own and does not change.
+"""
 _LONGEST = 0.03
 """Longest delay for which margins are computed [s]."""
 _RULES = (3, 5, 3.0), (8, 16, 1.25), (48, 64, 1.0)
@@ -195,16 +198,17 @@ def _listed(values: Sequence[float], form: str) -> str:
     return ", ".join(f"{value:{form}}" for value in values)
 
 
-def delay_limit(critical_delay: float, period: float) -> float:
+def delay_limit(critical_delay: float, period: float, own: float = 0.0) -> float:
     """Return the delay limit of the `DelayGuard` [s].
 
     Args:
         critical_delay: Critical delay of the laws [s], as of `delay_margins`; NaN or infinity if not computed.
         period: Sample period [s].
+        own: Delay without link and host [s].
     """
     longest = min(_LONGEST, MAX_DELAY_PERIODS * period)
-    critical = critical_delay if critical_delay < longest else longest  # also for NaN
-    return max(_DELAY_SHARE * critical, min(critical, _FULL_SHARE))
+    critical = (critical_delay if critical_delay < longest else longest) - own  # also for NaN
+    return own + max(_DELAY_SHARE * critical, min(critical, _FULL_SHARE))
 
 
 class DelayGuard:

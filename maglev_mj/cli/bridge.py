@@ -321,7 +321,7 @@ def _opened_arm(
     most: Any = {"force_limit": [min(force, part) for part in arm.force_limit]}
     arm = replace(arm, speed_limit=min(limits.speed_limit, arm.speed_limit), **most)
     with _punctual(policy), HaplyPlant(address, arm=arm, key=key) as plant:  # its thread receives in real time too
-        print("  measuring round trips and checking the scene's stability; force off", flush=True)
+        print(f"  arm {plant.device}: measuring round trips and checking stability; force off", flush=True)
         yield plant
 
 

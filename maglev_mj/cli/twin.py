@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS
 from maglev_mj.cli.declare import option
@@ -120,7 +120,7 @@ def twin(
             name: value for name, value in (("rate", rate), ("delay", delay)) if value is not None
         }
         arm = {"arm": replace(Arm.of(device), **numbers), "lockstep": lockstep, "hand_force": _hand(push, None)}
-        return _serve_arm(haply, seconds, arm, {"key": key, "origins": page.allow_origin})
+        return _serve_arm(haply, seconds, arm, realtime, {"key": key, "origins": page.allow_origin})
     look, calibration = find_scene(scene or "joystick"), Calibration.of(device)
     own = {"period": rate and 1.0 / rate, "delay": delay, "noise": noise}
     parameters = TwinParameters(
@@ -154,21 +154,30 @@ def twin(
     return 0
 
 
-def _serve_arm(place: str, seconds: float | None, arm: dict[str, Any], server_options: dict[str, Any]) -> int:
+def _serve_arm(
+    place: str,
+    seconds: float | None,
+    arm: dict[str, Any],
+    policy: Literal["enforce", "ignore"],
+    server_options: dict[str, Any],
+) -> int:
     """Serve the twin of an arm at [HOST:]PORT; return the exit status."""
     from maglev_mj.bridge.haply.twin import HaplyServer, HaplyTwin
-    from maglev_mj.bridge.realtime import stopping
+    from maglev_mj.bridge.realtime import realtime, stopping
 
     if not (match := re.fullmatch(r"(?:([\w.-]+):)?(\d{1,5})", place, re.ASCII)):
         raise ParameterError(f"haply must be PORT or HOST:PORT (got {place!r})")
     twin = HaplyTwin(**arm)
-    server = HaplyServer(twin, int(match[2]), match[1] or "127.0.0.1", **server_options)
-    host, port = server.address
-    pace = "in lockstep" if twin.lockstep else "in real time"
-    print(f"  arm at ws://{host}:{port}/{server.query}, {twin.arm.rate:g} Hz, {pace}; Ctrl-C ends it", flush=True)
-    with stopping(server.stop):
-        server.run(seconds)
-    server.close()
+    with realtime(policy) as refused:  # the threads of the server inherit it
+        server = HaplyServer(twin, int(match[2]), match[1] or "127.0.0.1", **server_options)
+        host, port = server.address
+        pace = "in lockstep" if twin.lockstep else "in real time"
+        print(f"  arm at ws://{host}:{port}/{server.query}, {twin.arm.rate:g} Hz, {pace}; Ctrl-C ends it", flush=True)
+        for complaint in refused:
+            print(f"  not in real time: {complaint}", flush=True)
+        with stopping(server.stop):
+            server.run(seconds)
+        server.close()
     print(f"  {twin.clipped} forces above the limit")
     return 0
 

@@ -22,7 +22,7 @@ from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
 from maglev_mj.bridge.landing import LANDING_DELAY, Leader, Swing
 from maglev_mj.bridge.observer import _FREE, _WALLED, CoilMonitor, DelayEstimator, HandObserver
-from maglev_mj.bridge.preflight import _critical_delay
+from maglev_mj.bridge.preflight import LinkReport, _critical_delay
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.frames import Command
@@ -155,6 +155,14 @@ def test_a_slow_link_is_detected_and_a_single_late_answer_is_not(delays: list[fl
 )
 def test_the_delay_limit_is_below_the_critical_delay(critical_delay: float, period: float, late: float) -> None:
     assert delay_limit(critical_delay, period) == pytest.approx(late)
+
+
+@pytest.mark.parametrize("link", [1e-5, 2e-4, 2e-3])
+@pytest.mark.parametrize("own", [2e-4, 0.002, 0.006, 0.011])
+def test_a_scene_that_is_just_stable_enough_flies_at_the_measured_delay(own: float, link: float) -> None:
+    report = LinkReport(device_delay=own, delay=np.full(64, own + link), answer=np.zeros(64), samples=64, late=0)
+    guard = DelayGuard(delay_limit(report.required_delay, 0.005, own=own))
+    assert not any(guard.check(delay) for delay in report.delay) and guard.limit <= report.required_delay + 1e-12
 
 
 @pytest.mark.parametrize("axis", range(6))

@@ -45,11 +45,11 @@ class MockService:
 
     def __init__(self, arm: Arm) -> None:
         self.arm, self.clock, self.position, self.speed, self.force = arm, 0, 1e-3, 0.0, 0.0
-        self.replies = deque([self.state()])
+        self.replies = deque([self.state(status={"calibrated": True, "in_use": False})])
 
-    def state(self) -> str:
+    def state(self, **more: Any) -> str:
         place = {"x": 0.1, "y": -0.2, "z": 0.1 + self.position}
-        return json.dumps({"inverse3": [{"device_id": "04BA", "state": {"cursor_position": place}}]})
+        return json.dumps({"inverse3": [{"device_id": "04BA", "state": {"cursor_position": place}, **more}]})
 
     def send(self, text: bytes) -> None:
         (entry,) = json.loads(text)["inverse3"]
@@ -152,13 +152,26 @@ class FaultyLink(VirtualLink):
         place = numbers_at(json.loads(reply)["inverse3"][0], "state", "cursor_position")
         assert place is not None
         changes = {
+            **{f"{name} is false": (f'"{name}": true', f'"{name}": false') for name in CONDITIONS},
+            "status is no object": ('"status": {', '"status": 3, "before": {'),
+            "power is text": ('"power_supply": true', '"power_supply": "yes"'),
+            "two of one identifier": ('"inverse3": [', '"inverse3": [{"device_id": "TWIN"}, '),
+            "orientation is NaN": ('"w": 1.0', '"w": NaN'),
+            "orientation is 0": ('"w": 1.0', '"w": 0.0'),
+            "no orientation": ('"orientation"', '"attitude"'),
+            "grip is lost": ('"GRIP"', '"GRAP"'),
+            "position is text": (f'"z": {place[2]}', '"z": "0.0"'),
+            "position is huge": (f'"z": {place[2]}', f'"z": 1{"0" * 400}'),
+            "nested too deep": ('"inverse3": [', f'"inverse3": {"[" * 5000}{"]" * 5000}, "before": ['),
             "wrong device": ('"TWIN"', '"049D"'),
             "position is NaN": (f'"z": {place[2]}', '"z": NaN'),
             "no position": ("cursor_position", "angular_position"),
             "no JSON": ('"session_id"', "session_id"),
             "millimetres": (f'"z": {place[2]}', f'"z": {1e3 * place[2]}'),
         }
-        return reply.decode().replace(*changes.get(self.fault, ("", ""))).encode()
+        spoiled = reply.decode().replace(*changes.get(self.fault, ("", "")))
+        assert spoiled != reply.decode() or self.fault in ("silent", "10 ms late", *HOST_FAULTS)
+        return spoiled.encode()
 
     def __init__(self, twin: HaplyTwin) -> None:
         super().__init__(twin)
@@ -175,6 +188,7 @@ class NotingTwin(HaplyTwin):
         self.__dict__.setdefault("notes", []).append((self._time or 0, any(self.force)))
 
 
+CONDITIONS = ("connected", "power_supply", "awake", "calibrated", "ready")
 SERVICE_FAULTS = {
     "gone": "the service closed the connection",
     "silent": r"no reply of the service within 1[5-9] ms",
@@ -182,6 +196,21 @@ SERVICE_FAULTS = {
     "position is NaN": r"no finite cursor_position \(got \[.*nan\]\)",
     "no position": r"no finite cursor_position \(got None\)",
     "no JSON": r"the service reports no device 'TWIN' \(connected: none\)",
+    "nested too deep": r"the service reports no device 'TWIN' \(connected: none\)",
+    "connected is false": r"the service reports of 'TWIN': not connected; check its cable and power, and calibrate it",
+    "power_supply is false": "the service reports of 'TWIN': no power supply; check",
+    "awake is false": "the service reports of 'TWIN': not awake; check",
+    "calibrated is false": "the service reports of 'TWIN': not calibrated; check",
+    "ready is false": "the service reports of 'TWIN': not ready; check",
+    "power is text": "the service reports of 'TWIN': no power supply; check",
+    "status is no object": r"the service reports no valid status of 'TWIN' \(got 3\)",
+    "two of one identifier": "identifiers must differ, but the service reports 'TWIN', 'TWIN'",
+    "orientation is NaN": r"no orientation of grip 'GRIP' as a unit quaternion \(got \[nan, ",
+    "orientation is 0": r"no orientation of grip 'GRIP' as a unit quaternion \(got \[0.0, ",
+    "no orientation": r"no orientation of grip 'GRIP' as a unit quaternion \(got None\)",
+    "grip is lost": r"the service reports no grip 'GRIP' \(connected: 'GRAP'\)",
+    "position is text": r"no finite cursor_position \(got None\)",
+    "position is huge": r"no finite cursor_position \(got None\)",
     "10 ms late": "3 samples in a row were late, the last 10.0 ms old: lower",
     "millimetres": "the tip moves at .* m/s, above the limit of 0.5 m/s",
 }
@@ -279,20 +308,67 @@ def test_a_push_ends_by_the_speed_limit_and_a_landing_fades() -> None:
 @pytest.mark.parametrize(
     "spoil, options, message",
     [
-        (lambda text: text.replace('"inverse3"', '"minverse"'), {}, r"reports no device 'arm' \(connected: none\)"),
+        (lambda text: text.replace('"inverse3"', '"minverse"'), {}, r"reports no device \(connected: none\)"),
         (str, {"device": "049D"}, r"reports no device '049D' \(connected: 'TWIN'\)"),
         (lambda text: text.replace('"x": 0.04', '"x": 40'), {}, r"within 1 m \(got 40, 0, 0\): is it in millimetres"),
         (lambda text: "hello", {}, "reports no device"),
+        (lambda text: text.replace('"status"', '"mood"'), {}, "reports no status of 'TWIN': it must be of version 3"),
+        (
+            lambda text: text.replace('"calibrated": true', '"calibrated": false'),
+            {},
+            "of 'TWIN': not calibrated; check",
+        ),
+        (lambda text: text.replace('"w": 1.0', '"w": NaN'), {}, "no orientation of grip 'GRIP' as a unit quaternion"),
+        (str, {"grip": "61576"}, r"reports no grip '61576' \(connected: 'GRIP'\)"),
     ],
 )
 def test_an_unusable_service_is_refused_at_the_start(
     spoil: Callable[[str], str], options: dict[str, Any], message: str
 ) -> None:
-    link = VirtualLink(HaplyTwin(start=(0.04, 0.0, 0.0)))
+    link = FaultyLink(HaplyTwin(start=(0.04, 0.0, 0.0)))
     link.replies = deque([(0, spoil(link.replies[0][1]))])
     with pytest.raises(PlantError, match=message):
         HaplyPlant(link, **options)
-    assert not link.open
+    assert not link.open and not link.sent
+
+
+@pytest.mark.parametrize("kind, first, second", [("device", "TWIN", "0B77"), ("grip", "GRIP", "61577")])
+def test_of_two_arms_or_grips_the_named_one_is_flown(kind: str, first: str, second: str) -> None:
+    for order in ((first, second), (second, first)):
+        for named in (None, first, "nosuch"):
+            link = TwoOfAKind(HaplyTwin(start=(0.0, 0.0, 0.02)), kind, order)
+            if named == first:
+                plant = HaplyPlant(link, **{kind: named})
+                drive(plant, Controller([Hold(axes="z", stiffness=50.0, damping=1.0)], period=plant.period), 20)
+                assert getattr(plant, kind) == first
+                assert {json.loads(text)["inverse3"][0]["device_id"] for text in link.messages} == {"TWIN"}
+                continue
+            names = ", ".join(map(repr, order))
+            remedy = rf"no {kind} 'nosuch' \(connected: {names}\)" if named else f"2 {kind}s, {names}: choose one by"
+            with pytest.raises(PlantError, match=remedy):
+                HaplyPlant(link, **{kind: named})
+            assert not link.messages and not link.open
+
+
+class TwoOfAKind(VirtualLink):
+    """Link to a service with two arms or two grips, in an order; the other one's state is invalid."""
+
+    def __init__(self, twin: HaplyTwin, kind: str, order: tuple[str, str]) -> None:
+        self.section, self.order = {"device": "inverse3", "grip": "wireless_verse_grip"}[kind], order
+        self.messages: list[bytes] = []
+        super().__init__(twin)
+
+    def send(self, text: bytes) -> None:
+        self.messages.append(text)
+        super().send(text)
+
+    def receive(self, timeout: float) -> bytes | None:
+        if (reply := super().receive(timeout)) is None:
+            return None
+        message = json.loads(reply)
+        own = {entry["device_id"]: entry for entry in message[self.section]}
+        message[self.section] = [own.get(name, {"device_id": name, "state": {}}) for name in self.order]
+        return json.dumps(message).encode()
 
 
 @pytest.mark.parametrize(
@@ -307,7 +383,9 @@ def test_torques_and_pulses_are_refused(command: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    "address", ["haply://", "haply://127.0.0.1", "haply://127.0.0.1:0", "haply://h:1?rate=x", "haply://h:1?rate=0"]
+    "address",
+    ["haply://", "haply://127.0.0.1", "haply://127.0.0.1:0", "haply://h:1?rate=x", "haply://h:1?rate=0"]
+    + [f"haply://h:1?{query}" for query in ("", "device=", "device", "arm=A", "device=A&device=B", "rate=5?device=A")],
 )
 def test_an_invalid_address_is_refused(address: str) -> None:
     with pytest.raises(ParameterError, match=r"address must be haply://HOST:PORT|period must be"):

@@ -181,6 +181,7 @@ bridge nosuch                                       | nosuch
 bridge udp://8.8.8.8:5678                           | loopback
 bridge haply://127.0.0.1                             | address must be haply://HOST:PORT
 bridge haply://127.0.0.1:9?rate=0                    | address must be haply://HOST:PORT
+bridge haply://127.0.0.1:9?arm=A                     | address must be haply://HOST:PORT, optionally with ?rate=HZ
 bridge haply://127.0.0.1:9 --reset                   | --reset does not apply to haply://
 bridge haply://127.0.0.1:9 --max-current 5           | limits of the host for haply:// are --force-limit
 twin --haply nosuch                                  | haply must be PORT or HOST:PORT (got 'nosuch')

@@ -78,15 +78,16 @@ def preflight_arm(plant: HaplyPlant, scene: Scene, *, as_written: bool = False) 
         PlantError: If the arm has a fault, or 1 % of the round trips take longer than a period.
         MaglevError: If a law fails.
     """
-    own, trips = on_arm(scene, plant), list[float]()
+    own, trips, ages = on_arm(scene, plant), list[float](), list[float]()
     for _ in range(_EXCHANGES):
         plant.read()
         plant.write(Command(ZERO))
         trips.append(plant.round_trip)
+        ages.append(plant.age)
     if (slowest := float(np.percentile(trips, 99.0))) > plant.period:
         times = f"the slowest 1 % of the round trips take {slowest * 1e3:.2f} ms, above the period"
         raise PlantError(f"no flight: {times} of {plant.period * 1e3:g} ms; keep a processor free or lower ?rate=")
-    delay, late = plant.arm.delay + np.maximum(trips, plant.period), int(np.sum(np.array(trips) > plant.period))
+    delay, late = plant.arm.delay + np.array(ages), int(np.sum(np.array(trips) > plant.period))
     report = LinkReport(device_delay=plant.delay, delay=delay, answer=np.zeros(0), samples=_EXCHANGES, late=late)
     return assess(own, own.body.inertia, report, as_written)
 
@@ -123,7 +124,8 @@ def fly_arm(
     if file is not None:
         values: Any = {"inertia": inertia, "load": ZERO, "before": ZERO, "hand_recorded": False}
         record = begin_scene(file, scene, plant, controller, kind="device", name=f"{scene.name} on an arm", **values)
-    delays, power = DelayGuard(delay_limit(checked.critical_delay, plant.period)), PowerGuard(plant.period, inertia)
+    limit = delay_limit(checked.critical_delay, plant.period, own=plant.delay)
+    delays, power = DelayGuard(limit), PowerGuard(plant.period, inertia)
 
     def observe(sample: Sample, applied: Command) -> None:
         nonlocal reason

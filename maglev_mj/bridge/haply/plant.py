@@ -14,7 +14,8 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from typing import Any, NoReturn, Self
+from typing import Any, NamedTuple, NoReturn, Self
+from urllib.parse import parse_qsl
 
 from maglev_mj.bridge.links import Link, LinkError
 from maglev_mj.device import Device
@@ -35,8 +36,26 @@ _LATE, _MOST_LATE = 1.5, 3
 _FARTHEST = 1.0
 """Largest coordinate of a position in metres [m]; an Inverse3 reaches 0.3 m."""
 
-_PATIENCE, _NO_FORCE = 1.0, (0.0, 0.0, 0.0)
-_URL = re.compile(r"haply://([\w.-]+):(\d{1,5})(?:\?rate=(\d{1,5}(?:\.\d+)?))?", re.ASCII)
+_PATIENCE, _NO_FORCE, _NO_ROTATION = 1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+_URL = re.compile(r"haply://([\w.-]+):(\d{1,5})(?:\?(.+))?", re.ASCII)
+_QUERY = {"rate": r"\d{1,5}(?:\.\d+)?", "device": r"[^\s&]+", "grip": r"[^\s&]+"}
+_ADDRESS = "haply://HOST:PORT, optionally with ?rate=HZ, device=ID and grip=ID, joined by &"
+
+_CONDITIONS = {
+    "connected": "not connected",
+    "power_supply": "no power supply",
+    "awake": "not awake",
+    "calibrated": "not calibrated",
+    "ready": "not ready",
+}
+"""Values of a status that must not be false, and what it means if one is.
+
+A message need not hold them all: versions of the service differ. Nothing documents `in_use` and `started`, so they are
+not judged; an idle arm reports in_use false. `connected` and `awake` are not verified with a service.
+"""
+
+_UNIT = 0.9, 1.1
+"""Bounds of the norm of an orientation; a grip that has not measured one may report zeros."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,22 +114,96 @@ def force_message(device: str, force: Sequence[float]) -> bytes:
     return json.dumps({"inverse3": [{"device_id": device, "commands": commands}]}).encode()
 
 
-def devices(data: str | bytes, section: str = "inverse3") -> dict[str, Any]:
-    """Return the entries of a message's section by device, "" for one that names none; {} if they are invalid."""
+def _entries(data: str | bytes, section: str) -> list[tuple[str, dict[str, Any]]]:
+    """Return device and entry of each entry in a message's section, "" for one without device; [] if it is invalid."""
     try:
-        return {entry.get("device_id", ""): entry for entry in json.loads(data)[section]}
-    except (ValueError, LookupError, TypeError, AttributeError):
-        return {}
+        listed = json.loads(data)[section]
+        return [(str(entry.get("device_id", "")), entry) for entry in listed if isinstance(entry, dict)]
+    except (ValueError, LookupError, TypeError, RecursionError):  # the last if it is nested too deep
+        return []
+
+
+def devices(data: str | bytes, section: str = "inverse3") -> dict[str, Any]:
+    """Return the entries of a message's section by device; {} if it is invalid."""
+    return dict(_entries(data, section))
 
 
 def numbers_at(entry: Any, *path: str, names: str = "xyz") -> list[float] | None:
-    """Return the named numbers at a path of keys, which may be NaN; None if they are missing."""
+    """Return the named numbers at a path of keys, which may be NaN; None if one is missing or not a number."""
     try:
         for key in path:
             entry = entry[key]
-        return [float(entry[name]) for name in names]
-    except (LookupError, TypeError, ValueError):
+        values = [entry[name] for name in names]
+        return list(map(float, values)) if {*map(type, values)} <= {int, float} else None
+    except (LookupError, TypeError, OverflowError):
         return None
+
+
+def _only(entries: Sequence[tuple[str, Any]], wanted: str | None, kind: str) -> tuple[str, Any]:
+    """Return the wanted entry of a section, or the only one.
+
+    Args:
+        entries: Devices and their entries.
+        wanted: Device; None for the only one.
+        kind: "device" or "grip", as in an address.
+
+    Raises:
+        PlantError: If there is no such entry, or more than one; the devices are listed.
+    """
+    matches = [pair for pair in entries if wanted is None or pair[0] == wanted]
+    if len(matches) == 1:
+        return matches[0]
+    names = ", ".join(repr(name) for name, _ in entries) or "none"
+    if not matches:
+        missing = kind if wanted is None else f"{kind} {wanted!r}"
+        raise PlantError(f"the service reports no {missing} (connected: {names})")
+    if len({name for name, _ in matches}) < len(matches):
+        raise PlantError(f"identifiers must differ, but the service reports {names}: disconnect a {kind}")
+    raise PlantError(f"the service reports {len(matches)} {kind}s, {names}: choose one by ?{kind}=ID in the address")
+
+
+class ArmState(NamedTuple):
+    """State of an arm in a message of the service, valid: the arm reports nothing that forbids a force.
+
+    Attributes:
+        position: Position of the tip in the service's coordinates [m], (3,).
+        rotation: Rotation of the grip [rad], (3,); 0 without a grip.
+    """
+
+    position: list[float]
+    rotation: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, message: str | bytes, device: str, grip: str | None) -> Self:
+        """Return the state of an arm.
+
+        Args:
+            message: Inventory, or a state update.
+            device: Identifier of the arm.
+            grip: Identifier of its grip; None for none.
+
+        Raises:
+            PlantError: If the arm or the grip is missing, the arm reports that it cannot be used, or a number is not
+                finite.
+        """
+        _, entry = _only(_entries(message, "inverse3"), device, "device")
+        status = entry.get("status", {})  # optional in an update, as the configuration is
+        if not isinstance(status, dict):
+            raise PlantError(f"the service reports no valid status of {device!r} (got {status!r})")
+        if faults := [words for name, words in _CONDITIONS.items() if status.get(name, True) is not True]:
+            remedy = "check its cable and power, and calibrate it with Haply's software"
+            raise PlantError(f"the service reports of {device!r}: {', '.join(faults)}; {remedy}")
+        position = numbers_at(entry, "state", "cursor_position")
+        if position is None or not math.isfinite(sum(position)):
+            raise PlantError(f"the service reports no finite cursor_position (got {position})")
+        if grip is None:
+            return cls(position, _NO_ROTATION)
+        turn = numbers_at(
+            _only(_entries(message, "wireless_verse_grip"), grip, "grip")[1], "state", "orientation", names="wxyz"
+        )
+        if turn is None or not _UNIT[0] < math.hypot(*turn) < _UNIT[1]:  # false for NaN
+            raise PlantError(f"the service reports no orientation of grip {grip!r} as a unit quaternion (got {turn})")
+        return cls(position, rotation_vector(*turn))
 
 
 def token_of(key: bytes | None) -> str:
@@ -118,8 +211,19 @@ def token_of(key: bytes | None) -> str:
     return "" if key is None else f"?token={hmac.digest(key, b'haply', 'sha256').hex()}"
 
 
+def _query(text: str | None) -> dict[str, str] | None:
+    """Return the values in an address after ?; None if one is invalid, unknown or repeated."""
+    pairs = parse_qsl(text or "", keep_blank_values=True)
+    if len({name for name, _ in pairs}) < len(pairs) or bool(text) != bool(pairs):
+        return None
+    if not all(name in _QUERY and re.fullmatch(_QUERY[name], value, re.ASCII) for name, value in pairs):
+        return None
+    query = dict(pairs)
+    return query if float(query.get("rate", 1.0)) else None
+
+
 class WebSocketLink:
-    """Link to a service at haply://HOST:PORT, optionally with ?rate=HZ.
+    """Link to a service at haply://HOST:PORT, optionally with ?rate=HZ, device=ID and grip=ID, joined by &.
 
     Args:
         address: The address.
@@ -127,6 +231,8 @@ class WebSocketLink:
 
     Attributes:
         rate: Rate in the address [Hz], or None.
+        device: Identifier of an arm in the address, or None.
+        grip: Identifier of a grip in the address, or None.
 
     Raises:
         ParameterError: If the address is invalid.
@@ -135,13 +241,14 @@ class WebSocketLink:
     """
 
     def __init__(self, address: str, key: bytes | None = None) -> None:
-        if not (url := _URL.fullmatch(address)) or not 0 < int(url[2]) <= 65535 or not float(url[3] or 1.0):
-            raise ParameterError(f"address must be haply://HOST:PORT or haply://HOST:PORT?rate=HZ (got {address!r})")
+        if not (url := _URL.fullmatch(address)) or not 0 < int(url[2]) <= 65535 or (query := _query(url[3])) is None:
+            raise ParameterError(f"address must be {_ADDRESS} (got {address!r})")
         require(("websockets",), "haply", "haply:// requires websockets")
         from websockets.exceptions import WebSocketException
         from websockets.sync.client import connect
 
-        self.rate, self._failures = url[3] and float(url[3]), (WebSocketException, OSError)
+        self.rate = float(query["rate"]) if "rate" in query else None
+        self.device, self.grip, self._failures = query.get("device"), query.get("grip"), (WebSocketException, OSError)
         try:
             # opened here: websockets may connect through a proxy
             opened = socket.create_connection((resolve(url[1]), int(url[2])), _PATIENCE)
@@ -181,20 +288,23 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
     `read` sends the last command at absolute deadlines and receives the state after it, so a force answers a state that
     is one period old. Every fault fades the force to zero within 20 ms and raises; afterwards only `close` works. A
     fault is: a force for a sample older than 20 ms (or two periods), or for the third sample in a row older than 1.5
-    periods; a closed connection; a reply without a finite position of the device; a command that is not finite; a tip
-    above the speed limit while a force acts.
+    periods; a closed connection; a reply without a valid state of the arm (see `ArmState`); a command that is not
+    finite; a tip above the speed limit while a force acts.
 
     Args:
-        link: Address haply://HOST:PORT or haply://HOST:PORT?rate=HZ, or an open link; closed with the plant.
+        link: Address haply://HOST:PORT, optionally with ?rate=HZ, device=ID and grip=ID, joined by &; or an open link,
+            closed with the plant.
         arm: Numbers of the arm.
         period: Sample period [s]; by default the address's, or else the arm's.
-        device: Identifier of the arm; by default the first.
+        device: Identifier of the arm; by default the address's, or else the only one's.
+        grip: Identifier of the grip; by default the address's, or else the only one's.
         key: Key of a twin on another machine.
 
     Attributes:
         period: Sample period [s].
         delay: Delay from a sample to its command's effect [s].
         device: Identifier of the arm.
+        grip: Identifier of its grip, whose rotation the samples have; None without one at the start.
         centre: Position of the tip that counts as 0 [m], (3,); at first that at the start.
         age: Time from the last sample to its answer [s].
         round_trip: Duration of the last exchange [s].
@@ -203,7 +313,7 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
     Raises:
         ParameterError: If an argument is outside its bounds.
         LinkError: If no service answers.
-        PlantError: If no such arm is connected, or its position is invalid.
+        PlantError: If no such arm is connected, or several are and none is named; or if its state is invalid.
     """
 
     hand_wrench = (math.nan,) * 6
@@ -215,6 +325,7 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
         arm: Arm | None = None,
         period: float | None = None,
         device: str | None = None,
+        grip: str | None = None,
         key: bytes | None = None,
     ) -> None:
         self.arm = arm or Arm()
@@ -227,8 +338,13 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
         self._force: Sequence[float] = _NO_FORCE
         try:
             inventory = self._link.receive(_PATIENCE) or b""
-            self.device = device or next(iter(devices(inventory)), "arm")
-            self.centre = self._position = self._position_in(inventory)
+            named = device or getattr(self._link, "device", None), grip or getattr(self._link, "grip", None)
+            self.device, entry = _only(_entries(inventory, "inverse3"), named[0], "device")
+            if "status" not in entry:  # only updates may leave it out
+                raise PlantError(f"the service reports no status of {self.device!r}: it must be of version 3 or later")
+            grips = _entries(inventory, "wireless_verse_grip")
+            self.grip = _only(grips, named[1], "grip")[0] if grips or named[1] else None
+            self.centre = self._position = ArmState.of(inventory, self.device, self.grip).position
             if max(map(abs, self.centre)) > _FARTHEST:
                 place = ", ".join(f"{part:g}" for part in self.centre)
                 raise PlantError(f"cursor_position must be within {_FARTHEST:g} m (got {place}): is it in millimetres?")
@@ -245,8 +361,7 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
         """
         self._require()
         try:
-            reply = self._exchange()
-            position = self._position_in(reply)
+            position, rotation = ArmState.of(self._exchange(), self.device, self.grip)
         except (LinkError, PlantError) as error:
             self._trip(str(error))
         speed = math.dist(position, self._position) / max(self.age, self.period)
@@ -254,10 +369,8 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
             self._trip(f"the tip moves at {speed:.3g} m/s, above the limit of {self.arm.speed_limit:g} m/s")
         self._position = position
         self._tick = max(self._tick + 1, round((self._sent - self._start) * 1e-9 / self.period))
-        grip = next(iter(devices(reply, "wireless_verse_grip").values()), None)
-        turn = numbers_at(grip, "state", "orientation", names="wxyz") or (1.0, 0.0, 0.0, 0.0)
         place = [part - centre for part, centre in zip(position, self.centre)]
-        return Sample(self._tick, self._tick * self.period, [*place, *rotation_vector(*turn)])
+        return Sample(self._tick, self._tick * self.period, [*place, *rotation])
 
     def write(self, command: Command) -> Command:
         """Set the force that the next `read` sends; return it as limited.
@@ -325,16 +438,6 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
         if reply is None:
             raise PlantError(f"no reply of the service within {self.round_trip * 1e3:.0f} ms")
         return reply
-
-    def _position_in(self, message: bytes) -> list[float]:
-        """Return the arm's position in a message [m]; raise PlantError if it is missing or not finite."""
-        if (entry := (connected := devices(message)).get(self.device)) is None:
-            names = ", ".join(map(repr, connected)) or "none"
-            raise PlantError(f"the service reports no device {self.device!r} (connected: {names})")
-        position = numbers_at(entry, "state", "cursor_position")
-        if position is None or not math.isfinite(sum(position)):
-            raise PlantError(f"the service reports no finite cursor_position (got {position})")
-        return position
 
     def _trip(self, reason: str) -> NoReturn:
         """Fade the force to zero and raise."""
