@@ -11,10 +11,11 @@ import numpy as np
 
 from maglev_mj.control import Bias, Hold, Law
 from maglev_mj.control.laws.base import Answer, Gains
-from maglev_mj.errors import ModelError, ParameterError
+from maglev_mj.errors import ModelError, ParameterError, PlantError
 from maglev_mj.frames import AXES, Array, Component, Six
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import param
+from maglev_mj.plants.engine import engine_warnings_silenced, warned
 from maglev_mj.plants.shapes import Shape, shape_of
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.wall_scene import hold
@@ -45,6 +46,7 @@ class Robot:
             self.site = self.model.site(site).id
         except (ValueError, KeyError) as error:
             raise ModelError(f"robot is invalid: {' '.join(str(error).split())}") from None
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # would hide that the robot diverges
         self.data, self._step = mujoco.MjData(self.model), float(self.model.opt.timestep)
         if self.model.nkey:
             mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
@@ -72,13 +74,22 @@ class Robot:
         return np.asarray(self.data.site_xpos[self.site] - self.origin)
 
     def pull(self, force: Array, duration: float) -> None:
-        """Advance by a duration [s], in whole steps, under a force on the site [N], (3,)."""
+        """Advance by a duration [s], in whole steps, under a force on the site [N], (3,).
+
+        Raises:
+            PlantError: If the engine warns, as when the robot diverges.
+        """
         count = round(duration / self._step) or (duration > 1e-9)
         body, point = self.model.site_bodyid[self.site], self.data.site_xpos[self.site].copy()
         self.data.qfrc_applied[:] = 0.0
         mujoco.mj_applyFT(self.model, self.data, force, np.zeros(3), point, body, self.data.qfrc_applied)
         self.model.opt.timestep = duration / max(count, 1)
-        mujoco.mj_step(self.model, self.data, count)
+        before = self.data.warning.number.copy()
+        with engine_warnings_silenced():
+            mujoco.mj_step(self.model, self.data, count)
+        if names := warned((self.data.warning.number - before).tolist()):
+            remedy = "reduce its time step, or make what it touches softer or heavier"
+            raise PlantError(f"MuJoCo warns of the robot at {self.data.time:.4g} s: {names}; {remedy}")
 
 
 robot_of = lru_cache(maxsize=8)(Robot)

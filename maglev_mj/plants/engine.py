@@ -61,6 +61,11 @@ def engine_warnings_silenced() -> Iterator[None]:
         mujoco.set_mju_user_warning(handler)
 
 
+def warned(counts: Sequence[int]) -> str:
+    """Return the names of the engine's warnings with a count above 0, in the order of mjtWarning; "" without."""
+    return ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
+
+
 # not mjcb_time, a timer, which MuJoCo's viewer sets
 _CALLBACKS = "act_bias", "act_dyn", "act_gain", "contactfilter", "control", "passive", "sensor"
 

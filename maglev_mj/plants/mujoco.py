@@ -383,9 +383,7 @@ class MuJoCoPlant(SampledPlant):
 
     def _check_warnings(self) -> None:
         """Raise PlantError if the engine has warned."""
-        counts = self._warnings.tolist()
-        if any(counts):
-            names = ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
+        if names := engine.warned(self._warnings.tolist()):
             raise PlantError(f"MuJoCo warns at {self.timing.time(self._tick):.4g} s: {names}")
 
     def _where(self) -> Sequence[float]:

@@ -56,5 +56,7 @@ if __name__ == "__main__":
     lowest = np.inf
     while data.time < 0.4:
         mujoco.mj_step(model, data)
+        if data.warning.number.any():
+            sys.exit("MuJoCo warns: the simulation diverges, and starts again by itself")
         lowest = min(lowest, data.qpos[2])
     print(f"lowest {1e3 * lowest:.2f} mm, at rest {1e3 * data.qpos[2]:.2f} mm")

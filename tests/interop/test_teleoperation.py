@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import maglev_mj
 import teleoperate
 from maglev_mj import Controller, ExactPlant, Session, Timing, drive, judge, run, stability
-from maglev_mj.errors import ModelError
+from maglev_mj.errors import ModelError, PlantError
 from maglev_mj.frames import Array
 from maglev_mj.interop.teleoperation import Coupling, Robot, Teleoperation
 from maglev_mj.session import Snapshot
@@ -111,6 +114,44 @@ def test_a_session_shows_the_robot_where_it_is(model: str) -> None:
     moved = np.abs(after.beside - before.beside)[:, :3].max()
     assert moved == pytest.approx(-after.pose[2], rel=0.5)  # as far as the knob
     assert np.allclose(np.linalg.norm(after.beside[:, 3:], axis=1), 1.0)
+
+
+KEY = """<mujoco><option timestep="0.005" integrator="Euler" gravity="0 0 0"/><worldbody>
+<body><joint type="slide" axis="0 0 1"/><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
+<geom size=".01" mass="1"/><site name="tool"/></body>
+<body pos="0 0 -.026"><joint type="slide" axis="0 0 1" stiffness="1e6"/><geom size=".01" mass="0.001"/></body>
+</worldbody></mujoco>"""
+
+
+def test_a_robot_that_diverges_is_an_error_and_starts_again_unharmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = follow(KEY)(push=5.0)
+    message = r"MuJoCo warns of the robot at 0\.\d+ s: mjWARN_BADQACC; reduce its time step"
+    for _ in range(2):  # the robot is shared, and so are its counts
+        with pytest.raises(PlantError, match=message):
+            run(scene)
+    session = Session(scene)
+    session.hand.target = [0.0, 0.0, -4e-3, 0.0, 0.0, 0.0]
+    for _ in range(400):
+        session.tick(0.005)
+    shown = session.snapshot()
+    session.close()
+    assert shown.state == "stopped" and re.match(message, shown.reason)
+    robot = scene.follower
+    assert not robot.place(robot.start).any()
+    robot.pull(np.zeros(3), 0.005)
+    assert not list(tmp_path.glob("*LOG*"))
+
+
+def test_what_steps_the_engine_looks_at_its_warnings() -> None:
+    modules = {path: path.read_text(encoding="utf-8") for path in Path(maglev_mj.__file__).parent.rglob("*.py")}
+    calls = re.compile(r"mujoco\.mj_step\(|_engine\.step\(")
+    stepping = {path.stem: text for path, text in modules.items() if calls.search(text)}
+    assert {"teleoperation", "mujoco", "engine"} <= stepping.keys()
+    del stepping["engine"]  # steps for mujoco.py
+    assert all(".warning" in text for text in stepping.values()), "compare the counts in data.warning; see Robot.pull"
 
 
 @pytest.mark.parametrize(
