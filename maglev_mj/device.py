@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -25,6 +25,9 @@ PUBLISHED = "ubc"
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
 """Actuator names of a model's first six coils, in the order of the currents; see `coil_names`."""
+
+PULSE_WIDTH = 0.003
+"""Duration of the published braking pulse [s]."""
 
 _FOLDER = MODELS / "devices"
 _UNIT_LENGTH = 1e-6
@@ -188,6 +191,18 @@ class Knob(Parameters):
     def bottom(self) -> float:
         """Height of the drawn knob's lower side [m]."""
         return self.height - self.radius * 38.0 / 55.0
+
+
+class WallGains(NamedTuple):
+    """Stiffness [N/m], damping and damping added by the braking pulse [N s/m] of a wall."""
+
+    stiffness: float
+    damping: float
+    pulse: float
+
+
+PUBLISHED_WALL = WallGains(6000.0, 80.0, 220.0)
+"""Gains of the published wall, on the published joystick."""
 
 
 _SECTIONS: Mapping[str, type[Parameters]] = {
@@ -371,6 +386,21 @@ class Device:
     def height(self) -> float:
         """Height of the centre above the lower end of the range [m]."""
         return float(self.range.translation[2])
+
+    @cached_property
+    def wall(self) -> WallGains:
+        """Default gains of walls: the published ones, or less where the device is lighter or slower for them.
+
+        A loop of mass m and time t behaves as the published one if stiffness is proportional to m/t² and damping to
+        m/t. Its time is the period, or half of it plus the delay, whichever is more of the published. A pulse acts
+        until the next command at most, and its impulse is proportional to m.
+        """
+        usual = published_device()
+        mass, period = self.mass / usual.mass, self.period / usual.period
+        time = max(period, (0.5 * self.period + self.delay) / (0.5 * usual.period + usual.delay))
+        acting = min(PULSE_WIDTH, self.period) / PULSE_WIDTH
+        shares = mass / time**2, mass / time, mass / acting
+        return WallGains(*(gain * min(share, 1.0) for gain, share in zip(PUBLISHED_WALL, shares)))
 
     @property
     def rest(self) -> tuple[float, ...]:

@@ -383,6 +383,10 @@ class Parameter:
             return int(result)
         return result
 
+    def usual(self, owner: Any) -> Any:
+        """Return the default of an object with this parameter."""
+        return self.default if self.derive is None or self.default is not None else self.derive(owner)
+
     def from_text(self, text: str) -> Any:
         """Parse a value; its bounds are not checked.
 

@@ -8,6 +8,7 @@ from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 from maglev_mj.control import Law
+from maglev_mj.device import PUBLISHED_WALL
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, param
@@ -59,14 +60,14 @@ class Drop(WallScene):
         """Return the drops to compare: this one, first, and the one without a pulse, last.
 
         The paper's equation (9) adds the pulse of 220 N s/m to the damping, but its figure 3 matches a total of
-        220 N s/m. A drop with the default pulse has that reading in between.
+        220 N s/m. A drop with the published pulse has that reading in between.
 
         Source: Salcudean & Vlaar 1997, eq. (9) and figure 3.
         """
         if (without := self.unpulsed()) is None:
             return super().variants()
         variants = {f"+{self.pulse:g} N s/m ({self.damping + self.pulse:g} total)": self}
-        if self.pulse == self.parameter("pulse").default and 0.0 < self.damping < self.pulse:
+        if self.pulse == PUBLISHED_WALL.pulse and 0.0 < self.damping < self.pulse:
             variants[f"{self.pulse:g} N s/m total"] = self.replace(pulse=self.pulse - self.damping)
         return variants | {"no pulse": without}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
@@ -190,7 +191,8 @@ class InteractiveScene(Scene):
     stiffness: float = param(
         "stiffness of walls and friction",
         "N/m",
-        default=6000.0,
+        default=None,
+        derive=attrgetter("hardware.wall.stiffness"),
         at_least=LEAST_STIFFNESS,
         at_most=1e6,
         live=Turn(factor=1.25, least=100.0, most=1e5),
@@ -198,7 +200,8 @@ class InteractiveScene(Scene):
     damping: float = param(
         "damping of walls and friction",
         "N s/m",
-        default=80.0,
+        default=None,
+        derive=attrgetter("hardware.wall.damping"),
         at_least=0.0,
         at_most=1e4,
         live=Turn(factor=1.25, least=1.0, most=1e3),

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from maglev_mj import control
+from maglev_mj.device import PUBLISHED_WALL
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import param
 from maglev_mj.scenes.figures import changes
@@ -46,12 +47,17 @@ VELOCITIES: Mapping[str, Callable[[float], control.VelocityEstimator]] = {
 
 
 def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> Any:
-    """Declare a parameter along the axis; on a rotation its default scales by a power of the radius of gyration."""
+    """Declare a parameter along the axis; on a rotation its default scales by a power of the radius of gyration.
+
+    A force scales as the stiffness does, so that the path on which it builds up stays.
+    """
+    gain = {"N/m": "stiffness", "N": "stiffness", "N s/m": "damping"}.get(unit)
 
     def derived(scene: StickSlip) -> float:
         index, inertia = AXES.index(scene.axis), scene.hardware.inertia
         radius = 1.0 if index < 3 else math.sqrt(inertia[index] / inertia[0])
-        return float(value * radius**power * (scene.hardware.scale[index] if unit in ("m", "N") else 1.0))
+        own = value if gain is None else value * getattr(scene.hardware.wall, gain) / getattr(PUBLISHED_WALL, gain)
+        return float(own * radius**power * (scene.hardware.scale[index] if unit in ("m", "N") else 1.0))
 
     return param(help, unit, default=None, derive=derived, along=True, **keywords)
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control import Hold, Law, VelocityEstimator, Wall
 from maglev_mj.control.controller import Controller
+from maglev_mj.device import PULSE_WIDTH
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, param
@@ -93,12 +94,34 @@ def wall_controller(
 class WallScene(Scene):
     """Wall that fills z <= 0, with a braking pulse or on the device; the five other axes are held."""
 
-    stiffness: float = param("wall stiffness", "N/m", default=6000.0, at_least=0.0, at_most=1e8, live=True)
-    damping: float = param("wall damping", "N s/m", default=80.0, at_least=0.0, at_most=1e6, live=True)
-    pulse: float = param(
-        "damping added by the braking pulse; 0 for none", "N s/m", default=220.0, at_least=0.0, at_most=1e6, live=True
+    stiffness: float = param(
+        "wall stiffness",
+        "N/m",
+        default=None,
+        derive=attrgetter("hardware.wall.stiffness"),
+        at_least=0.0,
+        at_most=1e8,
+        live=True,
     )
-    pulse_width: float = param("duration of the braking pulse", "s", default=0.003, at_least=0.0, at_most=1.0)
+    damping: float = param(
+        "wall damping",
+        "N s/m",
+        default=None,
+        derive=attrgetter("hardware.wall.damping"),
+        at_least=0.0,
+        at_most=1e6,
+        live=True,
+    )
+    pulse: float = param(
+        "damping added by the braking pulse; 0 for none",
+        "N s/m",
+        default=None,
+        derive=attrgetter("hardware.wall.pulse"),
+        at_least=0.0,
+        at_most=1e6,
+        live=True,
+    )
+    pulse_width: float = param("duration of the braking pulse", "s", default=PULSE_WIDTH, at_least=0.0, at_most=1.0)
     mass: float = param(
         "moving mass", "kg", default=None, derive=attrgetter("hardware.mass"), at_least=1e-3, at_most=1e3
     )

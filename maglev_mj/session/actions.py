@@ -49,8 +49,8 @@ def actions(cls: type[Scene]) -> Mapping[str, Action]:
             continue
         if entry.kind not in (float, int):
             continue
-        if entry.default and entry.bounds.get("at_least") == 0.0 and not entry.live.word:
-            changes[word] = partial(_toggle_number, entry.name, entry.default)
+        if (entry.default or entry.derive) and entry.bounds.get("at_least") == 0.0 and not entry.live.word:
+            changes[word] = partial(_toggle_number, entry)
         for direction, sign in (("up", 1), ("down", -1)):
             changes[f"{word} {direction}"] = partial(_step_number, entry, sign)
     return changes
@@ -96,8 +96,9 @@ def _next_choice(name: str, choices: Sequence[Any], scene: Scene) -> Scene:
     return scene.replace(**{name: choices[(choices.index(getattr(scene, name)) + 1) % len(choices)]})
 
 
-def _toggle_number(name: str, default: float, scene: Scene) -> Scene:
-    return scene.replace(**{name: 0.0 if getattr(scene, name) else default})
+def _toggle_number(parameter: Parameter, scene: Scene) -> Scene:
+    name = parameter.name
+    return scene.replace(**{name: 0.0 if getattr(scene, name) else parameter.usual(scene)})
 
 
 def _step_number(parameter: Parameter, sign: int, scene: Scene) -> Scene:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
 from maglev_mj import find_scene, run
-from maglev_mj.device import devices
+from maglev_mj.device import Device, devices
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.scenes.results import Variants
+from maglev_mj.session.actions import changed
 from maglev_mj.theory import stability
+from tests.all_of import SCENES
 
 OTHERS = [name for name in devices() if name != "ubc"]
 
@@ -61,3 +65,38 @@ def test_a_device_without_torque_gets_none() -> None:
     scene = find_scene("joystick")(device="arm")
     plant = scene.plant("exact")
     assert plant.given["wrench_limit"][3:].tolist() == [0.0, 0.0, 0.0]
+
+
+def like_the_stage(mass: float, rate: float, delay: float) -> Device:
+    """Return the stage with another mass, sample rate and delay in periods."""
+    stage = Device.load("stage").change("sensor", latency=0.0).change("loop", rate=rate, delay=delay / rate)
+    return stage.change("body", mass=mass, inertia=[part * mass / stage.mass for part in stage.body.inertia])
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_no_scene_diverges_at_the_defaults_of_a_device(name: str) -> None:
+    for mass, rate, delay in product((0.25, 0.7, 2.0), (200.0, 500.0), (0.2, 1.0)):
+        scene = find_scene(name)(device=like_the_stage(mass, rate, delay).toml())
+        for variant in scene.variants().values():
+            run(variant, plant="exact")  # raises DivergenceError
+
+
+def test_default_gains_are_the_published_ones_or_as_stable() -> None:
+    for name in ("drop", "press", "joystick", "table", "box", "corner", "stick-slip"):
+        scene = find_scene(name)()
+        assert (scene.stiffness, scene.damping) == (6000.0, 80.0)  # type: ignore[attr-defined]
+    assert Drop().pulse == 220.0 and Drop(mass=0.25, period=0.002).pulse == 220.0  # of the device alone
+    for mass, rate, delay in product((0.25, 2.0), (100.0, 200.0, 1000.0), (0.0, 0.3, 1.0)):
+        device = like_the_stage(mass, rate, delay)
+        drop, period = Drop(device=device.toml()), device.period
+        most = (6000.0 * 0.005**2 / 0.7, 80.0 * 0.005 / 0.7, 220.0 * 0.003 / 0.7)
+        own = drop.stiffness * period**2, drop.damping * period, drop.pulse * min(period, 0.003)
+        assert all(part / mass <= limit * (1.0 + 1e-12) for part, limit in zip(own, most))
+        assert drop.stiffness <= 6000.0 and drop.damping <= 80.0 and drop.pulse <= 220.0
+
+
+def test_a_key_toggles_a_derived_gain() -> None:
+    light = Drop(device=like_the_stage(0.25, 200.0, 0.3).toml())
+    for name in ("damping", "pulse"):
+        off = changed(light, name)
+        assert getattr(off, name) == 0.0 < getattr(changed(off, name), name) == getattr(light, name)
