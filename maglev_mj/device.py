@@ -211,6 +211,26 @@ _SECTIONS: Mapping[str, type[Parameters]] = {
 }
 
 
+_FIRST: Mapping[str, str] = {
+    "body": "mass inertia centre_of_mass gravity",
+    "coils": "points directions force_constants current_limit continuous_current thermal_time resistance",
+    "force": "limit",
+    "range": "translation rotation_deg stops",
+    "sensor": "kind resolution noise latency lever offsets leds directions diodes across",
+    "driver": "time_constant",
+    "loop": "rate delay",
+    "knob": "radius height",
+}
+"""Keys by section that are part of each digest; fixed."""
+
+_NEUTRAL: Mapping[tuple[str, str], Any] = {}
+"""Keys that were added later, by section and name, each with the value that is as if it were not there.
+
+A digest leaves out a key with that value, so that devices in use and later hosts agree. It is fixed, unlike a default,
+which may change unnoticed.
+"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Device:
     """Description of a device, in SI units.
@@ -310,9 +330,26 @@ class Device:
 
     @cached_property
     def digest(self) -> bytes:
-        """BLAKE2s digest of all values but the name, 16 bytes."""
-        text = json.dumps(self.as_json(), sort_keys=True, separators=(",", ":"))
+        """BLAKE2s digest of all values but the name and those of `_NEUTRAL`, 16 bytes."""
+        text = json.dumps(self._digested(), sort_keys=True, separators=(",", ":"))
         return hashlib.blake2s(text.encode(), digest_size=16).digest()
+
+    def _digested(self) -> dict[str, Any]:
+        """Return the values that count; sections without any are left out."""
+        values: dict[str, Any] = {"axes": list(self.axes)}
+        for section, of in self.as_json().items():
+            if section != "axes" and (
+                kept := {name: x for name, x in of.items() if not self._neutral(section, name, x)}
+            ):
+                values[section] = kept
+        return values
+
+    def _neutral(self, section: str, name: str, value: Any) -> bool:
+        """Return True if a digest leaves out a value, as that of a key which was added later."""
+        if name in _FIRST.get(section, "").split():
+            return False
+        declared = getattr(self, section).parameter(name).default  # a test asks for `_NEUTRAL`
+        return bool(value == _NEUTRAL.get((section, name), declared))
 
     @cached_property
     def published(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,14 @@ import numpy as np
 import pytest
 
 from maglev_mj import Device, ExactPlant, load_model
+from maglev_mj import device as device_module
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.safety import limits_of
 from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.cli import main
-from maglev_mj.device import devices
+from maglev_mj.device import Sensor, devices
 from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants.model import body_of, model_path
 from maglev_mj.plants.sensor import beams
 from maglev_mj.scenes.interactive import Joystick
@@ -75,6 +78,57 @@ def test_a_wrong_value_is_refused_in_one_line(
         assert f"{section}{key}" in message(f"{key} = {damaged}"), damaged
     missing = message("")
     assert not missing or f"{section}{key}" in missing or key in missing  # a default, or the key
+
+
+DIGESTS = {
+    "arm": "6217a122fd6daa475477f7135515cd87",
+    "stage": "77e41b0f9fe2c6ee4d72184c8c57443f",
+    "ubc": "0acec8bc602ee426cf53e57c4f91e77a",
+}
+NEW_KEY = "a new key? give its neutral value in _NEUTRAL"
+
+
+def test_digests_stay_so_that_devices_in_use_and_later_hosts_agree() -> None:
+    keys = {(section, row.name) for section, kind in device_module._SECTIONS.items() for row in kind.parameters()}
+    first = {(section, name) for section, names in device_module._FIRST.items() for name in names.split()}
+    assert keys - first == device_module._NEUTRAL.keys(), NEW_KEY
+    assert first <= keys and not first & device_module._NEUTRAL.keys()
+    assert {name: device.digest.hex() for name, device in DEVICES.items()} == DIGESTS, NEW_KEY
+
+
+class Sensing(Sensor):
+    """Sensor with two keys that are newer, one of them with a default that is not neutral."""
+
+    hysteresis: float = param("play", "m", default=0.0, at_least=0.0)
+    gain: float = param("gain", default=2.0, above=0.0)
+
+
+class Cable(Parameters):
+    """A section that is newer."""
+
+    stiffness: float = param("stiffness", "N/m", default=0.0, at_least=0.0)
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_a_new_key_counts_unless_it_has_its_neutral_value(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device_module, "_NEUTRAL", {("sensor", "gain"): 1.0})
+    known = DEVICES[name].sensor.as_json()
+
+    def digest(device: Device, **values: float) -> str:
+        return replace(device, sensor=Sensing(**known, **values)).digest.hex()
+
+    assert digest(DEVICES[name], gain=1.0) == DIGESTS[name]
+    others = {digest(DEVICES[name], **values) for values in ({}, {"gain": 1.0, "hysteresis": 1e-5}, {"gain": 3.0})}
+    assert len(others) == 3 and DIGESTS[name] not in others
+
+    class Tethered(Device):
+        cable = Cable()
+
+    monkeypatch.setattr(device_module, "_SECTIONS", {**device_module._SECTIONS, "cable": Cable})
+    own = {item.name: getattr(DEVICES[name], item.name) for item in fields(Device)}
+    assert Tethered(**own).digest.hex() == DIGESTS[name]
+    monkeypatch.setattr(Tethered, "cable", Cable(stiffness=1.0))
+    assert Tethered(**own).digest.hex() != DIGESTS[name]
 
 
 @pytest.mark.parametrize("name", DEVICES)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from typing import NamedTuple, TypeVar
 
+import maglev_mj
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.links import Link, open_link
@@ -388,7 +389,9 @@ class Connection:
             return None
         if answer.status == HelloStatus.CALIBRATION:
             both = f"device {answer.calibration.hex()}, host {hello.calibration.hex()}"
-            raise HandshakeError(f"calibration mismatch: {both}; start both with the same device file")
+            ends = f"protocol {answer.version} and {wire.VERSION}, host maglev_mj {maglev_mj.__version__}"
+            remedy = "start both with the same device file, and bring the older end up to date"
+            raise HandshakeError(f"calibration mismatch: {both} ({ends}); {remedy}")
         if answer.status == HelloStatus.WELCOME:
             self._session, self._handshake_time = frame.session, frame.time
         return answer if answer.status in (HelloStatus.WELCOME, HelloStatus.BUSY) else None
