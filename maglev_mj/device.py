@@ -223,7 +223,7 @@ _FIRST: Mapping[str, str] = {
 }
 """Keys by section that are part of each digest; fixed."""
 
-_NEUTRAL: Mapping[tuple[str, str], Any] = {}
+_NEUTRAL: Mapping[tuple[str, str], Any] = {("coils", "meter"): 0.0}
 """Keys that were added later, by section and name, each with the value that is as if it were not there.
 
 A digest leaves out a key with that value, so that devices in use and later hosts agree. It is fixed, unlike a default,
