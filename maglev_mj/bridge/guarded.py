@@ -22,7 +22,7 @@ from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.wire import CUT, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError
-from maglev_mj.frames import AXES, ZERO, Command, DeviceWall, Sample, unit_of
+from maglev_mj.frames import ZERO, Command, DeviceWall, Sample
 from maglev_mj.plants.sensor import tracker_of
 
 _INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
@@ -30,7 +30,8 @@ _STOPPING = Flag.STOPPING.value
 _PROOFS = 20
 """Samples in which the currents must be off after a cut or a controlled stop."""
 _WALLED = 3
-"""Samples after a command with walls in which their currents may flow."""
+"""Samples in which currents of walls may flow after the device has answered a command without walls."""
+_BEFORE = -(2**63)  # tick before any answer
 _Walls: TypeAlias = tuple[Wall, ...]
 _LARGEST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
@@ -138,8 +139,7 @@ class GuardedPlant:
         self._frame: Frame | None = None  # the last sample
         self._located: Sequence[float] = UNKNOWN  # its pose
         self.pose: Sequence[float] = ZERO
-        self._walls: _Walls = ()
-        self._walled_until = -1  # last tick at which currents of walls may flow
+        self._forget_walls()
 
     def check_walls(self, walls: Sequence[DeviceWall]) -> _Walls:
         """Return walls as sent to the device.
@@ -147,33 +147,30 @@ class GuardedPlant:
         Raises:
             ParameterError: If the device cannot render one, with its limit.
         """
-        if len(walls) > (most := self._connection.profile.limits.wall_count):
-            raise ParameterError(f"the device renders at most {most} walls (got {len(walls)})")
         sent = tuple([Wall(axis, side, edge, k, b, cutoff or 0.0) for axis, edge, side, k, b, cutoff in walls])
-        for wall in sent:
-            if problem := self._connection.profile.wall_problem(wall):
-                raise ParameterError(problem)
+        if problem := self._connection.profile.wall_problem(sent):
+            raise ParameterError(problem)
         return sent
 
     def _on_device(self, walls: Sequence[DeviceWall]) -> _Walls:
         """Return walls as sent: edges in the device's linearised pose, exact at the last sample.
 
         Raises:
-            ParameterError: As `check_walls`, or if an edge moves faster than the device allows.
+            ParameterError: As `check_walls`, or if the device refuses an edge.
         """
-        linear, sent = self._maps.pose(self.report.spots), []
-        last, limits = self._walls, self._connection.profile.limits
-        elapsed = (self.samples.tick - self._walled_until + _WALLED) * self.period
-        for index, wall in enumerate(self.check_walls(walls)):
-            wall = wall._replace(edge=wall.edge + linear[wall.axis] - self.pose[wall.axis])
-            if index < len(last) and wall[:2] == last[index][:2]:
-                speed = limits.edge_speed / limits.lever_of(wall.axis)
-                if (moved := abs(wall.edge - last[index].edge)) > speed * elapsed:
-                    limit = f"at most {speed:g} {unit_of('m', wall.axis, False)}/s, the device's limit"
-                    axis = AXES[wall.axis]
-                    raise ParameterError(f"edge of the wall on {axis} must move at {limit} (got {moved / elapsed:.3g})")
-            sent.append(wall)
-        return tuple(sent)
+        linear = self._maps.pose(self.report.spots)
+        shift = [part - exact for part, exact in zip(linear, self.pose)]
+        sent = tuple([wall._replace(edge=wall.edge + shift[wall.axis]) for wall in self.check_walls(walls)])
+        periods = self.samples.tick - self._answered_tick
+        if problem := self._connection.profile.edge_problem(sent, self._walls, linear, periods):
+            raise ParameterError(problem)
+        return sent
+
+    def _forget_walls(self) -> None:
+        """Forget the walls of earlier commands: a device that is armed has none."""
+        self._walls: _Walls = ()  # of the last command
+        self._answered_tick = 0  # tick of the last command
+        self._walled_tick, self._walled_until = _BEFORE, _BEFORE  # last command with walls; last tick of their currents
 
     def _prepare(self) -> None:
         """Do slow work before takeoff."""
@@ -216,6 +213,9 @@ class GuardedPlant:
         if self.state is _FAULT and self._armed:
             self.fail(self.faults, "requested by this host")
         active, hand = self.state is _ACTIVE, self._hand
+        # walls stand until a command without them has arrived, however long the host is silent
+        if self._connection.answers.answered_tick <= self._walled_tick:
+            self._walled_until = samples.tick + _WALLED
         hand.measured = report.currents if samples.tick <= self._walled_until else None
         since, error = (samples.tick - self._pose_tick) * self.period, self._locate(report.spots)
         if active and error is None:
@@ -310,6 +310,7 @@ class GuardedPlant:
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover, stop=stop)
         self.state, self._armed, self.guided = _ACTIVE, True, False
         self._hand.reset()
+        self._forget_walls()
 
     def disarm(self) -> None:
         """Switch the currents off."""
@@ -406,8 +407,8 @@ class GuardedPlant:
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, walls: _Walls = ()) -> None:
         self.last_currents = held
-        if walls or self._walls:
-            self._walls, self._walled_until = walls, self.samples.tick + _WALLED
+        self._walls, self._answered_tick = walls, self.samples.tick
+        self._walled_tick = self._answered_tick if walls else self._walled_tick
         currents = tuple(held), tuple(held if pulsed is None else pulsed)
         self._linked(self._connection.command, CommandFrame(self._connection.sequence, 0, *currents, width, walls))
 

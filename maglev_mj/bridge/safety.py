@@ -35,6 +35,7 @@ _HEADROOM = 1.25
 """Factor over the weight and the hover currents, as headroom for control."""
 _ROOM = 12.0 / 4.5
 """Position limit of a pose sensor in ranges, as that of the published spots."""
+_ROUNDING = 1e-9
 _LIFT, _METER_STEPS = 0.25, 3.0
 """Largest share of the weight that currents at `off_current` may lift; its least value in steps of the meter."""
 _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
@@ -229,19 +230,62 @@ class Profile:
         """Return the HELLO_ACK with these properties and the given state."""
         return HelloAck(version=VERSION, **self.stated, **state)
 
-    def wall_problem(self, wall: Wall) -> str:
-        """Return why the device cannot render a wall, or ""."""
-        limits, lever = self.limits, self.limits.lever_of(wall.axis)
-        if not self.wall_period:
+    def wall_problem(self, walls: Sequence[Wall]) -> str:
+        """Return why the device cannot render these walls together, or "".
+
+        The limits hold for the sums of the walls that push the same way along an axis.
+        """
+        if walls and not self.wall_period:
             return "the device renders no walls"
-        if wall.axis not in range(6) or wall.side not in (-1, 0, 1) or not math.isfinite(wall.edge):
-            return f"a wall needs an axis from 0 to 5, a side of -1, 0 or 1 and a finite edge (got {wall})"
+        if len(walls) > (count := self.limits.wall_count):
+            return f"the device renders at most {count} walls (got {len(walls)})"
+        for wall in walls:
+            if wall.axis not in range(6) or wall.side not in (-1, 0, 1) or not math.isfinite(wall.edge):
+                return f"a wall needs an axis from 0 to 5, a side of -1, 0 or 1 and a finite edge (got {wall})"
+            if not 0.0 <= wall.cutoff < math.inf:
+                return f"cutoff of a wall must be 0 or above (got {wall.cutoff:g})"
         for name, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
-            most, value = getattr(limits, f"{name}_limit") * lever * lever, getattr(wall, name)
-            if not 0.0 <= value <= most:  # also for NaN
-                bound = f"{most:g} {unit_of(unit, wall.axis)}, the device's limit"
-                return f"{name} of the wall on {AXES[wall.axis]} must be between 0 and {bound} (got {value:g})"
-        return "" if 0.0 <= wall.cutoff < math.inf else f"cutoff of a wall must be 0 or above (got {wall.cutoff:g})"
+            sums: dict[tuple[int, int], float] = {}
+            for wall in walls:
+                axis, value = wall.axis, getattr(wall, name)
+                lever = self.limits.lever_of(axis)
+                most = getattr(self.limits, f"{name}_limit") * lever * lever
+                if not 0.0 <= value <= most:  # also for NaN
+                    bound = f"between 0 and {most:g} {unit_of(unit, axis)}, the device's limit"
+                    return f"{name} of the wall on {AXES[axis]} must be {bound} (got {value:g})"
+                for push in (-1, 1):
+                    if wall.side == -push:  # a wall on both sides pushes both ways
+                        continue
+                    sums[axis, push] = total = sums.get((axis, push), 0.0) + value
+                    if total > most:
+                        pushing = f"the walls that push towards {'-+'[push > 0]}{AXES[axis]}"
+                        bound = f"at most {most:g} {unit_of(unit, axis)}, the device's limit"
+                        return f"sum of the {name} of {pushing} must be {bound} (got {total:g})"
+        return ""
+
+    def edge_problem(self, walls: Sequence[Wall], latest: Sequence[Wall], pose: Sequence[float], periods: int) -> str:
+        """Return why the device refuses the edges of these walls, or "".
+
+        An edge moves at most at `edge_speed`, and a new wall contains the flotor by at most one period of that.
+
+        Args:
+            walls: All walls of a command.
+            latest: Those of the command before.
+            pose: Linearised pose at the last sample [m, rad], six.
+            periods: Sample periods for which edges may move.
+        """
+        for index, wall in enumerate(walls):
+            speed = self.limits.edge_speed / self.limits.lever_of(wall.axis)
+            step = speed * (self.period * 1e-9) * (1.0 + _ROUNDING)
+            depth, continues = wall.edge - pose[wall.axis], index < len(latest) and wall[:2] == latest[index][:2]
+            moved, event = wall.side * depth if wall.side else abs(depth), "start around the flotor by"
+            if continues:
+                moved, step, event = abs(wall.edge - latest[index].edge), step * periods, "move by"
+            if not moved <= step:  # also for NaN
+                unit = "m" if wall.axis < 3 else "rad"
+                limit = f"{step:.3g} {unit} at {speed:g} {unit}/s, the device's limit"
+                return f"edge of the wall on {AXES[wall.axis]} must {event} at most {limit} (got {moved:.3g})"
+        return ""
 
 
 _SCALED = {"envelope": "envelope", "envelope_angle": "tilt", "speed_limit": "speed", "spin_limit": "spin"}

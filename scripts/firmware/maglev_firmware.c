@@ -17,7 +17,8 @@
 #define LONGEST UINT64_C(1000000000) /* [ns]; largest watchdog timeout */
 #define GAP 2          /* periods without a command before hover currents */
 #define LONGEST_STOP 1.0 /* [s] */
-#define SOFT (MAGLEV_WATCHDOG | MAGLEV_INVALID_COMMAND | MAGLEV_HOST) /* TRIP with these only: controlled stop */
+/* TRIP with these only: controlled stop. */
+#define SOFT (MAGLEV_WATCHDOG | MAGLEV_INVALID_COMMAND | MAGLEV_CLOCK | MAGLEV_HOST)
 #define PATIENCE 3     /* consecutive samples with a wrong current */
 #define CLOSE_SHARE 0.1 /* of a command, tolerated beside `off_current` */
 #define IMPLAUSIBLE 4.0 /* times the largest spot speed: a sensor error */
@@ -458,7 +459,7 @@ static void locate(const struct maglev_profile *p, const double *spots, double *
 
 static void forget_walls(struct maglev_device *d) {
     d->walled = d->has_next = d->has_pose = d->seen.known = false;
-    d->count = d->next_count = 0, d->energy = d->stored = 0.0;
+    d->count = d->next_count = d->receding = 0, d->energy = d->stored = 0.0;
     for (int i = 0; i < MAGLEV_WALLS; i++) d->wall_speeds[i] = d->wall_forces[i] = 0.0;
 }
 
@@ -470,8 +471,21 @@ static bool alike(const struct maglev_wall *one, const struct maglev_wall *other
     return one->axis == other->axis && one->side == other->side;
 }
 
-/* True if the device can render these walls: within its limits, no edge faster than `edge_speed` or, of a new wall,
-   more than a period of that around the flotor. */
+/* True if the stiffness or damping of wall `i` is not below 0, and its sum with that of the walls before it that push the
+   same way along the axis is within the limit. A wall on both sides pushes both ways. */
+static bool bounded(const struct maglev_wall *walls, uint32_t i, bool damping, double limit) {
+    if (!((damping ? walls[i].damping : walls[i].stiffness) >= 0.0)) return false;
+    for (int push = -1; push <= 1; push += 2) {
+        double sum = 0.0;
+        for (const struct maglev_wall *w = walls; walls[i].side != -push && w <= walls + i; w++)
+            if (w->axis == walls[i].axis && w->side != -push) sum += damping ? w->damping : w->stiffness;
+        if (!(sum <= limit)) return false;
+    }
+    return true;
+}
+
+/* True if the device can render these walls: together within its limits, no edge faster than `edge_speed` in `periods`
+   or, of a new wall, more than a period of that around the flotor. */
 static bool renders(const struct maglev_device *d, const struct maglev_wall *w, uint32_t count, uint32_t periods) {
     const struct maglev_profile *p = d->profile;
     const struct maglev_wall *known = d->has_next ? d->next : d->walls;
@@ -483,8 +497,8 @@ static bool renders(const struct maglev_device *d, const struct maglev_wall *w, 
     for (uint32_t i = 0; i < count; i++, w++) {
         if (w->axis >= 6 || w->side < -1 || w->side > 1) return false;
         double lever = lever_of(p, w);
-        if (!(w->stiffness >= 0.0 && w->stiffness <= p->stiffness_limit * lever * lever)) return false;
-        if (!(w->damping >= 0.0 && w->damping <= p->damping_limit * lever * lever)) return false;
+        if (!bounded(w - i, i, false, p->stiffness_limit * lever * lever)) return false;
+        if (!bounded(w - i, i, true, p->damping_limit * lever * lever)) return false;
         if (!finite(w->edge) || !(w->cutoff >= 0.0 && finite(w->cutoff))) return false;
         double step = p->edge_speed * ((double)p->period * 1e-9) * (1.0 + ROUNDING) / lever;
         double depth = w->edge - pose[w->axis], moved = w->side ? w->side * depth : size(depth);
@@ -519,20 +533,27 @@ static void command_walls(struct maglev_device *d, const struct maglev_frame *f,
 }
 
 /* Currents of the walls at a sample. Inside f = -K (x - edge) - B v. While commands are missing a wall on both sides
-   has no stiffness: it would pull to where its edge was. In a controlled stop the edges recede. */
+   has no stiffness: it would pull to where its edge was. In a controlled stop the edges recede, counted in samples, as
+   the clock may be what failed. A sample that is not later than the last one has no speed: the currents stay. */
 static void render(struct maglev_device *d, uint64_t now, const double *spots, double *currents) {
     const struct maglev_profile *p = d->profile;
     double pose[6], forces[6] = {0.0}, share = 1.0;
     if (d->has_next && now >= d->due) switch_walls(d);
+    if (d->has_pose && now <= d->wall_sampled) {
+        d->wall_sampled = now; /* of a clock that was set back: the next sample is later */
+        copy_six(currents, d->wall_currents);
+        return;
+    }
     locate(p, spots, pose);
     if (!d->has_pose) copy_six(d->pose, pose);
     double elapsed = (double)(d->has_pose ? now - d->wall_sampled : p->wall_period) * 1e-9;
-    double stopping = d->stopping && now > d->stopped_at ? (double)(now - d->stopped_at) * 1e-9 : 0.0;
+    double receded = p->recede * ((double)d->receding * (double)p->wall_period * 1e-9);
+    d->receding += d->stopping;
     double surplus = d->energy - d->stored;
     d->energy -= (surplus > 0.0 ? surplus : 0.0) * elapsed / MEMORY, d->stored = 0.0;
     for (uint32_t i = 0; i < d->count; i++) {
         const struct maglev_wall *w = d->walls + i;
-        double edge = w->edge - w->side * (p->recede * stopping / lever_of(p, w)), x = pose[w->axis], old = d->pose[w->axis];
+        double edge = w->edge - w->side * (receded / lever_of(p, w)), x = pose[w->axis], old = d->pose[w->axis];
         double stiffness = (d->holding || d->stopping) && !w->side ? 0.0 : w->stiffness;
         double moved = x - old, first = old - edge, offset = x - edge, speed = moved / elapsed;
         if (w->cutoff > 0.0)
@@ -556,6 +577,7 @@ static void render(struct maglev_device *d, uint64_t now, const double *spots, d
         for (int i = 0; i < MAGLEV_COILS; i++) currents[i] *= share;
         for (int i = 0; i < MAGLEV_WALLS; i++) d->wall_forces[i] *= share;
     }
+    copy_six(d->wall_currents, currents);
     if (!d->count && !d->has_next) forget_walls(d);
 }
 
@@ -571,16 +593,17 @@ static void cut(struct maglev_device *d) {
 static void latch(struct maglev_device *d, uint32_t faults, uint64_t now, bool soft) {
     bool flying = d->state == MAGLEV_ACTIVE && (d->holding || d->answers != MAGLEV_NONE);
     if (soft && flying && d->stop[6] > 0.0) {
-        d->stopping = true, d->holding = false, d->stopped_at = now;
+        d->stopping = true, d->holding = false, d->stopped = d->number;
         d->hardware->drive(d->hardware->context, now, d->hover, d->hover, 0.0);
     } else if (!(soft && d->stopping)) cut(d);
     if (d->state != MAGLEV_FAULT) d->fault_time = now, d->first = faults;
     d->state = MAGLEV_FAULT, d->faults |= faults;
 }
 
-/* Controlled stop: fade the hover currents out, and damp the motion along the lift by the spots alone. */
+/* Controlled stop: fade the hover currents out, counted in samples, as the clock may be what failed, and damp the motion
+   along the lift by the spots alone. */
 static void descend(struct maglev_device *d, uint64_t now, const double *before, uint32_t steps) {
-    double elapsed = now > d->stopped_at ? (double)(now - d->stopped_at) * 1e-9 : 0.0, motion = 0.0;
+    double elapsed = (double)(d->number - d->stopped) * (double)d->profile->period * 1e-9, motion = 0.0;
     double currents[MAGLEV_COILS];
     if (!(elapsed < d->stop[6])) {
         cut(d);
@@ -610,7 +633,8 @@ static bool arm(struct maglev_device *d, const double *hover, const double *stop
     for (int i = 0; i < MAGLEV_COILS; i++)
         if (!(size(stop[7] * hover[i]) <= d->profile->continuous_current)) return false;
     copy_six(d->hover, hover), copy_six(d->stop, stop), d->stop[6] = stop[6], d->stop[7] = stop[7];
-    d->commanded_at = now, d->answers = MAGLEV_NONE, d->holding = d->diodes.known = d->has_conversions = false;
+    d->commanded_at = now, d->answers = MAGLEV_NONE, d->newest = d->number;
+    d->holding = d->diodes.known = d->has_conversions = false;
     d->not_following = d->not_off = d->not_enabled = 0;
     d->state = MAGLEV_ACTIVE;
     d->hardware->toggle(d->hardware->context, now);
@@ -686,7 +710,7 @@ static size_t hello(struct maglev_device *d, const struct maglev_frame *f, uint6
                     uint8_t *answer) {
     uint64_t nonce = f->of.hello.nonce;
     if (!(d->session && nonce == d->nonce && peer == d->peer)) { /* else the earlier answer was lost */
-        if (d->session && (d->state == MAGLEV_ACTIVE || now - d->heard < SILENCE))
+        if (d->session && (d->state == MAGLEV_ACTIVE || now < d->heard + SILENCE))
             return ignore(d, MAGLEV_BUSY_HELLO), greet(d, now, nonce, MAGLEV_BUSY, answer);
         if (!same_bytes(f->of.hello.calibration, d->profile->calibration, MAGLEV_HASH))
             return greet(d, now, nonce, MAGLEV_OTHER_CALIBRATION, answer);
@@ -724,11 +748,12 @@ static size_t obey(struct maglev_device *d, const struct maglev_frame *f, uint64
         d->commanded_at = now, d->answers = f->of.cmd.answers;
     if (d->state != MAGLEV_ACTIVE) return ignore(d, MAGLEV_NOT_ACTIVE);
     uint32_t fault = command_fault(d, f->of.cmd.held, f->of.cmd.pulsed, f->of.cmd.width);
-    uint32_t periods = d->answers == MAGLEV_NONE ? 1 : f->of.cmd.answers - d->answers;
-    if (!fault && !renders(d, f->of.cmd.walls, f->of.cmd.count, periods)) fault = MAGLEV_INVALID_COMMAND;
+    /* an answer to an older sample moves no edge, nor is the time before it counted again */
+    uint32_t newest = newer(f->of.cmd.answers, d->newest) ? f->of.cmd.answers : d->newest;
+    if (!fault && !renders(d, f->of.cmd.walls, f->of.cmd.count, newest - d->newest)) fault = MAGLEV_INVALID_COMMAND;
     if (fault) return latch(d, fault, now, true), 0;
     command_walls(d, f, now);
-    d->commanded_at = now, d->answers = f->of.cmd.answers, d->holding = false;
+    d->commanded_at = now, d->answers = f->of.cmd.answers, d->newest = newest, d->holding = false;
     d->hardware->drive(d->hardware->context, now, f->of.cmd.held, f->of.cmd.pulsed, f->of.cmd.width);
     return 0;
 }
@@ -808,9 +833,10 @@ static size_t report(struct maglev_device *d, const struct maglev_reading *r, bo
 size_t maglev_sample(struct maglev_device *d, uint8_t *data) {
     struct maglev_reading r = {0};
     d->hardware->read(d->hardware->context, &r);
-    if (!d->heated && d->has_sampled) maglev_heat(d, (double)(r.time - d->sampled) * 1e-9, r.measured);
     double before[MAGLEV_SPOTS];
     uint32_t steps = r.number - d->number;
+    if (!d->heated && d->has_sampled)
+        maglev_heat(d, (double)steps * (double)d->profile->period * 1e-9, r.measured);
     copy_six(before, d->diodes.known ? d->diodes.spots : r.spots);
     d->heated = false, d->has_sampled = true, d->number = r.number, d->sampled = r.time;
     copy_six(d->measured, r.measured);

@@ -34,8 +34,8 @@ enum maglev_flag { MAGLEV_HOLDING = 1, MAGLEV_ENABLED = 2, MAGLEV_STOPPING = 4 }
 enum maglev_fault {
     MAGLEV_SENSOR_OUT_OF_RANGE = 1, MAGLEV_COIL_OVERTEMP = 2, MAGLEV_COIL_OVERCURRENT = 4, MAGLEV_FLOTOR_OVERSPEED = 8,
     MAGLEV_WATCHDOG = 32, MAGLEV_INVALID_COMMAND = 64, MAGLEV_ESTOPPED = 128, MAGLEV_COIL_NOT_FOLLOWING = 256,
-    MAGLEV_SENSOR_FROZEN = 512, MAGLEV_HOST = 4096, MAGLEV_SENSOR_STOPPED = 8192, MAGLEV_COIL_NOT_OFF = 16384,
-    MAGLEV_WALL_ENERGY = 32768, MAGLEV_ALL_FAULTS = 65535
+    MAGLEV_SENSOR_FROZEN = 512, MAGLEV_CLOCK = 1024, MAGLEV_HOST = 4096, MAGLEV_SENSOR_STOPPED = 8192,
+    MAGLEV_COIL_NOT_OFF = 16384, MAGLEV_WALL_ENERGY = 32768, MAGLEV_ALL_FAULTS = 65535
 };
 /* Reasons for ignoring a frame: the first seven invalid, the others not acceptable. */
 enum maglev_reason {
@@ -227,7 +227,7 @@ struct maglev_device {
     struct { uint32_t request; uint8_t operation, result; bool any; } last;
     /* the flight */
     double hover[MAGLEV_COILS], stop[MAGLEV_STOP];
-    uint64_t commanded_at, stopped_at;
+    uint64_t commanded_at;
     uint32_t answers;
     /* the sensors */
     double measured[MAGLEV_COILS];
@@ -243,6 +243,10 @@ struct maglev_device {
     uint64_t due, wall_sampled;
     double pose[6], wall_speeds[MAGLEV_WALLS], wall_forces[MAGLEV_WALLS], peaks[2][MAGLEV_COILS], energy, stored;
     struct maglev_diodes seen;
+    double wall_currents[MAGLEV_COILS]; /* of the last sample of the walls */
+    uint32_t receding;                  /* samples of the walls in a controlled stop */
+    uint32_t stopped;                   /* number of the last sample when a controlled stop began */
+    uint32_t newest;                    /* newest sample answered since ARM: edges move with it */
 };
 
 /* Start inactive, with the currents cut. Return false, without effect, if the profile is invalid: a time or limit not

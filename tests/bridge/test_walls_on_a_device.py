@@ -26,7 +26,7 @@ from maglev_mj.bridge.wire import MOST_WALLS, Codec, Estop
 from maglev_mj.control import Bias, Hold, Law, Wall, drive
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, DeviceWall
+from maglev_mj.frames import Array, Command, DeviceWall
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, Timing
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.stability_check import check_step
@@ -37,7 +37,8 @@ from tests.bridge.slow_lines import Flown, fly, residual
 from tests.bridge.test_preflight import GOOD
 from tests.sweeps import further
 
-WEIGHT = Bias([0.0, 0.0, 0.7 * 9.81, 0.0, 0.0, 0.0])
+LIFT = [0.0, 0.0, 0.7 * 9.81, 0.0, 0.0, 0.0]
+WEIGHT = Bias(LIFT)
 QUIET: Any = {"noise": 0.0, "quantum": 0.0, "plant": "exact"}
 STOPPED = 0.15  # [m/s]
 
@@ -241,6 +242,14 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: check_step(safe(6e3, 80.0), safe(6e4, 80.0), [0, 0, -1e-3, 0, 0, 0]), "force step on z .*54 N"),
     (lambda: plant_of().check_walls([DeviceWall(0)] * (MOST_WALLS + 1)), "at most 12 walls"),
     (lambda: plant_of().check_walls([DeviceWall(4, 0.0, 1, 100.0)]), "on ry .* 90 N m/rad"),
+    (
+        lambda: plant_of().check_walls([DeviceWall(2, 0.0, side, 6e4) for side in (-1, 0)]),
+        "sum of the stiffness of the walls that push towards -z must be at most 100000 N/m, the device's .*120000",
+    ),
+    (
+        lambda: plant_of().check_walls([DeviceWall(3, 0.0, 1, 0.0, 0.2) for _ in range(2)]),
+        r"sum of the damping of the walls that push towards \+rx must be at most 0.36 N m s/rad",
+    ),
     (lambda: drive(plant_of(wall_period=0.0), safe(6e3, 80.0), 1), "cannot render walls on the device"),
 ]
 
@@ -350,6 +359,70 @@ def test_only_walls_on_the_device_change_the_observers() -> None:
     assert [sum(duration for duration, _ in intervals) for intervals in drives] == [0.005] * 5
     currents = [[drive[1][0] for _, drive in intervals] for intervals in drives]
     assert currents == [[0.0], [0.0, 0.0, 0.0, 1.0], [0.0], [0.0, 0.0, 0.0, 2.0], [0.0, 0.0, 2.0, 3.0]]
+
+
+def standing(device: Twin | None = None) -> RemotePlant:
+    """Return a plant with a wall on its device that carries the flotor."""
+    device = device or Twin(TwinParameters(plant="exact", pose=[0.0] * 6), draw=lambda: 7)
+    plant = RemotePlant(VirtualLink(device))
+    armed(plant)
+    drive(plant, safe(6e4, 200.0), 20)
+    return plant
+
+
+def test_walls_stand_until_a_command_without_them_arrives() -> None:
+    plant = standing()
+    assert plant._hand.measured is not None
+    for _ in range(6):  # a stall, shorter than the watchdog's
+        plant.read()
+        assert plant._hand.measured is not None and not plant.failing_coil
+    plant.write(Command(LIFT))
+    sent = plant.samples.tick
+    while plant._hand.measured is not None:
+        plant.read()
+        plant.write(Command(LIFT))
+    assert plant.answers.answered_tick > sent and plant.samples.tick - sent == 4  # three with their currents
+
+
+def test_walls_stand_while_the_commands_without_them_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = standing()
+    monkeypatch.setattr(plant._connection, "command", lambda command: None)
+    for _ in range(6):
+        plant.write(Command(LIFT))
+        plant.read()
+        assert plant._hand.measured is not None
+
+
+def test_a_device_that_was_armed_again_has_no_walls() -> None:
+    device = Twin(TwinParameters(plant="exact", pose=[0.0] * 6), draw=lambda: 7)
+    plant = standing(device)
+    plant.disarm()
+    armed(plant)
+    assert plant._hand.measured is None and not device.firmware.walled
+
+
+@pytest.mark.parametrize(
+    ("moved", "periods", "refused"), [(0.99, 1, ""), (1.01, 1, "move by at most 0.0005 m"), (2.5, 3, "")]
+)
+def test_the_host_refuses_an_edge_that_the_device_refuses(moved: float, periods: int, refused: str) -> None:
+    plant = standing()
+    wall = DeviceWall(2, 0.0, 1, 6e4, 200.0)
+    for _ in range(periods - 1):  # one was read after the last command
+        plant.read()
+    command = Command(LIFT, walls=(wall._replace(edge=-moved * 0.1 * 0.005),))
+    if refused:
+        with pytest.raises(DeviceFault, match=f"INVALID_COMMAND: edge of the wall on z must {refused}"):
+            plant.write(command)
+    else:
+        plant.write(command)
+
+
+def test_the_host_refuses_a_wall_that_starts_around_the_flotor() -> None:
+    plant = standing()
+    plant.write(Command(LIFT))
+    plant.read()
+    with pytest.raises(DeviceFault, match=r"edge of the wall on z must start around the flotor by at most 0\.0005 m"):
+        plant.write(Command(LIFT, walls=(DeviceWall(2, plant.pose[2] + 6e-4, 1, 6e4, 200.0),)))
 
 
 def test_a_delay_that_was_known_before_the_flight_does_not_end_it() -> None:

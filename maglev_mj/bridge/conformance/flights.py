@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from maglev_mj.bridge import wire
+from maglev_mj.bridge.conformance import walls  # noqa: F401, registers its checks before those in flight
 from maglev_mj.bridge.conformance.protocol import wrong_crc
 from maglev_mj.bridge.conformance.tester import Tester, case, check, fail, same, shown
 from maglev_mj.bridge.connection import draw

@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any, TypeAlias
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.conformance.tester import Tester, case, check, constant, fail, same, shown
+from maglev_mj.bridge.conformance.tester import Tester, case, check, fail, same, shown
 from maglev_mj.bridge.connection import draw, profile_of
 from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus, Operation, Result, State, fault_names
 from maglev_mj.frames import ZERO
@@ -177,8 +177,8 @@ def _operations(t: Tester) -> str:
 def _arm(t: Tester) -> str:
     above, most = 1.01 * t.welcome.hover_limit, 1.01 * t.welcome.continuous_current / max(map(abs, t.half))
     cases: list[tuple[str, Sequence[float], int, float]] = [
-        *(("hover", t.half, coil, current) for coil in range(6) for current in (above, -above, *_UNREAL)),
-        *(("stop", _FADE, index, value) for index in range(8) for value in _UNREAL),
+        *(("hover", t.half, coil, current) for coil in range(6) for current in (above, -above, *UNREAL)),
+        *(("stop", _FADE, index, value) for index in range(8) for value in UNREAL),
         *(("stop", _FADE, index, value) for index, value in ((6, -1e-6), (6, 1.001), (7, -1e-6), (7, most))),
     ]
     for field, values, index, value in cases:
@@ -381,9 +381,9 @@ def _bad_commands(name: str, fault: Fault, expected: str, values: Callable[[Test
     check(f"a CMD {expected} ends in {fault.name}: currents zero, until RESET", name)(run)
 
 
-_UNREAL = (math.nan, math.inf, -math.inf)
-_bad_commands("not-finite", Fault.INVALID_COMMAND, "with a non-finite value", lambda t: _UNREAL)
-_bad_commands("width", Fault.INVALID_COMMAND, "with a width outside 0 to 1 s", lambda t: (*_UNREAL, -1e-6, 1.001))
+UNREAL = (math.nan, math.inf, -math.inf)
+_bad_commands("not-finite", Fault.INVALID_COMMAND, "with a non-finite value", lambda t: UNREAL)
+_bad_commands("width", Fault.INVALID_COMMAND, "with a width outside 0 to 1 s", lambda t: (*UNREAL, -1e-6, 1.001))
 _bad_commands("over-current", Fault.COIL_OVERCURRENT, "with a held or pulsed current above current_limit", _too_large)
 
 
@@ -437,78 +437,18 @@ def _stale_answers(t: Tester) -> str:
     return same("WATCHDOG; status of another host's HELLO", t.greet(draw()).body.status, HelloStatus.BUSY)
 
 
-# walls
-
-
-def _pressing(t: Tester) -> tuple[wire.Wall, list[float]]:
-    """Bring the device to ACTIVE; return a wall that presses the flotor on its stop with 3 N, and its currents [A]."""
-    t.bring(State.ACTIVE)
-    depth = 0.8e-9 * t.welcome.edge_speed * t.welcome.period
-    stiffness = min(3.0 / depth, t.welcome.stiffness_limit) if depth else 0.0
-    edge = t.calibration.wall_maps.pose(t.last.body.spots)[2] - depth
-    per_force = t.calibration.coils.current_per_wrench[:, 2]
-    return wire.Wall(2, -1, edge, stiffness, 0.0, 0.0), (-stiffness * depth * per_force).tolist()
-
-
-@check("walls of a CMD add their force at the diodes' pose, end with the CMDs that name them, and stand in silence")
-def _walls(t: Tester) -> str:
-    if not t.welcome.wall_period:
-        return _NO_WALLS
-    wall, currents = _pressing(t)
-    for held in (ZERO, t.half):
-        t.walls, t.law = (wall,), constant(held)
-        t.close(t.states(6)[-1], [a + b for a, b in zip(held, currents)])
-    t.walls = ()
-    t.close(t.states(6)[-1], t.half)
-    if not t.welcome.lockstep:
-        for side, expected in ((-1, currents), (0, ZERO)):
-            t.bring(State.ACTIVE)
-            t.walls = (wall._replace(side=side),)
-            t.states(6)
-            t.answering = False
-            frames = t.states(t.welcome.watchdog // t.welcome.period)
-            waiting = [frame for frame in frames if frame.body.flags & Flag.HOLDING] or fail("HOLDING is never set")
-            t.close(waiting[-1], [a + b for a, b in zip(t.half, expected)])
-    return f"{shown(currents)} A for {wall.stiffness:.3g} N/m"
-
-
-@check("a wall that is not finite, above its limits, around the flotor or jumping ends in INVALID_COMMAND")
-def _wall_limits(t: Tester) -> str:
-    if not t.welcome.wall_period:
-        return _NO_WALLS
-    step, most = 2e-9 * t.welcome.edge_speed * t.welcome.period, t.welcome.stiffness_limit
-    bad: list[dict[str, Any]] = [{"axis": 6}, {"side": 2}, {"side": -2}, {"cutoff": -1.0}]
-    bad += [{name: value} for name in ("edge", "stiffness", "damping", "cutoff") for value in _UNREAL]
-    bad += [{"stiffness": -1.0}, {"stiffness": 1.001 * most}, {"axis": 3, "stiffness": 9.1e-4 * most}]
-    bad += [{"damping": -1.0}, {"damping": 1.001 * t.welcome.damping_limit}]
-    for change in (*bad, {"edge": -step}, {"edge": step, "side": 1}, {"edge": step, "side": 0}, {"edge": step}):
-        wall, _ = _pressing(t)
-        if set(change) == {"edge"} and change["edge"] == step:  # of a wall that continues
-            t.walls = (wall,)
-            t.states(3)
-        if "edge" in change:
-            change = change | {"edge": wall.edge + change["edge"]}
-        once: list[Any] = [ZERO, (), 0.0, (wall._replace(**change),)]
-        t.once, t.walls = [once], ()
-        with case(", ".join(f"{name} {value:g}" for name, value in change.items())):
-            t.expect(State.FAULT, Fault.INVALID_COMMAND, 1)
-    return f"INVALID_COMMAND, {len(bad) + 4} walls"
-
-
-_NO_WALLS = "not checked: the device renders no walls"
-
-
 # the controlled stop
 
 
 @check("controlled stop: TRIP and an invalid CMD fade the hover currents out; RESET is refused meanwhile", "stop")
 def _fading(t: Tester) -> str:
     period = t.welcome.period
-    for held in ((), NAN, (1.001 * t.welcome.current_limit,) * 6):
-        with case(f"by a CMD of {shown(held)} A" if held else "by TRIP"):
+    trips = [((), Fault(0)), ((), Fault.CLOCK)]
+    for held, faults in (*trips, (NAN, 0), ((1.001 * t.welcome.current_limit,) * 6, 0)):
+        with case(f"by a CMD of {shown(held)} A" if held else f"by TRIP of {fault_names(faults)}"):
             t.bring(State.ACTIVE, t.half, stop=_FADE)
             t.once = [[held]] if held else []
-            t.states(1) if held else t.ask(Operation.TRIP)
+            t.states(1) if held else t.ask(Operation.TRIP, faults=faults)
             frames = t.states(150_000_000 // period)
             same("result of RESET", t.ask(Operation.RESET).result, Result.REFUSED)
             frames += t.states(50_000_000 // period + 8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from itertools import count
 from typing import Any, NamedTuple, Protocol
 
 from maglev_mj.bridge import wire
@@ -12,8 +13,8 @@ from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, Profile, SpotGuard,
 from maglev_mj.bridge.wire import MOST_WALLS, NEVER, WRAP, Codec, Fault, HelloStatus, Operation, State, Wall, newer
 from maglev_mj.frames import ZERO
 
-_SOFT = Fault.WATCHDOG | Fault.INVALID_COMMAND | Fault.HOST
-"""Faults of the host at which a TRIP starts a controlled stop."""
+_SOFT = Fault.WATCHDOG | Fault.INVALID_COMMAND | Fault.CLOCK | Fault.HOST
+"""Faults at which a TRIP starts a controlled stop: sensor and coils work."""
 _LONGEST_STOP = 1.0
 _GAP = 2
 _SILENCE = 1_000_000_000
@@ -22,7 +23,6 @@ _HELLO = 1
 
 _MEMORY = 1.0
 """Time constant with which generated energy is forgotten [s]: sensor noise in a wall generates a little."""
-_ROUNDING = 1e-9
 
 
 class Amplifiers(Protocol):
@@ -81,13 +81,14 @@ class Firmware:
         self._hover: Sequence[float] = ZERO
         self._lifted: Sequence[float] = ZERO  # largest currents without a command
         self._stop: Sequence[float] = wire.CUT
-        self._stopped_at = 0
+        self._stopped = 0  # number of the last sample when the controlled stop began
+        self._newest = 0  # newest sample answered since ARM
         self._commanded_at, self._answers, self._holding, self._sampled = 0, NEVER, False, 0
         self._thermal = ThermalModel(profile.limits)
         self._watchdog = profile.stated["watchdog"]
         self._first, self._fault_time, self._sampled_at = Fault(0), 0, 0
         self._measured: Sequence[float] = ZERO
-        self._walls = Walls(profile)
+        self._walls, self._wall_samples = Walls(profile), count()  # in place of the converter's counter
         self._reset_guards()
         # largest age of the answered sample [ns]
         self._stale = 0 if profile.lockstep else profile.stated["stale"]
@@ -183,11 +184,11 @@ class Firmware:
         """
         if not self._walls.active or not (self.state == State.ACTIVE or self.stopping):
             return
-        if faults := self._walls.guard.check(reading.spots, reading.valid, now, 1):
+        if faults := self._walls.guard.check(reading.spots, reading.valid, next(self._wall_samples), 1):
             self.trip(faults, now)
             return
-        stopping = max(now - self._stopped_at, 0) * 1e-9 if self.stopping else 0.0
-        self._amplifiers.add(now, self._walls.render(now, reading.spots, self._holding or self.stopping, stopping))
+        silent = self._holding or self.stopping
+        self._amplifiers.add(now, self._walls.render(now, reading.spots, silent, self.stopping))
         if self._walls.unstable:
             self._walls.clear()
             self._amplifiers.add(now, ZERO)
@@ -197,7 +198,7 @@ class Firmware:
         """Latch faults at `now` [ns], and cut the currents; if `soft`, by a controlled stop if currents flow."""
         flying = self.state == State.ACTIVE and (self._holding or self._answers != NEVER)
         if soft and flying and self._stop[6]:
-            self.stopping, self._stopped_at = True, now
+            self.stopping, self._stopped = True, self._sampled
             self._amplifiers.drive(now, self._hover, None, 0.0)
         elif not (soft and self.stopping):
             self._cut()
@@ -230,7 +231,8 @@ class Firmware:
     def _descend(self, now: int, spots: Sequence[float], before: Sequence[float] | None, steps: int) -> None:
         """Scale the hover currents: fade out, and damp the motion along the lift."""
         *damping, duration, lift = self._stop
-        elapsed = max(now - self._stopped_at, 0) * 1e-9
+        # in samples, as the clock may be what failed
+        elapsed = ((self._sampled - self._stopped) & WRAP) * self.profile.period * 1e-9
         if not elapsed < duration:
             self._cut()
             return
@@ -275,12 +277,14 @@ class Firmware:
                 self._commanded_at, self._answers = now, command.answers
             return
         wrong = command_fault(self.profile.limits, command.held, command.pulsed, command.width)
-        periods = (command.answers - self._answers) & WRAP if self._answers != NEVER else 1
-        if wrong := wrong or self._walls.fault(command.walls, self._spots.last, periods):
+        # an answer to an older sample moves no edge, nor is the time before it counted again
+        newest = command.answers if newer(command.answers, self._newest) else self._newest
+        if wrong := wrong or self._walls.fault(command.walls, self._spots.last, (newest - self._newest) & WRAP):
             self.trip(wrong, now, soft=True)
             return
         self._walls.command(command.walls, now + self.profile.delay, (command.held, command.pulsed, self._lifted))
         self._commanded_at, self._answers, self._holding = now, command.answers, False
+        self._newest = newest
         self._amplifiers.drive(now, command.held, command.pulsed if command.width else None, command.width)
 
     def _control(self, control: wire.Control, now: int) -> bytes | None:
@@ -327,6 +331,7 @@ class Firmware:
         self._hover, self._stop = hover, stop
         self._lifted = [max(stop[7], 1.0) * x for x in hover]
         self._commanded_at, self._answers, self._holding = now, NEVER, False
+        self._newest = self._sampled
         self._reset_guards()
         self.state = State.ACTIVE
         self._amplifiers.toggle(now)
@@ -365,6 +370,8 @@ class Walls:
         self._speeds, self._forces = [0.0] * MOST_WALLS, [0.0] * MOST_WALLS
         self._peaks: tuple[Sequence[float], Sequence[float]] = ZERO, ZERO
         self._energy = self._stored = 0.0
+        self._currents: Sequence[float] = ZERO  # at the last sample
+        self._receding = 0  # samples in the controlled stop
 
     @property
     def unstable(self) -> bool:
@@ -374,38 +381,18 @@ class Walls:
     def fault(self, walls: Sequence[Wall], spots: Sequence[float] | None, periods: int) -> Fault:
         """Return the fault of a command's walls, if any.
 
-        An edge moves at most at `edge_speed`, and a new wall contains the flotor by at most one period of that.
-
         Args:
             walls: All walls of the command.
             spots: Last spots [m], six; None without.
-            periods: Sample periods since the last command.
+            periods: Sample periods for which edges may move.
         """
         profile, latest = self._profile, self._walls if self._pending is None else self._pending
         if not walls:
             return Fault(0)
-        if (
-            len(walls) > profile.limits.wall_count
-            or spots is None
-            or profile.wall_maps is None
-            or any(map(profile.wall_problem, walls))
-        ):
+        if spots is None or profile.wall_maps is None or profile.wall_problem(walls):
             return Fault.INVALID_COMMAND
-        pose = profile.wall_maps.pose(spots)
-        for index, wall in enumerate(walls):
-            step = (
-                profile.limits.edge_speed
-                * (profile.period * 1e-9)
-                * (1.0 + _ROUNDING)
-                / profile.limits.lever_of(wall.axis)
-            )
-            depth = wall.edge - pose[wall.axis]
-            moved = wall.side * depth if wall.side else abs(depth)
-            if index < len(latest) and wall[:2] == latest[index][:2]:
-                moved, step = abs(wall.edge - latest[index].edge), step * periods
-            if not moved <= step:
-                return Fault.INVALID_COMMAND
-        return Fault(0)
+        moved = profile.edge_problem(walls, latest, profile.wall_maps.pose(spots), periods)
+        return Fault.INVALID_COMMAND if moved else Fault(0)
 
     def command(self, walls: Sequence[Wall], due: int, currents: Sequence[Sequence[float]]) -> None:
         """Replace the walls at a time [ns].
@@ -429,29 +416,35 @@ class Walls:
                 self._speeds[index] = self._forces[index] = 0.0
         self._walls, self._pending = pending, None
 
-    def render(self, now: int, spots: Sequence[float], silent: bool, stopping: float) -> Sequence[float]:
+    def render(self, now: int, spots: Sequence[float], silent: bool, stopping: bool) -> Sequence[float]:
         """Return the currents of the walls at a sample [A], six.
 
         Inside f = -K (x - edge) - B v. While commands are missing a wall on both sides has no stiffness: it would pull
-        to where its edge was.
+        to where its edge was. A sample that is not later than the last one has no speed: the currents stay.
 
         Args:
             now: Time of the sample [ns].
             spots: Measured spots [m], six.
             silent: True while commands are missing, and in a controlled stop.
-            stopping: Time since the start of the controlled stop [s]; 0 without.
+            stopping: True in a controlled stop: edges recede.
         """
         maps, limits = self._profile.wall_maps, self._profile.limits
         assert maps is not None
         if self._pending is not None and now >= self._due:
             self._switch()
+        if self._pose is not None and now <= self._sampled_at:
+            self._sampled_at = now  # of a clock that was set back: the next sample is later
+            return self._currents
         pose, forces = maps.pose(spots), [0.0] * 6
         before = pose if self._pose is None else self._pose
+        # in samples, as the clock may be what failed
+        receded = limits.recede * (self._receding * self._profile.wall_period * 1e-9)
+        self._receding += stopping
         elapsed = (now - self._sampled_at if self._pose is not None else self._profile.wall_period) * 1e-9
         surplus, stored = max(self._energy - self._stored, 0.0), 0.0
         energy = self._energy - surplus * elapsed / _MEMORY
         for index, (axis, side, edge, stiffness, damping, cutoff) in enumerate(self._walls):
-            edge -= side * (limits.recede * stopping / limits.lever_of(axis))
+            edge -= side * (receded / limits.lever_of(axis))
             stiffness = 0.0 if silent and not side else stiffness
             moved, first, offset = pose[axis] - before[axis], before[axis] - edge, pose[axis] - edge
             speed, last = moved / elapsed, self._speeds[index]
@@ -475,6 +468,7 @@ class Walls:
         if share < 1.0:  # reduced together, so that the direction stays
             currents, self._forces = [share * x for x in currents], [share * x for x in self._forces]
         self._pose, self._sampled_at, self._energy, self._stored = pose, now, max(energy, 0.0), stored
+        self._currents = currents
         if not self._walls and self._pending is None:
             self.clear()
         return currents
