@@ -142,8 +142,8 @@ def _envelope(guard: FlotorGuard, sample: DeviceSample) -> Alarm | None:
 
 def _currents(guard: CoilGuard, sample: DeviceSample) -> Alarm | None:
     measured = sample.report.currents
-    expected = sample.expected if sample.active else measured  # resets the guard's count
-    if expected is None or not (fault := guard.check(expected, measured)):
+    expected = sample.expected if sample.active else None
+    if not (fault := guard.check(expected, measured)) or expected is None:
         return None
     return Alarm(fault, f"measured currents {_listed(measured, '.2f')} A, commanded {_listed(expected, '.2f')} A")
 

@@ -446,9 +446,13 @@ class CoilGuard:
     def __init__(self, tolerance: float) -> None:
         self._tolerance, self._strikes = tolerance, 0
 
-    def check(self, commanded: Sequence[float], measured: Sequence[float]) -> Fault:
-        """Compare the currents of a sample [A], six each."""
-        for target, actual in () if measured == commanded else zip(commanded, measured):  # fast path: a twin
+    def check(self, commanded: Sequence[float] | None, measured: Sequence[float]) -> Fault:
+        """Compare the currents of a sample [A], six each.
+
+        A sample without commanded currents ends a series of wrong ones: they are not consecutive.
+        """
+        known = commanded is not None and measured != commanded  # fast path: a twin
+        for target, actual in zip(commanded or (), measured) if known else ():
             if not abs(target - actual) <= self._tolerance + _TOLERANCE * abs(target):
                 self._strikes += 1
                 return Fault.COIL_NOT_FOLLOWING if self._strikes >= self._PATIENCE else _NO_FAULT
@@ -487,19 +491,20 @@ class SpotGuard:
             return fault | Fault.SENSOR_OUT_OF_RANGE
         last, self.last = self.last, spots
         if last is None:
+            self._same = _CHANGED
             return fault
         p, q, r, s, t, u = last
+        if a != p and c != r and e != t:
+            self._same = _CHANGED
+        else:
+            still = (a == p and b == q, c == r and d == s, e == t and f == u)
+            self._same = tuple([count + 1 if same else 0 for count, same in zip(self._same, still)])
         step = self._step * steps if steps > 1 else self._step
         near = -step <= a - p <= step and -step <= b - q <= step and -step <= c - r <= step
         if not (near and -step <= d - s <= step and -step <= e - t <= step and -step <= f - u <= step):
             # far above any flotor speed: the sensor jumped
             moved = max(abs(new - old) for new, old in zip(spots, last))
             return fault | (Fault.FLOTOR_OVERSPEED if moved < _IMPLAUSIBLE * step else Fault.SENSOR_OUT_OF_RANGE)
-        if a != p and c != r and e != t:
-            self._same = _CHANGED
-            return fault
-        still = (a == p and b == q, c == r and d == s, e == t and f == u)
-        self._same = tuple([count + 1 if same else 0 for count, same in zip(self._same, still)])
         return fault | Fault.SENSOR_FROZEN if self._frozen and max(self._same) >= self._frozen else fault
 
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.safety import (
+    CoilGuard,
     FlotorGuard,
     HostLimits,
     Limits,
@@ -49,6 +52,39 @@ def test_an_angle_about_several_axes_counts_as_one() -> None:
     part = 0.6 * HostLimits().envelope_angle
     assert FlotorGuard(HostLimits()).check((0.0, 0.0, 0.0, part, part, part), PERIOD) == Fault.BOUNDARY
     assert FlotorGuard(HostLimits()).check((0.0, 0.0, 0.0, part, part, 0.0), PERIOD) == NONE
+
+
+STILL = (0.001,) * 6
+
+
+def spots_guard() -> SpotGuard:
+    return SpotGuard(Limits(frozen=3), PERIOD)
+
+
+SERIES: dict[str, tuple[Any, Any, Any, Fault]] = {
+    "coils": (CoilGuard, ((0.0,) * 6, (2.0,) * 6), (None, (2.0,) * 6), Fault.COIL_NOT_FOLLOWING),
+    "frozen, no valid spot": (spots_guard, (STILL, 7), (STILL, 3), Fault.SENSOR_FROZEN),
+    "frozen, spots not finite": (spots_guard, (STILL, 7), ((NAN,) * 6, 7), Fault.SENSOR_FROZEN),
+    "frozen, too fast": (spots_guard, (STILL, 7), ((0.009,) * 6, 7), Fault.SENSOR_FROZEN),
+}
+"""Guards that count consecutive samples: a sample that counts, one that does not, and the fault."""
+
+
+@pytest.mark.parametrize("name", SERIES)
+def test_a_sample_between_that_does_not_count_starts_the_count_again(name: str) -> None:
+    made, wrong, other, fault = SERIES[name]
+    check = made().check
+    count = itertools.count()
+
+    def seen(sample: Any) -> Any:
+        return check(*sample) if name == "coils" else check(*sample, next(count), 1)
+
+    enough = next(number for number in range(1, 9) if fault in seen(wrong))
+    for _ in range(5):
+        seen(other)
+        # spots are compared with the sample before: the first after another is none that repeats it
+        assert not any(fault in seen(wrong) for _ in range(enough - 1))
+    assert fault in seen(wrong)
 
 
 @pytest.mark.parametrize("missed", [0, 1, 9])
