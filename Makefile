@@ -100,7 +100,9 @@ firmware:  ## compile the device's firmware for a Cortex-M4, and the emulated bo
 	mkdir -p build && \
 	$(CROSS)gcc -std=c99 -ffreestanding -DMAGLEV_NO_LIBRARY -Wall -Wextra -Wpedantic -Werror $(M4) -Os -fstack-usage \
 	  -c scripts/firmware/maglev_firmware.c -o build/maglev_firmware.o && \
-	$(CROSS)size build/maglev_firmware.o && \
+	$(CROSS)gcc -std=c99 -ffreestanding -Wall -Wextra -Wpedantic -Werror $(M4) -Os \
+	  -c scripts/firmware/maglev_queue.c -o build/maglev_queue.o && \
+	$(CROSS)size build/maglev_firmware.o build/maglev_queue.o && \
 	if $(CROSS)nm --undefined-only build/maglev_firmware.o | grep -v __aeabi_; then \
 	  echo 'firmware: a board would have to bring those'; exit 1; fi && \
 	if [ -x $(BIN)/python ]; then \

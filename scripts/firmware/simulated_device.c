@@ -1,7 +1,7 @@
 /* Simulated device with the firmware: UDP on 127.0.0.1, a clock, an amplifier board, and a flotor for small angles.
 
        cd scripts/firmware
-       cc -std=c99 -O2 simulated_device.c simulated_flotor.c maglev_firmware.c -o simulated_device -lm
+       cc -std=c99 -O2 simulated_device.c simulated_flotor.c maglev_queue.c maglev_firmware.c -o simulated_device -lm
        simulated_device --plant FILE [--port 0] [--rate 200] [--delay 0.0015] [--watchdog 0.05] [--enable SECONDS]
                         [--stale SECONDS] [--wall-rate 1000] [--wall-delay 0.0002] [--hover-limit 3] [--noise 0] [--lockstep] [--calibration-hash HEX32]
                         [--key FILE] [--device 1] [--seconds 0] [--fault NAME:K@SECONDS]
@@ -29,6 +29,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "maglev_queue.h"
 #include "simulated_flotor.h"
 
 #define AGAIN UINT64_C(20000000)       /* [ns]; lockstep: an unanswered STATE is repeated after this time, then at double intervals */
@@ -98,38 +99,42 @@ static void send_to(uint64_t peer, const uint8_t *data, size_t length) {
     if (length) (void)!sendto(line, data, length, 0, (const struct sockaddr *)&to, sizeof to);
 }
 
-static void take(const uint8_t *data, size_t length, uint64_t peer) {
-    uint8_t answer[MAGLEV_LARGEST];
-    if (!profile.lockstep) { /* frames after the next sample's due time count at that time */
-        uint64_t due = ((uint64_t)plant.number + 1) * profile.period, passed = clock_now() - begun;
-        advance(passed < due ? passed : due);
-    }
-    send_to(peer, answer, maglev_receive(&device, data, length, peer, answer));
+static void answer(void *context, uint64_t peer, const uint8_t *data, size_t length) {
+    (void)context;
+    send_to(peer, data, length);
 }
 
-/* Wait for frames until a time of the machine's clock, then process all that wait, emergency stops first. */
+static size_t next_frame(void *context, uint8_t *data, uint64_t *peer) {
+    struct sockaddr_in from;
+    socklen_t size = sizeof from;
+    ssize_t length = recvfrom(line, data, MAGLEV_LARGEST + 1, 0, (struct sockaddr *)&from, &size);
+    (void)context;
+    if (length < 0) return 0; /* no more, or an error of an earlier datagram */
+    *peer = (uint64_t)from.sin_addr.s_addr << 16 | from.sin_port;
+    return length ? (size_t)length : 1; /* an empty one is too short, too */
+}
+
+/* Time of the machine, to which the plant advances; frames after the next sample's due time count at that time. */
+static uint64_t frame_clock(void *context) {
+    uint64_t now = clock_now(), due = ((uint64_t)plant.number + 1) * profile.period;
+    (void)context;
+    if (!profile.lockstep) advance(now - begun < due ? now - begun : due);
+    return now;
+}
+
+static struct maglev_waiting frames[WAITING];
+static struct maglev_queue queue = {NULL, next_frame, answer, frame_clock, frames, WAITING, 0, 0, 0, 0};
+
+/* Wait for frames until a time of the machine's clock, or only for that time once they have had theirs; process them. */
 static void hear(uint64_t until) {
-    static struct { uint8_t data[2 * MAGLEV_LARGEST]; size_t length; uint64_t peer; } frames[WAITING];
-    uint64_t now = clock_now(), left = until > now ? until - now : 0;
+    bool rests = maglev_rests(&device, &queue);
+    uint64_t now = clock_now(), left = until > now && (rests || !queue.count) ? until - now : 0;
     struct timespec wait = {(time_t)(left / 1000000000u), (long)(left % 1000000000u)};
     fd_set ready;
     FD_ZERO(&ready);
-    FD_SET(line, &ready);
-    if (pselect(line + 1, &ready, NULL, NULL, &wait, NULL) < 1) return;
-    int count = 0;
-    for (; count < WAITING; count++) {
-        struct sockaddr_in from;
-        socklen_t size = sizeof from;
-        ssize_t length = recvfrom(line, frames[count].data, sizeof frames[count].data, 0,
-                                  (struct sockaddr *)&from, &size);
-        if (length < 0) break; /* no more, or an error of an earlier datagram */
-        frames[count].length = (size_t)length;
-        frames[count].peer = (uint64_t)from.sin_addr.s_addr << 16 | from.sin_port;
-    }
-    for (int stops = 1; stops >= 0; stops--)
-        for (int i = 0; i < count; i++)
-            if ((frames[i].length > 3 && frames[i].data[3] == MAGLEV_ESTOP) == stops)
-                take(frames[i].data, frames[i].length, frames[i].peer);
+    if (!rests) FD_SET(line, &ready);
+    (void)pselect(line + 1, &ready, NULL, NULL, &wait, NULL);
+    maglev_serve(&device, &queue);
 }
 
 /* Simulated time waits for the answer to each sample; without a host it stands still. */

@@ -104,23 +104,22 @@ def library() -> ctypes.CDLL:
     folder = Path(tempfile.mkdtemp())
     size = folder / "size.c"
     size.write_text('#include "maglev_firmware.h"\nconst size_t maglev_size = sizeof(struct maglev_device);\n')
-    source, target = FOLDER / "maglev_firmware.c", folder / "maglev_firmware.so"
-    command = [str(COMPILER), *STRICT, *TRAPPED, f"-I{FOLDER}", str(source), str(size)]
+    sources, target = [FOLDER / f"maglev_{name}.c" for name in ("firmware", "queue")], folder / "maglev_firmware.so"
+    command = [str(COMPILER), *STRICT, *TRAPPED, f"-I{FOLDER}", *map(str, sources), str(size)]
     command += ["-shared", "-fPIC", "-o", str(target)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     if done.returncode:
         pytest.fail(f"{' '.join(command)}:\n{done.stderr}")
     core = ctypes.CDLL(str(target))
     shutil.rmtree(folder)
-    core.maglev_start.restype = c_bool
+    core.maglev_start.restype = core.maglev_rests.restype = c_bool
     for function in (core.maglev_receive, core.maglev_sample, core.maglev_stuff, core.maglev_unstuff):
         function.restype = c_size_t
     core.maglev_receive.argtypes = [c_void_p, c_char_p, c_size_t, c_uint64, c_void_p]
     core.maglev_heat.argtypes = [c_void_p, c_double, c_void_p]
     core.maglev_wall.argtypes = [c_void_p]
-    core.maglev_wall.restype = core.maglev_heat.restype = core.maglev_trip.restype = core.maglev_lose_host.restype = (
-        None
-    )
+    for function in (core.maglev_wall, core.maglev_heat, core.maglev_trip, core.maglev_lose_host, core.maglev_serve):
+        function.restype = None
     return core
 
 

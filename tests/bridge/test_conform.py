@@ -459,6 +459,40 @@ def test_a_command_that_survives_the_cut_is_seen(monkeypatch: pytest.MonkeyPatch
     assert result.passed is False and re.match(expected, result.seen), result.seen
 
 
+class Flooded(Mortal):
+    """Twin that takes 0.2 ms for each frame from elsewhere.
+
+    Args:
+        most: Frames that it takes between two samples, in order of arrival.
+    """
+
+    def __init__(self, most: int) -> None:
+        super().__init__(TwinParameters())
+        self._most, self._backlog = most, list[tuple[bytes, int, Any]]()
+
+    def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
+        if peer != "elsewhere":
+            return super().receive(data, now, peer)
+        self._backlog.append((data, now, peer))
+        return None
+
+    def sample(self) -> bytes | None:
+        taken, self._backlog = self._backlog[: self._most], self._backlog[self._most :]
+        for frame in taken:
+            super().receive(*frame)
+        for _ in range(len(taken) * 200_000 // self.parameters.profile.period):
+            super().sample()  # missed: its STATE is never sent
+        return super().sample()
+
+
+@pytest.mark.parametrize(("most", "seen"), [(10_000, r"samples \(11, .*"), (16, "ESTOP not in 10 samples")])
+def test_a_flood_that_delays_samples_or_an_estop_is_seen(most: int, seen: str) -> None:
+    device = Flooded(most)
+    link = VirtualLink(device)
+    (result,) = conform([link, Elsewhere(device, link)], only=["flood"])
+    assert result.passed is False and re.match(seen, result.seen), result.seen
+
+
 def test_a_device_with_its_coils_reversed_is_let_go() -> None:
     known = Calibration.nominal()
     coils = replace(known.coils, force_constants=-known.coils.force_constants)
@@ -474,5 +508,5 @@ def test_a_device_that_does_not_wait_in_lockstep_fails() -> None:
 
 
 def test_every_check_fails_for_some_device() -> None:
-    covered = {guard[0] for guard in GUARDS} | TAGS | {"forgotten", "hover", "lockstep"}
+    covered = {guard[0] for guard in GUARDS} | TAGS | {"flood", "forgotten", "hover", "lockstep"}
     assert set(checks()) == covered

@@ -48,7 +48,8 @@ pytestmark = pytest.mark.needs("compiler")
 def built(folder: Path, flags: Sequence[str]) -> Path | None:
     """Return the compiled program; None for unknown flags."""
     program = folder / "simulated_device"
-    sources = [str(FOLDER / name) for name in ("simulated_device.c", "simulated_flotor.c", "maglev_firmware.c")]
+    parts = ["simulated_device.c", "simulated_flotor.c", "maglev_queue.c", "maglev_firmware.c"]
+    sources = [str(FOLDER / name) for name in parts]
     command = [str(COMPILER), *STRICT, *flags, *sources, "-o", str(program), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     if done.returncode and flags == ["-O2"]:

@@ -250,6 +250,9 @@ class Queue:
     def send(self, data: bytes, address: Any) -> None:
         self.sent.append(data)
 
+    def sleep(self, seconds: float) -> None:
+        self.now += max(round(seconds * 1e9), 1)
+
     def close(self) -> None:
         pass
 
@@ -273,8 +276,10 @@ def test_an_estop_is_taken_before_what_waited_longer(lockstep: bool, monkeypatch
 def test_a_flood_without_end_keeps_the_twin_from_no_sample(frame: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     twin, queue = Twin(TwinParameters()), Queue([frame], endless=True)
     monkeypatch.setattr("time.monotonic_ns", lambda: queue.now)
+    monkeypatch.setattr("time.sleep", queue.sleep)
     report = TwinServer(twin, queue).run(0.05)
-    assert report.ticks >= 5  # at most a period late each
+    # in time, but for the first, due at the start
+    assert report.ticks == 11 and report.latency.p50 < 1e-4 and report.latency.worst < 0.51 * PERIOD
 
 
 class Silent(Queue):

@@ -1,4 +1,4 @@
-"""Checks of sessions, requests, samples, commands, walls, the controlled stop and ignored frames."""
+"""Checks of sessions, requests, samples, commands, the controlled stop, floods and ignored frames."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ QUIET = 0.06
 
 HALF = 0x7FFFFFFF
 NAN = (math.nan,) * 6
+_FLOOD = 256
+"""HELLOs of a flood."""
 _FADE = (*ZERO, 0.2, 1.0)
 """Controlled stop of 0.2 s without damping."""
 
@@ -474,6 +476,27 @@ def _stop_cut(t: Tester) -> str:
     t.ask(Operation.TRIP)
     t.answering = True
     return t.zero()
+
+
+# a flood of frames
+
+
+@check("a flood of HELLOs delays no sample, and no ESTOP behind them by more than a period", real_time=True, peers=2)
+def _flood(t: Tester) -> str:
+    flood = [t.encode(wire.Hello(draw(), t.calibration.digest)) for _ in range(_FLOOD)]
+    t.bring(State.ACTIVE, t.half)
+    before, begun = t.states(1)[0].sequence, t.now()
+    for data in (*flood, t.encode(wire.Estop(draw()))):
+        t.links[1].send(data)
+    sent, frames = t.now() - begun, t.states(10)
+    same("samples", [(frame.sequence - before) & WRAP for frame in frames], [*range(1, 11)])
+    stopped = [frame.sequence for frame in frames if frame.body.faults & Fault.ESTOP] or fail("ESTOP not in 10 samples")
+    # the sample before the flood, and the next after a period
+    if (after := (stopped[0] - before) & WRAP) > 2 + sent / t.welcome.period:
+        fail(f"ESTOP {after} samples after {sent / 1e6:.3g} ms of HELLOs")
+    while t.receive(QUIET, peer=1) is not None:
+        pass  # the answers
+    return f"{_FLOOD} HELLOs in {sent / 1e6:.3g} ms, ESTOP after {after} samples"
 
 
 # frames that are ignored

@@ -444,7 +444,8 @@ _IGNORED = {
 }
 """Meanings of the reasons to ignore a frame."""
 
-_MOST, _FEW = 4096, 32
+_MOST = 4096
+"""Largest number of frames that wait."""
 _ESTOP = b"\x07"
 """Frame type of ESTOP, the fourth byte."""
 
@@ -490,7 +491,8 @@ class TwinServer:
     In real time it samples at absolute deadlines; if it is late by whole periods, simulated time stands still for
     them, and while it computes a sample: a device measures a sample at once. In lockstep it takes a sample when the
     last one is answered, repeats it after 20, 40, 80 ms and so on without an answer, and drops the host after 2 s.
-    Emergency stops are handled before all other frames.
+    Emergency stops are handled before all other frames; in real time, frames take at most half a period between two
+    samples.
 
     Args:
         twin: The device.
@@ -510,6 +512,7 @@ class TwinServer:
         self._waiting: deque[tuple[bytes, Address]] = deque()
         self._zero = self._deadline = 0
         self._computing = 0  # time from the last deadline to its frame [ns]
+        self._left = self._period // 2  # time for frames until the next sample [ns]
         self._stopped = threading.Event()
 
     def run(self, duration: float | None = None, each: Callable[[], object] | None = None) -> ServerReport:
@@ -553,6 +556,7 @@ class TwinServer:
     def _await_deadline(self) -> None:
         """Handle frames until the next sample is due, and those already waiting if it is overdue."""
         clock, period = time.monotonic_ns, self._period
+        self._left = period // 2
         self._deadline = self._zero + (self.twin.tick + 1) * period
         remaining = 1
         while remaining > 0 and not self._stopped.is_set():
@@ -581,29 +585,28 @@ class TwinServer:
                 again = now + (now - start)  # back off: repeats must not congest a slow link
 
     def _receive(self, timeout: float) -> None:
-        """Receive for `timeout` [s] and handle the frames, for at most one period once the sample is due."""
-        self._collect(0.0 if self._waiting else timeout)
-        for count in range(1, len(self._waiting) + 1):
-            self._take(*self._waiting.popleft())
-            if count % _FEW == 0:
-                self._collect(0.0)
-                if self._overdue:
-                    return
+        """Receive for `timeout` [s] and handle the frames, emergency stops first.
 
-    def _collect(self, timeout: float) -> None:
-        """Queue received frames; handle emergency stops at once."""
-        for count in range(_MOST):
-            if (count % _FEW == _FEW - 1 and self._overdue) or (arrived := self._server.receive(timeout)) is None:
-                return
-            timeout = 0.0
-            if arrived[0][3:4] == _ESTOP:
+        In real time the frames left after half a period wait for the next sample; in lockstep, for the next call.
+        """
+        if self._lockstep:
+            self._left = self._period // 2
+        elif self._left <= 0:
+            time.sleep(timeout)
+            return
+        arrived = self._server.receive(0.0 if self._waiting else timeout)
+        end = time.monotonic_ns() + self._left
+        while arrived is not None or self._waiting:
+            if arrived is not None and arrived[0][3:4] == _ESTOP:
                 self._take(*arrived)
-            elif len(self._waiting) < _MOST:
+            elif arrived is None:
+                self._take(*self._waiting.popleft())
+            elif len(self._waiting) < _MOST:  # else it is dropped
                 self._waiting.append(arrived)
-
-    @property
-    def _overdue(self) -> bool:
-        return not self._lockstep and time.monotonic_ns() > self._deadline + self._period
+            if time.monotonic_ns() >= end:
+                break
+            arrived = self._server.receive(0.0)
+        self._left = end - time.monotonic_ns()
 
     def _take(self, data: bytes, sender: Address) -> None:
         tick, soonest = max(self.twin.tick, 0), min(time.monotonic_ns(), self._deadline)

@@ -12,6 +12,7 @@ extern const uint32_t data_image[];
 struct maglev_device device;
 struct ring came, leaving;
 struct most most;
+uint64_t spent;
 
 /* What the compiler needs of a C library, besides the firmware's memset. */
 void *memcpy(void *to, const void *from, size_t count);
@@ -89,10 +90,11 @@ void note(uint32_t *longest, uint32_t before) {
     if (took > *longest) *longest = took;
 }
 
-void hear(void) {
+void hear(uint64_t period) {
     static struct maglev_line line;
     uint8_t byte, answer[MAGLEV_LARGEST];
-    while (take(&came, &byte)) {
+    uint64_t last = clock_now();
+    while ((profile.lockstep || spent < period / 2) && take(&came, &byte)) {
         size_t length = maglev_unstuff(&line, byte);
         if (!length) continue;
         jitter = (jitter ^ counts()) * 2654435761u;
@@ -101,6 +103,8 @@ void hear(void) {
         length = maglev_receive(&device, line.data, length, 0, answer);
         note(line.data[3] == MAGLEV_CMD ? &most.command : &most.frame, before);
         send(answer, length);
+        uint64_t now = clock_now();
+        spent += now - last, last = now;
     }
 }
 

@@ -18,7 +18,8 @@ extern struct most most; /* longest calls since the start, for a log or a debugg
 bool put(struct ring *ring, uint8_t byte);   /* false if it is full */
 bool take(struct ring *ring, uint8_t *byte); /* false if it is empty */
 void send(const uint8_t *frame, size_t length);
-void hear(void); /* process received bytes, and send the answers */
+extern uint64_t spent;       /* on frames since the last sample [ns]; the program sets it to 0 at each */
+void hear(uint64_t period);  /* process received bytes, and send the answers; in real time for at most half a period */
 uint32_t begin(void); /* of a timed call, without interrupts */
 void note(uint32_t *longest, uint32_t before);
 uint32_t draw(void *context); /* 32 bits for a session number */

@@ -67,7 +67,7 @@ int main(void) {
     start_line();
     if (!maglev_start(&device, &profile, &hardware)) return 1;
     for (;;) {
-        hear();
+        hear(profile.period);
         run();
         tell();
         __asm__ volatile("cpsid i");

@@ -23,7 +23,8 @@ uint64_t clock_now(void) { return time; }
 uint32_t chip_random(void) { return 1; }
 uint32_t draw(void *context) { return (void)context, 1; }
 void start_line(void) {}
-void hear(void) {}
+uint64_t spent;
+void hear(uint64_t period) { (void)period; }
 void send(const uint8_t *frame, size_t length) { (void)frame, (void)length; }
 void enable(int irq, uint8_t priority) { (void)irq, (void)priority; }
 bool maglev_start(struct maglev_device *d, const struct maglev_profile *p, const struct maglev_hardware *h) {

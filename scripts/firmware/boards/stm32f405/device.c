@@ -150,7 +150,7 @@ static void run(void) {
     if (device.walled) maglev_wall(&device);
     if (length) send(frame, length);
     if (counts() - before > most.sample) most.sample = counts() - before;
-    done = newest;
+    done = newest, spent = 0;
 }
 
 int main(void) {
@@ -165,7 +165,7 @@ int main(void) {
     enable(TIM5_IRQ, CURRENTS), enable(TIM4_IRQ, CURRENTS), enable(TIM3_IRQ, SAMPLES);
     TIM3->cr1 = RUNS;
     for (;;) {
-        hear();
+        hear(sample_period());
         run();
         uint32_t before = masked();
         if (came.tail == came.head && ticks == done) sleep(); /* until an interrupt, a pending one too */
