@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -94,12 +93,10 @@ def conform(
     """
     from maglev_mj.bridge.conformance import checks, conform
     from maglev_mj.bridge.links import open_link, parse_url
-    from maglev_mj.bridge.realtime import realtime
+    from maglev_mj.bridge.realtime import interrupt, realtime, stopping
 
-    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: land
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.default_int_handler)
     with ExitStack() as last:
+        last.enter_context(stopping(interrupt))  # lands, and is raised again by a second Ctrl-C
         peers = 2 if parse_url(address).scheme == "udp" else 1
         links = [last.enter_context(closing(open_link(address, key))) for _ in range(peers)]
         for complaint in last.enter_context(realtime("ignore")):
@@ -162,11 +159,12 @@ def commission(
     """Check diodes and coils of a new device before its first hover."""
     from maglev_mj.bridge.commissioning.coil_check import mean_pose, record_step, with_offsets
     from maglev_mj.bridge.links import open_link
+    from maglev_mj.bridge.realtime import interrupt, stopping
     from maglev_mj.bridge.remote import RemotePlant
 
     if (write is not None) != (test == "offsets"):
         raise ParameterError("offsets needs --write FILE; the other tests do not take it")
-    with RemotePlant(open_link(address, key), calibration=calibration, key=key) as plant:
+    with stopping(interrupt, lambda: None), RemotePlant(open_link(address, key), calibration=calibration, key=key) as plant:
         if test == "spots":
             _show_spots(plant, seconds)
         elif write is not None:

@@ -1,6 +1,7 @@
 """Ends of flights by Ctrl-C once and twice, SIGTERM, SIGHUP, a window's key; and the time to zero current."""
 
 import math
+import re
 import signal
 import socket
 import sys
@@ -15,17 +16,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+import maglev_mj
 from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State, Twin, TwinParameters, landing
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import StopSwitch
-from maglev_mj.bridge.links import UdpServer
+from maglev_mj.bridge.links import LinkError, UdpServer
 from maglev_mj.bridge.preflight import measure_link
 from maglev_mj.bridge.realtime import stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
-from maglev_mj.cli import bridge
+from maglev_mj.cli import bridge, main
 from maglev_mj.errors import PlantError
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Snapshot
@@ -323,6 +325,49 @@ def test_hangups_that_nohup_ignores_stay_ignored() -> None:
     with stopping(lambda: asked.append(1)):
         signal.raise_signal(signal.SIGHUP)
     assert not asked
+
+
+HEARING = {
+    "bridge udp://127.0.0.1:9": "maglev_mj.cli.bridge.open_link",
+    "twin": "maglev_mj.bridge.twin.twin.TwinServer.run",
+    "twin --haply 0": "maglev_mj.bridge.haply.twin.HaplyServer.run",
+    "conform udp://127.0.0.1:9": "maglev_mj.bridge.links.open_link",
+    "commission udp://127.0.0.1:9 spots": "maglev_mj.bridge.links.open_link",
+}
+"""Commands that end in their own way by a signal, each with a function that is called meanwhile."""
+
+
+@pytest.mark.parametrize(("line", "called"), HEARING.items())
+@pytest.mark.parametrize("ignored", [True, False])
+def test_every_command_of_a_device_is_stopped_by_a_hangup_unless_nohup_ignores_it(
+    line: str, called: str, ignored: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    survived = []
+
+    def hangup(*_: Any, **__: Any) -> Any:
+        signal.raise_signal(signal.SIGHUP)
+        survived.append(True)
+        raise LinkError("the test ends here")
+
+    monkeypatch.setattr(called, hangup)
+
+    def unhandled(*_: Any) -> None:  # the default action would end the tests
+        raise AssertionError("this command does not handle SIGHUP")
+
+    before: Any = signal.SIG_IGN if ignored else unhandled
+    signal.signal(signal.SIGHUP, before)
+    try:
+        status = main([*line.split(), *(["--listen", "udp://127.0.0.1:0"] if line == "twin" else [])])
+    finally:
+        handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    assert handler == before and status == (1 if ignored or "twin" in line else 130)
+    assert bool(survived) == (ignored or "twin" in line)  # a twin ends after what it is doing
+    capsys.readouterr()
+
+
+def test_signals_are_handled_in_one_place() -> None:
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in Path(maglev_mj.__file__).parent.rglob("*.py")}
+    assert [name for name, text in texts.items() if re.search(r"signal\.SIGTERM|[\"']SIG", text)] == ["realtime"]
 
 
 def test_time_cuts_once_and_is_over_with_the_flight(monkeypatch: pytest.MonkeyPatch) -> None:
