@@ -290,7 +290,7 @@ class Device:
 
         try:
             values = tomllib.loads(text.removeprefix("\ufeff"))
-        except tomllib.TOMLDecodeError as error:
+        except (ValueError, RecursionError) as error:  # also an integer of thousands of digits
             raise ParameterError(f"not TOML: {error}") from None
         sections = {name: value for name, value in values.items() if isinstance(value, dict)}
         top = {name: value for name, value in values.items() if name not in sections}

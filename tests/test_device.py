@@ -16,7 +16,7 @@ import pytest
 from maglev_mj import Device, ExactPlant, load_model
 from maglev_mj import device as device_module
 from maglev_mj.bridge.commissioning.calibration import Calibration
-from maglev_mj.bridge.safety import limits_of
+from maglev_mj.bridge.safety import HostLimits, limits_of
 from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.cli import main
 from maglev_mj.device import Sensor, devices
@@ -28,6 +28,7 @@ from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Session
 from maglev_mj.session.session import device_controller
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, INERTIA, RANGE, RESOLUTION, Spec
+from maglev_mj.studies.record import json_text
 from maglev_mj.studies.stability_map import RestingWall, _controller
 from tests.published import EIGHT
 
@@ -78,6 +79,37 @@ def test_a_wrong_value_is_refused_in_one_line(
         assert f"{section}{key}" in message(f"{key} = {damaged}"), damaged
     missing = message("")
     assert not missing or f"{section}{key}" in missing or key in missing  # a default, or the key
+
+
+NESTED = {"list": ("[", "]"), "table": ("{a = ", "}"), "object": ('{"a": ', "}")}
+
+
+@pytest.mark.parametrize("depth", [10, 100, 900, 3000])
+@pytest.mark.parametrize("shape", NESTED)
+def test_a_value_nested_too_deep_is_one_line_with_the_file(shape: str, depth: int, tmp_path: Path) -> None:
+    before, after = NESTED[shape]
+    value, stage, path = f"{before * depth}1{after * depth}", DEVICES["stage"].toml(), tmp_path / "deep"
+    texts = {f"x = {value}\n{stage}": "device", stage.replace("mass = 0.3", f"mass = {value}"): "device"}
+    texts |= {value: "profile", f'{{"speed_limit": {value}}}': "profile"}
+    texts |= {
+        f"{stage}[body{'.a' * depth}]\nb = 1\n": "device",
+        stage.replace("0.3\n", f"1{'0' * depth * 2}\n"): "device",
+    }
+    for text, kind in texts.items():
+        path = path.with_suffix(".toml" if kind == "device" else ".json")
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ParameterError) as caught:
+            Device.load(path) if kind == "device" else HostLimits.load(path)
+        assert str(caught.value).startswith(f"{kind}") and str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_result_nested_too_deep_is_one_line() -> None:
+    deep: list[Any] = []
+    for _ in range(100_000):
+        deep = [deep]
+    with pytest.raises(ParameterError, match="a result must hold values of JSON, which are nested less"):
+        json_text("a result", deep)
 
 
 DIGESTS = {

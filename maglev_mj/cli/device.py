@@ -164,7 +164,10 @@ def commission(
 
     if (write is not None) != (test == "offsets"):
         raise ParameterError("offsets needs --write FILE; the other tests do not take it")
-    with stopping(interrupt, lambda: None), RemotePlant(open_link(address, key), calibration=calibration, key=key) as plant:
+    with (
+        stopping(interrupt, lambda: None),
+        RemotePlant(open_link(address, key), calibration=calibration, key=key) as plant,
+    ):
         if test == "spots":
             _show_spots(plant, seconds)
         elif write is not None:

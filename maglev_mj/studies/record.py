@@ -82,6 +82,8 @@ def json_text(what: str, value: Any, **keywords: Any) -> str:
     """
     try:
         return json.dumps(value, default=plain, **keywords)
+    except RecursionError:
+        raise ParameterError(f"{what} must hold values of JSON, which are nested less deeply") from None
     except (TypeError, ValueError) as error:
         raise ParameterError(f"{what} must hold values of JSON (got {value!r}): {error}") from None
 

@@ -261,6 +261,8 @@ CLIENT_FAULTS: dict[str, str | None] = {
     "no vector": FORCE.replace("3.0", '"three"'),
     "no JSON": FORCE[1:],
     "another JSON": "[[], 3]",
+    "nested too deep": f'{{"inverse3": {"[" * 9999}{"]" * 9999}}}',
+    "a number too large": FORCE.replace("3.0", f"1{'0' * 400}"),
     "no list": '{"inverse3": {"TWIN": {}}}',
 }
 
