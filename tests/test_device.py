@@ -146,7 +146,7 @@ def test_a_new_key_counts_unless_it_has_its_neutral_value(name: str, monkeypatch
     monkeypatch.setattr(device_module, "_NEUTRAL", {("sensor", "gain"): 1.0})
     known = DEVICES[name].sensor.as_json()
 
-    def digest(device: Device, **values: float) -> str:
+    def digest(device: Device, **values: Any) -> str:
         return replace(device, sensor=Sensing(**known, **values)).digest.hex()
 
     assert digest(DEVICES[name], gain=1.0) == DIGESTS[name]

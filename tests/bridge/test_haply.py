@@ -338,9 +338,10 @@ def test_an_unusable_service_is_refused_at_the_start(
 def test_of_two_arms_or_grips_the_named_one_is_flown(kind: str, first: str, second: str) -> None:
     for order in ((first, second), (second, first)):
         for named in (None, first, "nosuch"):
+            own: Any = {kind: named}
             link = TwoOfAKind(HaplyTwin(start=(0.0, 0.0, 0.02)), kind, order)
             if named == first:
-                plant = HaplyPlant(link, **{kind: named})
+                plant = HaplyPlant(link, **own)
                 drive(plant, Controller([Hold(axes="z", stiffness=50.0, damping=1.0)], period=plant.period), 20)
                 assert getattr(plant, kind) == first
                 assert {json.loads(text)["inverse3"][0]["device_id"] for text in link.messages} == {"TWIN"}
@@ -348,7 +349,7 @@ def test_of_two_arms_or_grips_the_named_one_is_flown(kind: str, first: str, seco
             names = ", ".join(map(repr, order))
             remedy = rf"no {kind} 'nosuch' \(connected: {names}\)" if named else f"2 {kind}s, {names}: choose one by"
             with pytest.raises(PlantError, match=remedy):
-                HaplyPlant(link, **{kind: named})
+                HaplyPlant(link, **own)
             assert not link.messages and not link.open
 
 

@@ -203,7 +203,8 @@ class ArmState(NamedTuple):
         )
         if turn is None or not _UNIT[0] < math.hypot(*turn) < _UNIT[1]:  # false for NaN
             raise PlantError(f"the service reports no orientation of grip {grip!r} as a unit quaternion (got {turn})")
-        return cls(position, rotation_vector(*turn))
+        w, x, y, z = turn
+        return cls(position, rotation_vector(w, x, y, z))
 
 
 def token_of(key: bytes | None) -> str:
