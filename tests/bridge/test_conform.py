@@ -328,7 +328,7 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("walls", W, "render", "0.0 if silent and not side else stiffness", "stiffness"),
     ("wall-limits", Profile, "wall_problem", "not 0.0 <= value <= most", "not value <= most"),
     ("wall-limits", Profile, "wall_problem", "not 0.0 <= value <= most", "value < 0.0"),
-    ("wall-limits", Profile, "wall_problem", " * wall.lever * wall.lever", ""),
+    ("wall-limits", Profile, "wall_problem", " * lever * lever", ""),
     ("wall-limits", Profile, "wall_problem", " or not math.isfinite(wall.edge)", ""),
     ("wall-limits", Profile, "edge_problem", "not moved <= step", "False"),
     ("wall-limits", Profile, "edge_problem", "step * periods", "1e3 * step"),
