@@ -87,8 +87,6 @@ def _checked(call: Any, called: str, *, late: bool = False) -> Any:
             kinds = (*map(type, arguments), *keywords, *map(type, keywords.values()))
             if kinds not in good:
                 if message := mismatch(call, arguments, keywords):
-                    if re.search(" must be (of type|a string)", message):
-                        _raise_own(call, arguments, keywords)
                     raise ParameterError(message)
                 if message is None:
                     good.add(kinds)
@@ -100,17 +98,6 @@ def _checked(call: Any, called: str, *, late: bool = False) -> Any:
             raise
 
     return wraps(call)(checked)
-
-
-def _raise_own(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> None:
-    """Raise the error of a function's own checks, which say more than types; any other follows from the type."""
-    try:
-        call(*arguments, **keywords)
-    except ParameterError as error:
-        if not isinstance(error, KeywordError):
-            raise
-    except Exception:
-        pass
 
 
 def _explain(error: Exception, called: str, call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> None:

@@ -220,7 +220,7 @@ pose: TwinParameters(pose="x"); least: Turn(least=5, most=1); default: gain(defa
 velocity: Controller([], period=1e-3, velocity=LowPass); pose: (Start(pose=[0.0] * 6), Start(pose=["x"] * 6))
 wall pulse_width: Wall(lower=0.0, stiffness=1.0, damping=1.0, pulse_width=3)
 period: HalfSampleWall(stiffness=1.0, period=2)
-parameters: Session("drop").change(None); law: compare("drop", [3]); observe: run("twist", plant="exact", observe=3)
+parameters: Session("drop").change(None); laws: compare("drop", [3]); observe: run("twist", plant="exact", observe=3)
 arguments of Wall: Wall(6000, 80); arguments of judge: judge(Controller([], period=0.005))
 """
 """Arguments checked after a failure, or by their value."""

@@ -88,6 +88,7 @@ class RemotePlant(GuardedPlant):
                 coil that was checked is not as calibrated (landed).
         """
         flag("check_coils", check_coils)
+        duration = number("duration", duration, above=0.0)
         self.require_inactive()
         leader, loop = self._leader, ControlLoop(self, self._leader)
         gc.collect()
@@ -109,7 +110,7 @@ class RemotePlant(GuardedPlant):
         leader.aim(straight(rest, rest, duration))
         loop.cycle(2)  # warm-up of slow first calls; the device ignores these answers
         poses = [rest, ZERO, *((np.array(_TRIES) * base.scale).tolist() if check_coils else ())]
-        times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
+        times = [0.0, *(duration + _TRY * leg for leg in range(len(poses) - 1))]
         leader.aim(Trajectory(times, poses, "minimum-jerk"), off_path)
         self.arm()
         self.rest, self.guided, self._hand.check_coils = rest, True, True
