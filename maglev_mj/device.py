@@ -16,6 +16,7 @@ import numpy as np
 
 from maglev_mj.errors import ModelError, ParameterError, check_one_of
 from maglev_mj.frames import AXES, Array
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import LAG, Parameters, numbers, param, read_file, transport_delay
 from maglev_mj.spec import GRAVITY, MAX_PERIOD, MIN_PERIOD, RANGE
 from maglev_mj.versions import MODELS
@@ -231,6 +232,7 @@ which may change unnoticed.
 """
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Device:
     """Description of a device, in SI units.

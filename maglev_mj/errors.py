@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from maglev_mj.frames import Command, Sample
-
 _MAX_CHARACTERS, _MAX_MESSAGE = 200, 480
 
 
@@ -35,7 +33,7 @@ class MaglevError(Exception):
         ParameterError
     """
 
-    cycles: tuple[tuple[Sample, Command], ...] = ()
+    cycles: tuple[tuple[Any, Any], ...] = ()
 
     def __init__(self, *args: object) -> None:
         super().__init__(*(_truncated(part) if isinstance(part, str) else part for part in args))

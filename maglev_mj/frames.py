@@ -14,6 +14,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from maglev_mj.keywords import checked
+
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the six axes: translations along the stator axes, then rotations about them."""
 
@@ -75,6 +77,7 @@ class Sample:
         return join(self.position)
 
 
+@checked
 class DeviceWall(NamedTuple):
     """PD wall that the device renders at its own rate, f = -K (x - edge) - B v inside.
 

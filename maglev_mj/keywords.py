@@ -7,16 +7,15 @@ import re
 import sys
 import types
 from collections import ChainMap
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial, wraps
-from inspect import CO_VARKEYWORDS, signature, unwrap
+from inspect import CO_VARKEYWORDS, Parameter, signature, unwrap
 from itertools import repeat
 from numbers import Number, Real
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin
-from weakref import WeakSet
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, overload
 
 from maglev_mj.errors import KeywordError, MaglevError, ParameterError, choice_message, one_line
 
@@ -24,118 +23,159 @@ _T = TypeVar("_T")
 _WORDS = {"bool": "True or False", "float": "a number", "int": "an integer", "str": "a string"}
 _WORDS |= dict.fromkeys(("Path", "Path | str", "str | Path"), "a file path")
 _WORDS |= {f"{note} | None": f"{text} or None" for note, text in _WORDS.items()}
-_EVERY_TICK = frozenset("drive force inverse_at inverse_at_angle receive".split())
-"""Called on every tick: their arguments are checked only after a failure."""
-_INNER = frozenset("FrictionState answer at axis period sample signals step switch time write".split())
-"""Called on every tick: a wrapper, even an empty one, takes more than 2 % of it. They check arguments alone."""
 _RATES = frozenset(("rate", "device_rate"))
 _OWN = (type, Number, Collection)
 """Kinds of values of which each is checked; of another class, that one object fits means that all do."""
-_done: WeakSet[Any] = WeakSet()
-_whole: WeakSet[type] = WeakSet()
 
 
-def with_hints(target: _T) -> _T:
-    """Return a function, or a class with its constructor replaced, that checks its arguments by their declared types.
+@overload
+def checked(target: _T) -> _T: ...
+@overload
+def checked(*, own: str) -> Callable[[_T], _T]: ...
+def checked(target: Any = None, *, own: str = "") -> Any:
+    """Decorate a public function, method or class: a wrong argument is refused before anything runs.
 
-    A wrong keyword raises `KeywordError` with a suggestion, an argument of another type `ParameterError`. The contents
-    of arrays are checked only after a failure. `rate` [Hz] is accepted for `period`.
+    A wrong keyword raises `KeywordError` with a suggestion, an argument of another type `ParameterError`. Of a class,
+    the constructor and the public methods of its own body are checked, except those marked `every_tick`. The contents
+    of arrays are checked by the function itself.
+
+    Args:
+        target: The function or class.
+        own: Names of arguments whose type the function, or constructor, checks itself before anything else: its words
+            say more.
     """
-    method = "__new__" if isinstance(target, type) and issubclass(target, tuple) else "__init__"
-    call: Any = getattr(target, method) if isinstance(target, type) else target
-    name = getattr(target, "__name__", "")
-    # a sample and a command, dataclasses with slots, are made on every tick
-    if _is_light(target) or target in _done or not hasattr(call, "__code__") or name in _INNER:
-        return target
-    result = target if isinstance(target, type) else _checked(call, name)
-    if isinstance(target, type):
-        if method == "__new__":
-            call.__module__ = target.__module__  # generated: it has no names of the module
-        own = isinstance(getattr(target, "parameters", None), types.MethodType)  # parameters, each with its check
-        setattr(target, method, _checked(call, name, late=own))
-    _done.add(result)
-    return result
+    if target is None:
+        return partial(checked, own=own)
+    if not isinstance(target, type):
+        return _checked(target, target.__name__, own=own)
+    check_constructor(target, own)
+    for name, member in list(vars(target).items()):
+        call = getattr(member, "__func__", member)  # of a class method
+        if isinstance(call, types.FunctionType) and not name.startswith("_") and not hasattr(call, "__wrapped__"):
+            if not hasattr(call, "every_tick") and call.__code__.co_argcount + call.__code__.co_kwonlyargcount > 1:
+                setattr(target, name, _checked(call, name) if call is member else type(member)(_checked(call, name)))
+    return target
 
 
-def with_checked_methods(cls: type) -> None:
-    """Replace the public methods of a class, and of its bases, by ones that check their arguments; see `with_hints`."""
-    for base in cls.__mro__:
-        if base in _whole or not base.__module__.startswith("maglev_mj."):
-            continue
-        _whole.add(base)
-        for name, member in list(vars(base).items()):
-            call = getattr(member, "__func__", member)  # of a class method
-            if not isinstance(call, types.FunctionType) or name.startswith("_") or name in _INNER or call in _done:
-                continue
-            if call.__code__.co_argcount + call.__code__.co_kwonlyargcount > 1:
-                method = _checked(call, name, late=name in _EVERY_TICK)
-                setattr(base, name, method if call is member else type(member)(method))
+def check_constructor(cls: type, own: str = "") -> None:
+    """Replace the constructor of a class's own body by one that checks its arguments; see `checked`."""
+    method = "__new__" if issubclass(cls, tuple) else "__init__"
+    call: Any = getattr(cls, method)
+    if method in vars(cls) and not hasattr(call, "__wrapped__"):
+        call.__module__ = cls.__module__  # a generated one has no names of the module
+        late = isinstance(getattr(cls, "parameters", None), types.MethodType)  # parameters, each with its check
+        rates = [name for name in sorted(_RATES) if isinstance(getattr(cls, name, None), _Rate)]
+        setattr(cls, method, _checked(call, "", late=late, own=own, rates=rates))
 
 
-def _is_light(kind: Any) -> bool:
-    return bool(vars(kind).keys() >= {"__slots__", "__dataclass_fields__"})
+class _Rate(property):
+    """Sample rate [Hz] of an object with a sample period."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        del owner.__annotations__[name]  # for type checkers a field, and for dataclasses none
 
 
-def _checked(call: Any, called: str, *, late: bool = False) -> Any:
+def rate_of(period: str) -> Any:
+    """Declare a sample rate that the constructor of a checked class accepts for a period: the attribute is 1 / period.
+
+    Annotate it as a field, with which a type checker accepts it: `rate: float = rate_of("period")`.
+    """
+    return _Rate(lambda self: None if getattr(self, period) is None else 1.0 / getattr(self, period))
+
+
+def every_tick(call: _T) -> _T:
+    """Mark a method whose wrapper would take more than 2 % of a tick: it checks its arguments alone."""
+    call.every_tick = True  # type: ignore[attr-defined]
+    return call
+
+
+def explained(call: _T) -> _T:
+    """Decorate a function that runs on every tick: its arguments are checked only once a call has failed."""
+    return _checked(call, call.__name__, late=True)  # type: ignore[attr-defined, no-any-return]
+
+
+def _checked(call: Any, called: str, *, late: bool = False, own: str = "", rates: Sequence[str] = ()) -> Any:
     """Return a function that checks its arguments before the call; if `late`, only once the call has failed."""
-    good: set[tuple[Any, ...]] = set()  # classes of arguments that need no further check
+    seen: dict[tuple[Any, ...], bool] = {}  # by keywords and classes of arguments: whether these alone tell
+    passed = frozenset(own.split())
 
+    @wraps(call)
     def checked(*arguments: Any, **keywords: Any) -> Any:
-        if not _RATES.isdisjoint(keywords):
+        if rates and not keywords.keys().isdisjoint(rates):
             keywords = with_period(_names(call), keywords)
         if not late:
             kinds = (*map(type, arguments), *keywords, *map(type, keywords.values()))
-            if kinds not in good:
-                if message := mismatch(call, arguments, keywords):
+            if not (certain := seen.get(kinds)):
+                if certain is None:
+                    seen[kinds] = _refuse(checked, called, arguments, keywords, passed)
+                elif message := mismatch(checked, arguments, keywords, passed):
                     raise ParameterError(message)
-                if message is None:
-                    good.add(kinds)
         try:
             return call(*arguments, **keywords)
         except (TypeError, AttributeError, LookupError, ValueError) as error:
-            if not isinstance(error, MaglevError) or isinstance(error, TypeError):
-                _explain(error, called, call, arguments, keywords)
+            if not isinstance(error, MaglevError):
+                _refuse(checked, called, arguments, keywords, arrays=True)
             raise
 
-    return wraps(call)(checked)
+    if rates:
+        known = signature(call)
+        added = [Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation="float | None") for name in rates]
+        checked.__signature__ = known.replace(parameters=[*known.parameters.values(), *added])  # type: ignore[attr-defined]
+    checked.late, checked.own = late, passed  # type: ignore[attr-defined]
+    return checked
 
 
-def _explain(error: Exception, called: str, call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> None:
-    """Raise an error that names the wrong keyword or argument, if one explains the error of a call."""
+def _refuse(
+    call: Any,
+    called: str,
+    arguments: tuple[Any, ...],
+    keywords: dict[str, Any],
+    own: Container[str] = (),
+    *,
+    arrays: bool = False,
+) -> bool:
+    """Raise the error of the first wrong argument, without a call. Return True if the arguments' classes alone tell."""
     names = _names(call)
+    if not called:  # a constructor, perhaps of a subclass
+        called = (arguments[0] if isinstance(arguments[0], type) else type(arguments[0])).__name__
     is_open = unwrap(call).__code__.co_flags & CO_VARKEYWORDS and "Unpack" not in str(call.__annotations__)
-    wrong = [] if is_open else [name for name in keywords if name not in names]
-    if wrong:
+    if not is_open and (wrong := [name for name in keywords if name not in names]):
         also = "; set those of a scene first: find_scene('drop')(height=0.002)" if "scene" in names else ""
         raise KeywordError(choice_message(f"argument of {called}", names, wrong[0], also)) from None
-    if not isinstance(error, MaglevError):
-        try:
-            signature(call).bind(*arguments, **keywords)
-        except TypeError as missing:
-            raise KeywordError(f"arguments of {called} must be {', '.join(names)}: {missing}") from None
-        if message := mismatch(call, arguments, keywords, arrays=True):
-            raise ParameterError(message) from None
+    missed = ""
+    try:
+        signature(call).bind(*arguments, **keywords)
+    except TypeError as error:
+        missed = str(error)
+    if message := mismatch(call, arguments, keywords, () if missed else own, arrays=arrays):
+        raise ParameterError(message) from None
+    if missed:
+        raise KeywordError(f"arguments of {called} must be {', '.join(names)}: {missed}") from None
+    return message is None
 
 
 def with_period(names: Collection[str], keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Return keywords with `rate` [Hz] replaced by `period` [s] if only the latter is among the accepted names.
 
-    So is `device_rate` by `device_period`.
+    So is `device_rate` by `device_period`. None counts as not given.
     """
     changed = dict(keywords)
-    for rate in (_RATES & changed.keys()) - set(names):
-        if (period := f"{rate[:-4]}period") in names:
+    for name in (_RATES & changed.keys()) - set(names):
+        if (period := f"{name[:-4]}period") in names and (rate := changed.pop(name)) is not None:
             import numpy as np  # slow to load
 
-            if period in changed:
-                raise KeywordError(f"{period} and {rate} must not both be given")
-            changed[period] = changed.pop(rate)
-            with suppress(TypeError, ValueError), np.errstate(divide="ignore"):  # no number: the period's check says so
-                changed[period] = (1.0 / np.asarray(changed[period], dtype=np.float64)).tolist()
+            if changed.get(period) is not None:
+                raise KeywordError(f"{period} and {name} must not both be given")
+            if not _is_numeric(rate):
+                raise ParameterError(f"{name} must be a number (got {one_line(rate)})")
+            with np.errstate(divide="ignore"):
+                changed[period] = (1.0 / np.asarray(rate, dtype=np.float64)).tolist()
     return changed
 
 
-def mismatch(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], *, arrays: bool = False) -> str | None:
+def mismatch(
+    call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], own: Container[str] = (), *, arrays: bool = False
+) -> str | None:
     """Return the message for the first argument that does not have its declared type; "" for none.
 
     None if the classes of the arguments alone tell that there is none.
@@ -143,7 +183,7 @@ def mismatch(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], *,
     positions, hints = _hints(call, arrays)
     certain = True
     for name, value in (*zip(positions, arguments), *keywords.items()):
-        if name in hints:
+        if name in hints and name not in own:
             note, hint, usual, test = hints[name]
             if value.__class__ not in usual:
                 certain = False
@@ -154,7 +194,7 @@ def mismatch(call: Any, arguments: tuple[Any, ...], keywords: dict[str, Any], *,
                     return f"{name} must be {_WORDS.get(note, f'of type {spelled}')} (got {one_line(value)})"
                 if not isinstance(value, _OWN):
                     usual.add(value.__class__)
-            if arrays and _is_light(type(value)):
+            if arrays and vars(type(value)).keys() >= {"__slots__", "__dataclass_fields__"}:  # a sample, a command
                 fields = {key: getattr(value, key) for key in type(value).__dataclass_fields__}
                 if message := mismatch(type(value).__init__, (), fields, arrays=True):
                     return f"{name} {message}"

@@ -74,15 +74,7 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         if name not in cache:
-            from maglev_mj.keywords import with_checked_methods, with_hints
-
-            value = getattr(import_module(home[name]), name)
-            if callable(value) and getattr(value, "__module__", "").startswith("maglev_mj."):
-                cache[name] = with_hints(value)
-                if isinstance(value, type):
-                    with_checked_methods(value)
-            if cache.setdefault(name, value) is not value:
-                cache[name].__module__ = package  # pickled by this name
+            cache[name] = getattr(import_module(home[name]), name)
         return cache[name]
 
     return load, lambda: sorted(home), sorted(home)

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of, choice_message, file_path, one_line
 from maglev_mj.files import parse_json, read_text
 from maglev_mj.frames import AXES, Array, Component
-from maglev_mj.keywords import with_hints, with_period
+from maglev_mj.keywords import check_constructor, checked, with_period
 from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
 
 _NOT_NUMBERS = bool, np.bool_, str, bytes
@@ -284,6 +284,7 @@ def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
     return tuple(np.ascontiguousarray(np.moveaxis(values, -1, 0)))
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Turn:
     """Change of a value by one key press.
@@ -320,7 +321,7 @@ class Turn:
         """True if keys change the value."""
         return bool(self.factor or self.add or self.among)
 
-    @with_hints
+    @checked
     def __call__(self, value: float, way: int) -> float:
         """Return the value after a press, 1 up, -1 down."""
         if self.among:
@@ -406,6 +407,7 @@ class Parameter:
         return parsed_number(self.name, text)
 
 
+@checked
 def param(
     help: str,
     unit: str = "",
@@ -485,6 +487,7 @@ def param_range(
     return param(help, unit, default=default, optional=default is None and derive is None, derive=derive, parse=parse)
 
 
+@checked
 @dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=True, field_specifiers=(param,))
 class Parameters:
     """Base class of frozen dataclasses of declared, checked parameters.
@@ -500,7 +503,7 @@ class Parameters:
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         _check_names(cls)
-        with_hints(dataclass(frozen=True, kw_only=True)(cls))
+        check_constructor(dataclass(frozen=True, kw_only=True)(cls))
         hints = get_type_hints(cls)
         cls._declared = {item.name: _parameter(cls, item, hints[item.name]) for item in fields(cls)}  # type: ignore[arg-type]
 

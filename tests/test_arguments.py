@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.errors import KeywordError, MaglevError, ParameterError
 from maglev_mj.interop import gym
-from maglev_mj.keywords import _EVERY_TICK, _INNER
 from maglev_mj.parameters import Parameters
 from maglev_mj.plants.hand import RecordedHand, SpringHand, Trajectory
 from maglev_mj.theory.closed_loop import SampledLoop
@@ -35,7 +35,7 @@ for one in pkgutil.walk_packages(maglev_mj.__path__, "maglev_mj."):
     if "__main__" not in one.name:
         import_module(one.name)  # for the lists of classes
 SHAPES = [shape for axes in range(4) for shape in itertools.product((1, 2, 6), repeat=axes)]
-HOT = _INNER | {"Sample", "Command"}
+HOT = {"Sample", "Command"}
 COILS, MANY = Calibration.nominal().coils, np.zeros((2, 6))
 
 
@@ -125,15 +125,60 @@ def test_a_misspelled_keyword_is_named_with_the_right_one(name: str, call: Calla
                 call(**{wrong: None})
 
 
-def test_a_rate_is_taken_for_a_period() -> None:
-    rate: Any = {"rate": 500.0}
-    assert Timing(**rate).period == Controller([], **rate).period == 0.002
+RATED: dict[str, Callable[[], Any]] = {
+    "Controller": lambda: Controller([], rate=500.0).period,
+    "Scene": lambda: maglev_mj.Scene(rate=500.0).period,
+    "Timing": lambda: Timing(rate=500.0, device_rate=1e3).period,
+    "TwinParameters": lambda: maglev_mj.TwinParameters(rate=500.0).period,
+    "WallRequirements": lambda: theory.WallRequirements(rate=500.0, device_rate=1e3).period,
+    "critical_delay": lambda: (
+        theory.critical_delay(6e3, 80.0, rate=500.0) == theory.critical_delay(6e3, 80.0, period=0.002)
+    ),
+    "largest_stable_stiffness": lambda: (
+        theory.largest_stable_stiffness(rate=500.0) == theory.largest_stable_stiffness(period=0.002)
+    ),
+}
+"""Calls with a rate, as a type checker sees them: 500 Hz is a period of 0.002 s."""
+
+
+def keywords_of(call: Callable[..., Any]) -> Iterator[tuple[str, object]]:
+    """Yield name and annotation of each argument in the signature, with those of an unpacked TypedDict."""
+    plain = inspect.unwrap(call.__init__ if inspect.isclass(call) else call)
+    for key, one in inspect.signature(call).parameters.items():
+        if packed := re.fullmatch(r"Unpack\[(\w+)\]", str(one.annotation)):
+            kinds = plain.__globals__[packed[1]].__annotations__
+            yield from ((key, getattr(kind, "__forward_arg__", kind)) for key, kind in kinds.items())
+        elif one.kind < one.VAR_KEYWORD and one.kind != one.VAR_POSITIONAL and one.annotation is not one.empty:
+            yield key, one.annotation
+
+
+def test_a_rate_is_taken_for_a_period_where_the_signature_has_it() -> None:
+    assert RATED.keys() == {name for name, call in calls() if "rate" in dict(keywords_of(call))}
+    for name, call in RATED.items():
+        assert call() in (0.002, True), name
+    assert Timing(rate=500.0).rate == 500.0 and Timing(device_rate=1e3).device_period == 1e-3
+    rate: Any = {"rate": 500.0}  # of a scene by its name
     for scene in map(maglev_mj.find_scene, SCENES):
-        assert scene(**rate) == scene().replace(**rate) == scene(period=0.002)
-    assert theory.critical_delay(6e3, 80.0, **rate) == theory.critical_delay(6e3, 80.0, period=0.002)
+        assert scene(**rate) == scene().replace(**rate) == scene(period=0.002) and scene(**rate).rate == 500.0
+        assert "rate" in inspect.signature(scene).parameters
     with pytest.raises(KeywordError, match="period and rate must not both be given"):
-        theory.largest_stable_stiffness(5.0, **rate, period=0.005)
+        theory.largest_stable_stiffness(5.0, rate=500.0, period=0.005)
+    with pytest.raises(ParameterError, match="rate must be a number"):
+        Timing(rate="fast")  # type: ignore[arg-type]
     assert maglev_mj.sweep("twist", {"rate": [200.0, 500.0]}, plant="exact").varied == {"period": [0.005, 0.002]}
+
+
+STUBS = Path(maglev_mj.__file__).parent.glob("*/__init__.pyi")
+PACKAGES = [maglev_mj, *(import_module(f"maglev_mj.{stub.parent.name}") for stub in STUBS)]
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+def test_a_name_is_the_same_object_wherever_it_is_imported_from(package: ModuleType) -> None:
+    for name in dir(package):
+        value = getattr(package, name)
+        if inspect.isclass(value) or inspect.isfunction(value):
+            assert getattr(import_module(value.__module__), value.__qualname__) is value, name
+            assert pickle.loads(pickle.dumps(value)) is value, name
 
 
 @pytest.mark.parametrize("kind", [MaglevError, *below(MaglevError)])
@@ -157,7 +202,7 @@ OPEN = re.compile(r"Any|object|Self|tuple\[Any.*|_?[A-Za-z]*Model|.*(Array|Mask|
 """Annotations of what any value, any array or an optional package's object may be."""
 
 
-ITEMS = {"axes": "axis", "hands": "hand", "count": "workers", "url": "link", "text": "scene"}
+ITEMS = {"axes": "axis", "laws": "law", "hands": "hand", "count": "workers", "url": "link", "text": "scene"}
 """Arguments whose message may name a single item of them, or what they stand for."""
 
 
@@ -171,18 +216,9 @@ class Foreign:
 def checkable() -> Iterator[tuple[str, Callable[..., Any], str, str]]:
     """Yield every annotated argument that is checked before a call: owner's name, owner, argument, annotation."""
     for name, call in calls():
-        if name.rpartition(".")[2] in HOT | _EVERY_TICK:
+        if name in HOT or hasattr(call, "every_tick") or getattr(call, "late", False):
             continue
-        plain = inspect.unwrap(call.__init__ if inspect.isclass(call) else call)
-        for key, one in inspect.signature(call).parameters.items():
-            if packed := re.fullmatch(r"Unpack\[(\w+)\]", str(one.annotation)):
-                kinds = plain.__globals__[packed[1]].__annotations__
-                notes = {key: getattr(kind, "__forward_arg__", kind) for key, kind in kinds.items()}
-            else:
-                notes = {key: one.annotation} if one.kind < one.VAR_KEYWORD and one.kind != one.VAR_POSITIONAL else {}
-            for argument, note in notes.items():
-                if note is not one.empty and not OPEN.fullmatch(str(note)):
-                    yield name, call, argument, str(note)
+        yield from ((name, call, key, str(note)) for key, note in keywords_of(call) if not OPEN.fullmatch(str(note)))
 
 
 CHECKABLE = [*checkable()]
@@ -220,7 +256,7 @@ pose: TwinParameters(pose="x"); least: Turn(least=5, most=1); default: gain(defa
 velocity: Controller([], period=1e-3, velocity=LowPass); pose: (Start(pose=[0.0] * 6), Start(pose=["x"] * 6))
 wall pulse_width: Wall(lower=0.0, stiffness=1.0, damping=1.0, pulse_width=3)
 period: HalfSampleWall(stiffness=1.0, period=2)
-parameters: Session("drop").change(None); laws: compare("drop", [3]); observe: run("twist", plant="exact", observe=3)
+parameters: Session("drop").change(None); law: compare("drop", [3]); observe: run("twist", plant="exact", observe=3)
 arguments of Wall: Wall(6000, 80); arguments of judge: judge(Controller([], period=0.005))
 """
 """Arguments checked after a failure, or by their value."""

@@ -84,10 +84,10 @@ def refusal(call: Any, code: CodeType | None = None, **arguments: Any) -> str:
 def test_a_call_that_is_refused_for_a_type_never_runs(name: str) -> None:
     """Constructors may run, but write, send and start nothing."""
     call = dict(calls())[name]
-    code = None if inspect.isclass(call) else inspect.unwrap(call).__code__
+    code, own = (None, ()) if inspect.isclass(call) else (inspect.unwrap(call).__code__, vars(call)["own"])
     for argument in [row[2] for row in CHECKABLE if row[0] == name]:
         for value in BAD:
-            is_type = code is not None and mismatch(call, (), {argument: value})
+            is_type = code is not None and mismatch(call, (), {argument: value}, own)
             if said := refusal(call, code if is_type else None, **{argument: value}):
                 assert not effects, f"{argument}={value!r}: {said}: {effects}"
 

@@ -35,6 +35,7 @@ from maglev_mj.analysis.motion import OfWall, reconstruct
 from maglev_mj.control.timeline import recorded_switches, split_delay
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.keywords import checked
 from maglev_mj.recording import RunMetadata, Segment
 from maglev_mj.recording.recording import SEGMENT_TYPE
 from maglev_mj.recording.sample import Face
@@ -242,6 +243,7 @@ class Identification:
         return {"outside": self.outside, "delay": plain(self.delay), **values}
 
 
+@checked(own="segment")
 def identify(segment: Segment, metadata: RunMetadata | None = None, *, anchors: Array | None = None) -> Identification:
     """Identify walls, friction, mass, delay and sensor.
 

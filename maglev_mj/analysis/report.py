@@ -15,6 +15,7 @@ from maglev_mj.analysis.motion import Motion, SegmentFigures, axis_row, by_axis,
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import flag, number
 from maglev_mj.pictures import save
 from maglev_mj.plants import engine_warnings_silenced
@@ -239,6 +240,7 @@ class SegmentReport(Result):
         return {"kind": self.kind, **run, **plain(parts)}
 
 
+@checked(own="segment")
 def analyse(
     segment: Segment,
     rebuild: Rebuild | None = None,

@@ -16,6 +16,7 @@ from maglev_mj.bridge.safety import Profile, at_most
 from maglev_mj.bridge.wire import WRAP, Codec, Frame, HelloStatus, Operation, State, StateReport, fault_names
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import ZERO
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import number
 
 RETRY_INTERVAL = 0.02
@@ -62,6 +63,7 @@ class EstopReport(NamedTuple):
         return f"not confirmed: cut the power ({reason})"
 
 
+@checked(own="link")
 def estop(link: Link | str, key: bytes | None = None, patience: float = 1.0) -> EstopReport:
     """Send an emergency stop to a device, without a session.
 

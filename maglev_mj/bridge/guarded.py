@@ -23,6 +23,7 @@ from maglev_mj.bridge.wire import CUT, Fault, Flag, Frame, Operation, State, Sta
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, DeviceWall, Sample
+from maglev_mj.keywords import checked, every_tick, explained
 from maglev_mj.plants.sensor import tracker_of
 
 _INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
@@ -36,6 +37,7 @@ _Walls: TypeAlias = tuple[Wall, ...]
 _LARGEST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
+@checked(own="link")
 class GuardedPlant:
     """Remote device with guards, without takeoff and landing; see `RemotePlant`.
 
@@ -236,6 +238,7 @@ class GuardedPlant:
             raise error
         return self.unanswered  # type: ignore[return-value]  # stored with the pose
 
+    @every_tick
     def write(self, command: Command) -> Command:
         """Send a command as the answer to the last sample; return it as limited.
 
@@ -255,6 +258,7 @@ class GuardedPlant:
         self._hand.answered(self.samples.tick, command, held, pulsed, width)
         return command
 
+    @explained
     def drive(self, currents: Sequence[float]) -> None:
         """Send six coil currents [A] instead of a wrench.
 

@@ -14,6 +14,7 @@ from select import select
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError, one_line, require
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import flag
 from maglev_mj.session.access import check_host, resolve
 
@@ -219,6 +220,7 @@ class UdpServer(_Udp):
             _complain("send", error)
 
 
+@checked(own="url")
 def open_link(url: str | Link, key: bytes | None = None) -> Link:
     """Open a link to the device at an address.
 

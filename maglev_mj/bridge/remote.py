@@ -16,6 +16,7 @@ from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import ZERO
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import Trajectory
 
@@ -35,6 +36,7 @@ _SETTLING, _OBSERVATION = 0.3, 0.2
 _Watch: TypeAlias = Callable[[], object]
 
 
+@checked
 class RemotePlant(GuardedPlant):
     """Remote device as a plant.
 

@@ -17,6 +17,7 @@ from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.device import Device, published_device
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, ZERO, Command, clipped, unit_of
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import Parameters, flag, number, param, read_json, store
 from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
@@ -298,6 +299,7 @@ def _scaled_limit(name: str, help: str, unit: str) -> Any:
     return param(help, unit, default=None, derive=lambda _: own(Scale.of(published_device())), above=0.0)
 
 
+@checked
 class HostLimits(Parameters):
     """Limits of the host; the smaller of these and the device's apply.
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from functools import partial
 from math import isfinite
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 
@@ -17,19 +17,21 @@ from maglev_mj.control.laws.base import Face, Law, VelocityEstimator, answer, as
 from maglev_mj.control.laws.velocity import FiniteDifference
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array, Command, Component, DeviceWall, Sample, Six, components, not_finite
-from maglev_mj.keywords import mismatch
+from maglev_mj.keywords import checked, every_tick, mismatch, with_period
 from maglev_mj.parameters import SAMPLE_PERIOD, number
 
+_Laws: TypeAlias = Iterable[Law | Callable[..., Any]]
 _Calls: TypeAlias = tuple[tuple[int, Callable[..., Any]], ...]
 
 
+@checked(own="laws")
 class Controller:
     """Evaluate a sum of laws once per sample, for one device or a batch of any shape.
 
     Args:
         laws: Laws whose wrenches are summed: `Law` objects, or functions f(position, velocity) that return six wrench
             components. Laws with pulses must share one pulse width, because a command has only one.
-        period: Sample period [s].
+        period: Sample period [s]; or `rate`, its reciprocal [Hz].
         velocity: Velocity estimator; the paper's finite difference by default.
 
     Attributes:
@@ -49,16 +51,22 @@ class Controller:
         -28.0
     """
 
+    @overload
+    def __init__(self, laws: _Laws, *, period: float, velocity: VelocityEstimator | None = None) -> None: ...
+    @overload
+    def __init__(self, laws: _Laws, *, rate: float, velocity: VelocityEstimator | None = None) -> None: ...
     def __init__(
         self,
-        laws: Iterable[Law | Callable[..., Any]],
+        laws: _Laws,
         *,
-        period: float,
+        period: float | None = None,
         velocity: VelocityEstimator | None = None,
+        rate: float | None = None,
     ) -> None:
-        self.period = number("period", period, **SAMPLE_PERIOD)
         check_instance("laws", laws, Iterable, "a list of laws")
         self.laws = tuple(map(as_law, laws))
+        stated = with_period(("period",), {"period": period, "rate": rate})
+        self.period = number("period", stated["period"], **SAMPLE_PERIOD)
         widths = {law.pulse_width for law in self.laws if law.pulse_width > 0.0}
         if len(widths) > 1:
             raise ParameterError(f"laws must share one pulse_width (got {sorted(widths)})")
@@ -119,6 +127,7 @@ class Controller:
         each = (law.signals(state) for law, state in zip(self.laws, self._states))
         return {name: value for signals in each for name, value in signals.items()}
 
+    @every_tick
     def step(self, sample: Sample) -> Command:
         """Return the command for one sample.
 
@@ -195,6 +204,7 @@ _DEVICES, _SAMPLES, _PERIOD = 7, 60, 0.005
 _REACH = np.array([4e-3] * 3 + [0.09] * 3)
 
 
+@checked(own="law")
 def check_law(law: Law | Callable[..., Any]) -> None:
     """Check a law along seeded random trajectories of seven devices over the range of motion.
 

@@ -10,6 +10,7 @@ from typing import Protocol, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError, one_line
 from maglev_mj.frames import Command, Sample
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import whole
 
 _HISTORY = 50  # cycles reported with an error; 200 would exceed the L1 cache and cost 4 % of the loop
@@ -141,6 +142,7 @@ class ControlLoop:
             error.cycles = tuple(cycles)
 
 
+@checked(own="controller plant record ticks")
 def drive(
     plant: Plant,
     controller: Answers,

@@ -11,6 +11,7 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
+from maglev_mj.keywords import checked, every_tick, rate_of
 from maglev_mj.parameters import SAMPLE_PERIOD, number, numbers, store, transport_delay, whole
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, Spec
 
@@ -55,6 +56,7 @@ def check_delay(delay: float, period: float) -> tuple[int, float]:
     return int(periods), remainder
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Timing:
     """Sample period, delay, sampling phase and jitter.
@@ -72,6 +74,7 @@ class Timing:
         device_period: Sample period of walls on the device [s].
         device_delay: Delay to their effect [s], up to 10 such periods.
         device_phase: Phase of the device's samples after the first one of the host, in [0, 1).
+        rate: Sample rate [Hz], in place of `period`; `device_rate` in place of `device_period`.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -92,6 +95,8 @@ class Timing:
     device_period: float = DEVICE_PERIOD
     device_delay: float = DEVICE_DELAY
     device_phase: float = 0.0
+    rate: float = rate_of("period")
+    device_rate: float = rate_of("device_period")
     whole: int = field(init=False)
     """Whole periods in the delay."""
     rest: Component = field(init=False)
@@ -135,6 +140,7 @@ class Timing:
             return self.rest
         return self.rest + self.jitter * _draws(self.seed, tick // _BLOCK)[tick % _BLOCK]
 
+    @every_tick
     def time(self, tick: int, offset: Component = 0.0) -> Any:
         """Return the time [s] at `offset` [s] after sample `tick`; a product, so rounding does not accumulate."""
         return (tick + self.phase) * self.period + offset

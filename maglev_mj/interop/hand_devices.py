@@ -18,6 +18,7 @@ import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
@@ -59,6 +60,7 @@ _NOTHING, _NONE = "0", "none"
 _FINITE = 1e6
 
 
+@checked
 class AxisMapping(Parameters):
     """Mapping of an input device's six deflections: dead zone, order and sign, gains, then the dominant axis.
 

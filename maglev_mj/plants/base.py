@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import Interval, Timeline, Timing
 from maglev_mj.errors import DivergenceError, PlantError, check_instance
 from maglev_mj.frames import Array, Command, Component, DeviceWall, Sample, Six, clipped, components, join, not_finite
+from maglev_mj.keywords import checked, every_tick
 from maglev_mj.parameters import flag, number, numbers, six
 from maglev_mj.plants.device_walls import DeviceWalls, Held
 from maglev_mj.plants.hand import Hand, HandForce
@@ -40,6 +41,7 @@ class PlantKeywords(TypedDict, total=False):
     metered: bool
 
 
+@checked(own="escape sensor")
 class SampledPlant(ABC):
     """Simulated device under a piecewise constant wrench.
 
@@ -207,6 +209,7 @@ class SampledPlant(ABC):
         self.unanswered = sample = Sample(tick, time, position)
         return sample
 
+    @every_tick
     def write(self, command: Command) -> Command:
         """Queue the command for the last sample; return it as applied, after the limits.
 

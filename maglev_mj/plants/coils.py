@@ -14,12 +14,14 @@ import numpy as np
 from maglev_mj.device import Device, inverse_map, wrench_map
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Command
+from maglev_mj.keywords import checked, explained
 from maglev_mj.parameters import number, numbers, store
 
 UPRIGHT = 1e-9
 """Largest angle [rad] at which the upright coil map is used; its error is negligible."""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CoilMap:
     """Linear map between the currents of N coils, six or more, and the wrench; `len` is N.
@@ -86,6 +88,7 @@ class CoilMap:
         points = np.array(coils.points) - device.body.centre_of_mass
         return cls(points, np.array(coils.directions), np.array(coils.force_constants))
 
+    @explained
     def inverse_at(self, rotation: Array) -> Array:
         """Return the inverse coil map [A/N, A/(N m)], (N, 6) or (M, N, 6), at rotation matrices (9,) or (M, 9)."""
         if rotation.ndim > 1:
@@ -96,6 +99,7 @@ class CoilMap:
         rotated[3:] = self._turning.dot(rotation).reshape(3, -1)
         return inverse_map(rotated)
 
+    @explained
     def inverse_at_angle(self, rx: float, ry: float, rz: float) -> Array:
         """Return the inverse coil map [A/N, A/(N m)], (N, 6), at a rotation vector [rad].
 

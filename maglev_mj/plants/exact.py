@@ -14,6 +14,7 @@ from maglev_mj.control.timeline import Timing
 from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, Six, components, join
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import LAG, flag, number, numbers, six
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.hand import Hand, motion, transition
@@ -27,6 +28,7 @@ _Snapshot: TypeAlias = tuple[Sequence[Component], Sequence[Component], Sequence[
 """Position, velocity and actuator force, six components each."""
 
 
+@checked(own="escape model sensor")
 class ExactPlant(SampledPlant):
     """One or N devices with closed-form motion between force switches.
 

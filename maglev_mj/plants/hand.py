@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.device import PUBLISHED, Device
 from maglev_mj.errors import ParameterError, check_instance, check_one_of, choice_message
 from maglev_mj.frames import AXES, Array, Component, Six, quaternion, rotation_vector
+from maglev_mj.keywords import checked, every_tick
 from maglev_mj.parameters import axis_indices, common_shape, number, numbers, store
 
 HANDS: Mapping[str, tuple[float, ...]] = {
@@ -33,6 +34,7 @@ _LEAST_MASS = 1e-3
 _MOST = {"mass": 1e3, "damping": 1e6, "stiffness": 1e7, "grip_damping": 1e5, "grip_stiffness": 1e7}
 
 
+@checked(own="axes")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hand:
     """Linear, passive hand on the flotor: mass m, arm damping b and stiffness k, and grip.
@@ -319,6 +321,7 @@ INTERPOLATIONS: Mapping[str, Callable[[float], float]] = {
 _MOST_VIA_POINTS, _LEAST_CUBIC_POINTS = 20, 4
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Path through timed poses.
@@ -369,6 +372,7 @@ class Trajectory:
             slopes[1:][rests] = slopes[:-1][rests] = 0.0
         store(self, _times=times.tolist(), _poses=poses.tolist(), _slopes=slopes.tolist())
 
+    @every_tick
     def at(self, time: float) -> list[float]:
         """Return the pose at a time [s]: the first one before the path, the last one after it."""
         if time != time:
@@ -428,6 +432,7 @@ class GuidedHand:
         return wrench
 
 
+@checked
 @dataclass(kw_only=True, eq=False)
 class SpringHand:
     """Spring and damper from the flotor to a movable target: f = k (x_t - x) - b v.

@@ -19,6 +19,7 @@ from maglev_mj.device import Device, coil_names, published_device
 from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_message
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
+from maglev_mj.keywords import checked
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import LAG, flag, number, numbers
 from maglev_mj.plants.coils import CoilMap
@@ -67,6 +68,7 @@ def _read(path: Path, written: int) -> tuple[tuple[str, str], ...]:
     return ((name, text), *(file for part in parts for file in model_files(part)))
 
 
+@checked(own="model")
 def model_path(model: str | Path) -> Path:
     """Return the MJCF file of a model.
 
@@ -160,6 +162,7 @@ _MODE = 1000.0
 _MODE_DAMPING = 0.01
 
 
+@checked(own="coil_map model")
 def load_model(
     model: Model = "drop",
     *,

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, Six, components, join, rotation_vector
+from maglev_mj.keywords import checked, explained
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers, whole
 from maglev_mj.plants import engine
@@ -30,6 +31,7 @@ _ENGINE_BOUND = 1e10
 _SELDOM = 63  # callbacks are checked every 64th sample: on each, it would cost a tenth of a tick
 
 
+@checked(own="coil_map escape integrator sensor")
 class MuJoCoPlant(SampledPlant):
     """One device in MuJoCo, stepped at every force switch.
 
@@ -203,6 +205,7 @@ class MuJoCoPlant(SampledPlant):
         self._warnings = self._data.warning.number
         self._refused = memoryview(self._warnings)[int(mujoco.mjtWarning.mjWARN_BADCTRL) :]
 
+    @explained
     def drive(
         self,
         currents: Sequence[float],

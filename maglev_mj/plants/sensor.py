@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.device import Device
 from maglev_mj.errors import ModelError, ParameterError, SensingError
 from maglev_mj.frames import Array, Component, Six, components, join, quaternions, rotation_matrix, rotation_vector
+from maglev_mj.keywords import checked
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import number, numbers, six, store, whole
 from maglev_mj.plants.model import invalid_model, model_path, reference_state, written
@@ -480,6 +481,7 @@ def measuring(sensor: PoseSensor) -> Measure:
     return measure  # type: ignore[no-any-return]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensor:
     """Pose sensor with white Gaussian noise and quantization, in this order.
@@ -605,6 +607,7 @@ class SpotReader:
         return self.read(self._beams.spots(pose))
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SpotSensor:
     """Optical pose sensor of the device: light spots with noise and quantization, and the pose computed from them.

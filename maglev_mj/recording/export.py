@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from maglev_mj.errors import check_instance, check_one_of, file_path, require
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import AXES, Array
+from maglev_mj.keywords import checked
 from maglev_mj.recording.journal import InvalidRecordingError
 from maglev_mj.recording.recording import RECORDING_TYPE, Recording
 from maglev_mj.recording.sample import ARRAYS, FIELDS, TOTALS, is_recorded, units
@@ -27,6 +28,7 @@ from maglev_mj.versions import versions
 _BLOCK = 1 << 14
 
 
+@checked(own="recording")
 def export(recording: Recording, kind: str, path: Path | str) -> None:
     """Export a recording as arrays, a table with one row per sample, MCAP or sound.
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.errors import ParameterError, check_instance, check_one_of, file_path
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import store, whole
 from maglev_mj.pictures import save
 from maglev_mj.recording.journal import (
@@ -110,6 +111,7 @@ class Segment(_Fields):
         return replace(self, arrays={**self.arrays, **new})
 
 
+@checked(own="segments")
 @dataclass(frozen=True, eq=False)
 class Recording(Result):
     """Recording of one run.
@@ -381,6 +383,7 @@ class Samples(_Fields, Result):
         return frame
 
 
+@checked
 def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
     """Read a recording as arrays.
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import whole
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HandForce, RecordedHand
@@ -92,6 +93,7 @@ class Verdict(NamedTuple):
         return "\n".join([f"  {self.ticks} samples replayed, compared bitwise", *lines])
 
 
+@checked(own="recording")
 def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
     """Replay a recording and compare every field bitwise.
 

@@ -11,6 +11,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record
 from maglev_mj.errors import ParameterError, file_path
 from maglev_mj.frames import Command, Sample
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import flag
 from maglev_mj.recording.journal import PACK_SAMPLE, SUFFIX, Journal, microseconds
 from maglev_mj.recording.recording import Recording, Segment, stick_as_json
@@ -203,6 +204,7 @@ def check_name(path: Path) -> None:
         raise ParameterError(f"record must be a new or regular file (got {str(path)!r})")
 
 
+@checked
 def open_recording(path: Path | str, *, wait: bool = False) -> RecordingFile:
     """Open a journal to record to.
 

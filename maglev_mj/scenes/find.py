@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any, TypeAlias, TypeVar
 
 from maglev_mj.errors import ParameterError, check_instance, choice_message, one_line
+from maglev_mj.keywords import checked
 from maglev_mj.lazy import loaded
 from maglev_mj.scenes.names import BUILT_IN, installed_scenes, scene_names
 from maglev_mj.scenes.scene import Scene
@@ -28,6 +29,7 @@ SceneLike: TypeAlias = Scene | type[Scene] | str | Path
 """A scene, its class, or a text or file for `find_scene`."""
 
 
+@checked(own="text")
 def find_scene(text: str) -> type[Scene]:
     """Return the class of a scene.
 

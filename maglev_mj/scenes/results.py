@@ -14,6 +14,7 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.frames import AXES, Array, distances, unit_of
+from maglev_mj.keywords import checked
 from maglev_mj.lazy import loaded
 from maglev_mj.parameters import flag, number
 from maglev_mj.pictures import save
@@ -114,6 +115,7 @@ class Figure:
         return np.asarray(np.apply_along_axis(finite_percentile, 0, np.asarray(values, dtype=np.float64)))
 
 
+@checked
 def figure(
     unit: str = "",
     help: str = "",
@@ -141,6 +143,7 @@ def figure(
     return make
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class RunResult(Result):
     """Result of one run, or of a batch of N devices.
@@ -276,6 +279,7 @@ class RunResult(Result):
         return RunResult(scene, self.plant, phase if np.ndim(phase) else float(phase), Trace(*parts), time, samples)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Phases(Result):
     """Results of a scene at several sampling phases.

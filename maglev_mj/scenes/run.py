@@ -14,6 +14,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record, drive
 from maglev_mj.errors import DivergenceError, ParameterError, check_one_of, choice_message
 from maglev_mj.frames import Array, Command, Component, Sample, unit_of
+from maglev_mj.keywords import checked
 from maglev_mj.lazy import has_engine
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
@@ -35,6 +36,7 @@ Begin: TypeAlias = Callable[[Scene, Any, Controller, int], Record]
 """Function of scene, plant, controller and number of samples that begins a recording."""
 
 
+@checked(own="scene")
 def run(
     scene: SceneLike,
     *,
@@ -95,6 +97,7 @@ def figures_of(scene: Scene, plant: str, phase: float = 0.0) -> Mapping[str, Any
     return figures
 
 
+@checked
 def run_phases(
     scene: SceneLike,
     phases: int | ArrayLike,

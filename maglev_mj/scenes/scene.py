@@ -17,6 +17,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.device import OnDevice, sample_period
 from maglev_mj.errors import ParameterError, check_instance, named, one_line
 from maglev_mj.frames import AXES, ZERO, Array, Component
+from maglev_mj.keywords import checked, rate_of
 from maglev_mj.parameters import Turn, axis_indices, param, store, transport_delay
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.hand import GuidedHand, HandForce, SpringHand, Trajectory
@@ -48,6 +49,7 @@ RESERVED = frozenset(
 """Option names of every command, reserved."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Start:
     """State at release.
@@ -75,6 +77,7 @@ class Start:
                 raise ParameterError(f"start {name} must have shape (6,) (got {one_line(values)})")
 
 
+@checked
 class Scene(OnDevice):
     """Base class of scenes, which are simulated experiments with the flotor.
 
@@ -134,6 +137,7 @@ class Scene(OnDevice):
     model: ClassVar[str | Path] = "scenes/joystick"
 
     period: float = sample_period(live=RATE)
+    rate: float = rate_of("period")
     delay: float = param(
         "delay from a sample to the effect of its command",
         "s",

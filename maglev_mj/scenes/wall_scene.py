@@ -16,6 +16,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.device import PULSE_WIDTH
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.keywords import checked, rate_of
 from maglev_mj.parameters import axis_indices, param
 from maglev_mj.plants import Sensor, Timing
 from maglev_mj.scenes.results import RunResult
@@ -38,6 +39,7 @@ def stepped(axis: str, quantum: float) -> Sensor | None:
     return Sensor(quantum=along(axis, quantum)) if quantum else None
 
 
+@checked
 def hold(scene: Scene, axes: str | Sequence[str], mass: float | None = None) -> Hold:
     """Return a soft hold of some axes, as stiff as period and delay allow with a wide margin.
 
@@ -155,6 +157,7 @@ class WallScene(Scene):
         at_most=MAX_PERIOD,
         optional=True,
     )
+    device_rate: float | None = rate_of("device_period")
     device_delay: float | None = param(
         f"delay on the device; {DEVICE_DELAY:g} by default", "s", default=None, at_least=0.0, at_most=1.0, optional=True
     )

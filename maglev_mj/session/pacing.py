@@ -6,6 +6,7 @@ import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import number
 
 TIME_SCALES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
@@ -16,6 +17,7 @@ _LONGEST_PAUSE = 1.0
 _NOTE_DURATION = 6.0
 
 
+@checked
 def real_time(
     duration: float | None, step: float, clock: Callable[[], float] = time.perf_counter
 ) -> Iterator[tuple[float, float]]:

@@ -19,6 +19,7 @@ from maglev_mj.device import Device
 from maglev_mj.errors import MaglevError, ParameterError, choice_message
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array, Sample
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import SampledPlant
 from maglev_mj.plants.coils import CoilMap
@@ -125,6 +126,7 @@ def _own_names(setup: Setup) -> Iterator[str]:
     yield from (part["class"] for part in parts if isinstance(part, dict) and "@" in str(part.get("class")))
 
 
+@checked(own="setup")
 def rebuild(
     setup: Setup, hand: HandForce | None, *, own: UserCode | None = None
 ) -> tuple[SampledPlant | None, Controller]:
@@ -210,6 +212,7 @@ def unsimulated_plant(segment: Segment, own: UserCode | None = None) -> str:
     return plant if isinstance(plant, str) and not is_twin else ""
 
 
+@checked(own="scene")
 def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0) -> Recording:
     """Run a scene and record it in memory; a run that fails is recorded up to the failure.
 
@@ -230,6 +233,7 @@ def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0
     return file.recording
 
 
+@checked
 def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, phase: float = 0.0) -> list[Path]:
     """Run a scene and record it to a journal; a run that fails is recorded up to the failure.
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, choice_message
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.recording import RecordingError, RecordingFile, open_recording
@@ -154,6 +155,7 @@ _CHANGE_INTERVAL = 0.1
 """Shortest real time between two changes of parameters [s]."""
 
 
+@checked(own="hand scene")
 class Session:
     """Scene running in real time, with live parameters.
 

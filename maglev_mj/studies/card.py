@@ -15,6 +15,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.device import Device
 from maglev_mj.frames import AXES, Array
+from maglev_mj.keywords import checked
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import HANDS, get_hand
@@ -175,6 +176,7 @@ class DeviceCard(Result):
         return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables, warnings=self.warnings)
 
 
+@checked(own="scene")
 def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> DeviceCard:
     """Return the card of a scene's device, by theory and by simulation on the exact plant.
 

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import whole
 from maglev_mj.process import process_start
 from maglev_mj.studies.record import Cell, Columns, Record, pack
@@ -127,6 +128,7 @@ class Workers:
     cause: Callable[[Exception], Exception] = lambda error: error
 
 
+@checked
 def local_workers(count: int | None = None) -> Workers:
     """Return processes of this machine as workers.
 
@@ -164,6 +166,7 @@ def chosen_workers(workers: Workers | int | None) -> Workers:
     return workers or local_workers(0)
 
 
+@checked
 def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ()) -> Workers:
     """Return the workers of a Dask cluster.
 
@@ -203,6 +206,7 @@ def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ())
     return Workers(lambda: _Cluster(_client(address)), 4 * max(threads, 1), (KilledWorker,), partial(_cause, address))
 
 
+@checked(own="cells")
 def run_cells(
     function: Callable[[list[Cell]], list[Any]],
     cells: Sequence[Cell],

@@ -19,7 +19,7 @@ from maglev_mj.control import Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError, TooManyCallsError, check_one_of
 from maglev_mj.frames import Array
-from maglev_mj.keywords import with_period
+from maglev_mj.keywords import checked, with_period
 from maglev_mj.parameters import number, param, whole
 from maglev_mj.result import Table, capitalised, plain, with_unit
 from maglev_mj.scenes.find import SceneLike, get_scene
@@ -150,6 +150,7 @@ Laws = Collection[str | LawMaker] | Mapping[str, str | LawMaker]
 """Laws to compare; a mapping gives their labels."""
 
 
+@checked(own="laws")
 def compare(
     scene: SceneLike,
     laws: Laws,

@@ -16,7 +16,7 @@ from maglev_mj.control import LowPass
 from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import Array, Mask
-from maglev_mj.keywords import with_period
+from maglev_mj.keywords import checked, rate_of, with_period
 from maglev_mj.parameters import param, transport_delay
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.result import Result, Table, number_text
@@ -63,6 +63,7 @@ class DiagnosedLoop(DeviceParameters):
     stiffness: float = param("stiffness K of wall or spring", "N/m", default=0.0, at_least=0.0, at_most=1e8)
     damping: float = param("damping B of the law", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
     period: float = param("sample period T", "s", default=MAX_PERIOD, at_least=MIN_PERIOD, at_most=MAX_PERIOD)
+    rate: float = rate_of("period")
     delay: float = param("delay from a sample to the effect of its command", "s", default=0.0, at_least=0.0)
     mass: float | None = param("moving mass with the handle", "kg", default=None, above=0.0, optional=True)
     inertia: float | None = param(
@@ -305,6 +306,7 @@ class Diagnosis(Result):
         yield "not modelled: edge of the wall, saturation, amplifiers" + ", flexible modes" * (self.loop.mode is None)
 
 
+@checked
 def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     """Return verdict, margins and ranked remedies of a wall's closed loop, in contact.
 

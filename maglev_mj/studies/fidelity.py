@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from maglev_mj.device import Device
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import Array
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import number
 from maglev_mj.result import Result, Table, capitalised, number_text
 from maglev_mj.scenes.drop import Drop
@@ -130,6 +131,7 @@ def preset_of(scene: str | Scene | Preset) -> Preset:
     return Preset(made.name, made, made.tolerance, made.tolerance_reason)
 
 
+@checked
 class Range(NamedTuple):
     """Validity range of a fidelity result.
 
@@ -384,6 +386,7 @@ def _micro(value: float) -> float:
     return round(1e6 * value, 3)
 
 
+@checked(own="scene over")
 def measure_fidelity(
     scene: str | Scene | Preset,
     tolerance: float | None = None,

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import maglev_mj
 from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, check_instance, check_one_of, file_path
 from maglev_mj.frames import Array, unit_of
-from maglev_mj.keywords import with_period
+from maglev_mj.keywords import checked, with_period
 from maglev_mj.parameters import parsed_number
 from maglev_mj.result import Result, Table, capitalised, plain
 from maglev_mj.scenes.batch import figures_together
@@ -215,6 +215,7 @@ class Sweep(Result):
         return values.reshape([len(one) for one in self.varied.values()])
 
 
+@checked(own="scene vary")
 def sweep(
     scene: SceneLike,
     vary: Mapping[str, Sequence[Any]],

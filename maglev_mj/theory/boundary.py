@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory.closed_loop import (
@@ -171,6 +172,7 @@ def largest_stable_stiffness(damping: ArrayLike, **loop: Unpack[LoopKeywords]) -
 def largest_stable_stiffness(damping: None = None, **loop: Unpack[LoopKeywords]) -> StiffestWall: ...
 
 
+@checked
 def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[LoopKeywords]) -> Array | StiffestWall:
     """Return the critical stiffness: all softer walls are stable [N/m].
 

@@ -18,7 +18,7 @@ from maglev_mj.control import FiniteDifference, LinearController, LowPass, Veloc
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
-from maglev_mj.keywords import with_hints
+from maglev_mj.keywords import checked, rate_of
 from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, number, numbers, store, transport_delay
 from maglev_mj.plants.hand import Hand, Mode, get_hand, hand_of, motion, transition
 from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
@@ -55,11 +55,12 @@ class LoopKeywords(TypedDict, total=False):
     """Keywords of `SampledLoop`, accepted by the stability functions."""
 
     period: ArrayLike
+    rate: ArrayLike
     delay: ArrayLike
     mass: ArrayLike
     hand: Hand | str | None
     driver_lag: float
-    velocity: VelocityEstimator
+    velocity: VelocityEstimator | None
     prediction: ArrayLike
     design: Design | None
     own_damping: ArrayLike
@@ -100,7 +101,7 @@ def rendered_stiffness(controller: LinearController, z: ArrayLike = 1.0) -> Arra
     return np.asarray(-(np.matmul(controller.give[..., None, :], memory)[..., 0, 0] + controller.direct))
 
 
-@with_hints
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledLoop:
     """Closed loop of a wall without its gains.
@@ -108,7 +109,7 @@ class SampledLoop:
     Values are numbers, or arrays that broadcast with the gains.
 
     Args:
-        period: Sample period T [s].
+        period: Sample period T [s]; or `rate`, its reciprocal [Hz].
         delay: Time from a sample to the effect of its command [s], up to 10 periods.
         mass: Mass of the flotor with its handle [kg].
         hand: Hand on the flotor, or a text for `get_hand`; None for a free flotor.
@@ -136,6 +137,7 @@ class SampledLoop:
     own_damping: ArrayLike = 0.0
     mode: Mode | None = None
     device: DeviceLaw | None = None
+    rate: ArrayLike = rate_of("period")
     shape: tuple[int, ...] = field(init=False)
     """Broadcast shape of period, delay, mass, prediction, own damping, hand and mode."""
 
@@ -467,6 +469,7 @@ def spectral_radius(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loo
     return SampledLoop(**loop).spectral_radius(stiffness, damping)
 
 
+@checked
 def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
     """Return the critical delay: the shortest at which a wall is unstable [s].
 

@@ -16,6 +16,7 @@ import numpy as np
 from maglev_mj.device import sample_period
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
+from maglev_mj.keywords import checked, rate_of
 from maglev_mj.parameters import param, param_range, transport_delay
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
@@ -41,6 +42,7 @@ class Case(NamedTuple):
         return f"{self.mass:.3g} kg, {self.delay * 1e3:.3g} ms, hand {self.hand}"
 
 
+@checked
 class WallRequirements(DeviceParameters):
     """Loops in which a wall must be stable: every combination of masses, delays and hands.
 
@@ -53,6 +55,7 @@ class WallRequirements(DeviceParameters):
     """
 
     period: float = sample_period()
+    rate: float = rate_of("period")
     mass: tuple[float, float] = param_range(
         "mass",
         "range of the moving mass",
@@ -177,6 +180,7 @@ class _Gains(NamedTuple):
     damping: float
 
 
+@checked
 def design_wall(requirements: WallRequirements) -> DesignedWall:
     """Return the stiffest PD wall that meets all requirements.
 

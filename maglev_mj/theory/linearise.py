@@ -16,6 +16,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.stack import stacked_controller
 from maglev_mj.errors import MaglevError, TooManyCallsError, named, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.plants.hand import Hand
 from maglev_mj.result import Result, Table
@@ -234,6 +235,7 @@ class StateSpace(LinearController):
         return loop_matrix(body, before, after, whole, waiting, *self)
 
 
+@checked
 def linearise(
     controller: Controller | Sequence[Controller], poses: ArrayLike, *, axes: str | Sequence[str] = AXES
 ) -> list[Linearised]:

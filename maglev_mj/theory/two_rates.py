@@ -18,7 +18,7 @@ from maglev_mj.control.timeline import split_delay
 from maglev_mj.device import OnDevice
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.keywords import with_hints
+from maglev_mj.keywords import checked, rate_of
 from maglev_mj.parameters import SAMPLE_PERIOD, number, param, transport_delay
 from maglev_mj.plants.hand import Mode, exponential, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, MAX_PERIOD, MIN_PERIOD
@@ -28,7 +28,7 @@ _TOLERANCE, _EXACT = 0.02, 1e-9
 _PHASES, _FAST = 10, 4.0
 
 
-@with_hints
+@checked
 @dataclass(frozen=True)
 class DeviceLaw:
     """PD law on the device, f = -K x - B v, for `SampledLoop`.
@@ -95,6 +95,7 @@ class DeviceParameters(OnDevice):
     device_period: float = param(
         "sample period of a law on the device", "s", default=DEVICE_PERIOD, at_least=MIN_PERIOD, at_most=MAX_PERIOD
     )
+    device_rate: float = rate_of("device_period")
     device_delay: float = param("delay of a law on the device", "s", default=DEVICE_DELAY, at_least=0.0, at_most=0.01)
 
     def check(self) -> None:

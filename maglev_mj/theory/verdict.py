@@ -21,6 +21,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, TooManyCallsError
 from maglev_mj.frames import AXES, ZERO, Array, Mask, unit_of
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import Body
@@ -167,6 +168,7 @@ class Judged(Protocol):
         """Flotor of the device in use."""
 
 
+@checked(own="scene")
 def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Verdict:
     """Return the stability verdict on a scene; see `judge`.
 
@@ -193,6 +195,7 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
     return judge(controller, delay=delay, pose=pose, inertia=inertia, reach=body.range, device=device)
 
 
+@checked
 def judge(
     controller: Controller,
     *,

@@ -180,7 +180,7 @@ SPRING = Hold(axes="z", stiffness=6000.0, damping=80.0)
 LOOP = Controller([SPRING], period=0.005)
 WRONG: Any = {"a": object()}
 MISUSES: dict[str, tuple[Callable[[], object], str]] = {
-    "laws": (lambda: Controller(SPRING, period=0.005), "laws must be a list of laws"),  # type: ignore[arg-type]
+    "laws": (lambda: Controller(SPRING, period=0.005), "laws must be a list of laws"),  # type: ignore[call-overload]
     "share": (
         lambda: run_phases(DROP(), 2, plant="exact").percentile(150.0),
         r"share must be between 0 and 100",

@@ -16,6 +16,7 @@ from maglev_mj.device import PUBLISHED, Device
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import AXES, Array
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import numbers
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.model import Body, body_of
@@ -33,6 +34,7 @@ class CalibrationError(MaglevError):
     """Device file cannot be written."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
     """Coils, sensor, mass and gravity of a device: the values of its file that are measured, and the file.

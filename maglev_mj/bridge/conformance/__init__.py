@@ -13,6 +13,7 @@ from maglev_mj.bridge.conformance.tester import CHECKS, CheckResult, Tester
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.wire import Operation, State, fault_names
 from maglev_mj.errors import ParameterError, PlantError
+from maglev_mj.keywords import checked
 
 __all__ = ["CheckResult", "checks", "conform"]
 
@@ -22,6 +23,7 @@ def checks() -> dict[str, str]:
     return {name: check.expected for name, check in CHECKS.items()}
 
 
+@checked
 def conform(
     links: Sequence[Link],
     calibration: Calibration | None = None,

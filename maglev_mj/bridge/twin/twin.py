@@ -24,6 +24,7 @@ from maglev_mj.bridge.wire import WRAP, Codec, Fault, State, StateReport, fault_
 from maglev_mj.control.timeline import Interval
 from maglev_mj.errors import check_instance, check_one_of
 from maglev_mj.frames import ZERO, Array
+from maglev_mj.keywords import checked, explained, rate_of
 from maglev_mj.parameters import number, numbers, store
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.plants.exact_coils import ExactCoilPlant
@@ -39,6 +40,7 @@ _MARGIN = 1.25
 """Factor over the calibrated hover currents, for the hover limit."""
 
 
+@checked(own="plant")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwinParameters:
     """Parameters of a twin.
@@ -56,6 +58,7 @@ class TwinParameters:
     """
 
     period: float = _OF_DEVICE  # sample period [s]
+    rate: float = rate_of("period")
     delay: float = _OF_DEVICE  # from a command's arrival (lockstep: from the sample) to its effect [s]
     latency: float = _OF_DEVICE  # age of a pose at its sample [s]: simulated by a pose without age and a longer delay
     lockstep: bool = False  # simulated time waits for each command
@@ -180,6 +183,7 @@ class AmplifierBoard:
         return [self.stuck.get(coil, x) for coil, x in enumerate(commands)] if self.stuck else commands
 
 
+@checked(own="parameters")
 class Twin:
     """Simulated device in simulated time [ns].
 
@@ -242,6 +246,7 @@ class Twin:
         """True pose at the last sample [m, rad], (6,)."""
         return self.plant.state()[0]
 
+    @explained
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
         """Handle a frame received at `now` [ns], in simulated time; return the reply, or None."""
         if self.hung or self._silent:

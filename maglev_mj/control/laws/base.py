@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import MaglevError, ParameterError, named
 from maglev_mj.frames import AXES, Array, Component, DeviceWall, Six
-from maglev_mj.keywords import with_hints
+from maglev_mj.keywords import check_constructor, checked, every_tick
 from maglev_mj.parameters import SAMPLE_PERIOD, axis_indices, batch_shape, flag, number, numbers, per_axis, store
 from maglev_mj.spec import INERTIA
 
@@ -140,6 +140,7 @@ class VelocityEstimator(Protocol):
         """Return six velocity components and the next state (at first None); `period` is since the last sample [s]."""
 
 
+@checked
 def gain(
     help: str = "",
     unit: str = "",
@@ -182,6 +183,7 @@ def setting(*, default: Any = MISSING, **bounds: Any) -> Any:
     return field(default=default, metadata={"setting": bounds})
 
 
+@checked(own="axes")
 @dataclass_transform(
     kw_only_default=True, frozen_default=True, eq_default=False, field_specifiers=(gain, setting, field)
 )
@@ -224,7 +226,7 @@ class AxisLaw(Law):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        with_hints(dataclass(frozen=True, kw_only=True, eq=False)(cls))
+        check_constructor(dataclass(frozen=True, kw_only=True, eq=False)(cls), own="axes")
         cls.per_device = tuple(entry.name for entry in fields(cls) if "gain" in entry.metadata)
         names = (name for name in inspect.get_annotations(cls) if name not in ("axes", "pulse_width", "on"))
         if hidden := [name for name in names if hasattr(AxisLaw, name)]:
@@ -257,6 +259,7 @@ class AxisLaw(Law):
         """Return the state before the first sample: None for each axis."""
         return (None,) * len(self._each)
 
+    @every_tick
     def force(self, x: Component, v: Component, gains: Self, state: Any) -> Any:
         """Return the force on one axis [N, N m], or (force, next state) for a law with memory.
 
@@ -384,6 +387,7 @@ def _takes(function: Callable[..., Any], count: int) -> bool:
     return True
 
 
+@checked
 class Hold(AxisLaw):
     """PD hold of a target pose: f = k (x_t - x) - b v.
 
@@ -416,7 +420,6 @@ class Hold(AxisLaw):
         store(self, _gains=tuple((axis, law.stiffness, law.damping, law.target) for axis, law in self._each))
 
     @classmethod
-    @with_hints
     def critically_damped(
         cls,
         axes: str | Sequence[str] = AXES,
@@ -461,6 +464,7 @@ class Hold(AxisLaw):
         return (Gains("always", self.on_axes(self.stiffness), self.on_axes(self.damping)),)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Bias(Law):
     """Constant wrench, such as weight compensation.

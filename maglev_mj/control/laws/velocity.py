@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.laws.base import LinearController, choose
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component, Six
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import number, store, whole
 from maglev_mj.spec import RESOLUTION
 
@@ -20,6 +21,7 @@ _LONGEST = 1000
 """Largest window length [samples]: 1 s at 1 kHz."""
 
 
+@checked
 @dataclass(frozen=True)
 class FiniteDifference:
     """Backward difference v[k] = (x[k] - x[k-1]) / T; zero at the first sample.
@@ -52,6 +54,7 @@ class FiniteDifference:
         return Window(samples=1).linear(period)
 
 
+@checked
 @dataclass(frozen=True)
 class LowPass:
     """Finite difference with a first-order low-pass filter.
