@@ -14,8 +14,10 @@ from typing import Any, NamedTuple
 import pytest
 
 from maglev_mj import RemotePlant, Session, Twin, TwinParameters, estop
+from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.keywords import mismatch
+from maglev_mj.scenes.interactive import Joystick
 from tests.test_arguments import CHECKABLE, Foreign
 from tests.test_parameters import calls
 
@@ -151,3 +153,11 @@ def test_a_refused_emergency_stop_is_not_sent(argument: str) -> None:
     for value in [one for one in BAD if (argument, one) not in right]:
         assert refusal(estop, None, **{"link": link, argument: value})
         assert not effects and things.state == before, f"{argument}={value!r}: {effects}"
+
+
+def test_a_refused_flight_does_not_take_off() -> None:
+    things = live(RemotePlant)
+    flight, before = Flight(things.plant, Joystick(period=things.plant.period, delay=things.plant.delay)), things.state
+    for value in [one for one in BAD if one not in (None, 5)]:
+        assert refusal(flight.run, None, duration=value)
+        assert not effects and things.state == before, f"{value!r}: {effects}"

@@ -130,6 +130,8 @@ class Flight:
             DeviceFault: If the device or a guard raised a fault, or the currents were cut.
             PlantError: If the device does not confirm the cut.
         """
+        if duration is not None:
+            number("duration", duration, at_least=0.0)
         start, plant, file = time.monotonic(), self._plant, self._file
         plant.cycles.record = None if file is None else file.append
         try:
