@@ -51,7 +51,7 @@ def _stick_slip(path: Path) -> None:
 
 def _scene(path: Path) -> None:
     hand = SpringHand(target=[1e-3, 0.0, -2e-3, 0.0, 0.01, 0.0])
-    session = Session(hand=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
+    session = Session(hand_force=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
     session.tick(0.05)
     session.act("friction")
     session.tick(0.05)

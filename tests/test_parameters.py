@@ -1,8 +1,10 @@
 """Arguments of wrong types: switches and numbers."""
 
+import ast
 import inspect
 import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,6 +35,27 @@ def calls() -> Iterator[tuple[str, Callable[..., Any]]]:
 def test_a_number_is_no_text_and_no_switch(bad: object) -> None:
     with pytest.raises(ParameterError, match=r"mass must be a finite number \(got"):
         number("mass", bad)
+
+
+def test_a_message_names_the_stricter_of_two_bounds() -> None:
+    for bounds, said in (
+        ({"above": 0.0, "at_least": 0.0}, "above 0"),
+        ({"above": 0.0, "at_least": 1.0}, "at least 1"),
+        ({"below": 1.0, "at_most": 1.0, "at_least": 0.0}, "at least 0 and below 1"),
+        ({"above": -1.0, "at_least": 0.0, "below": 2.0, "at_most": 1.0}, "between 0 and 1"),
+    ):
+        with pytest.raises(ParameterError, match=rf"mass must be {said} \(got -5"):
+            number("mass", -5.0, **bounds)
+
+
+def test_a_hand_is_an_impedance_and_a_hand_force_a_function() -> None:
+    """In every function and named tuple of the package."""
+    for path in Path(maglev_mj.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = getattr(node, "arg", None) or getattr(getattr(node, "target", None), "id", None)
+            if name in ("hand", "hand_force") and (note := getattr(node, "annotation", None)) is not None:
+                is_force = "HandForce" in ast.unparse(note)
+                assert is_force == (name == "hand_force"), f"{path}:{getattr(node, 'lineno', '')}"
 
 
 def test_numbers_are_no_texts_and_no_switches() -> None:

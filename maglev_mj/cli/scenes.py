@@ -173,7 +173,7 @@ def view(
     front = page.open() or window(out)
     out.mkdir(parents=True, exist_ok=True)
     with input_hand.open(hand) as devices:
-        session = Session(scene, hand=hand, folder=out, record=record, publishers=devices)
+        session = Session(scene, hand_force=hand, folder=out, record=record, publishers=devices)
         _show(session, session, devices, front, seconds)
     return 0
 
@@ -187,7 +187,7 @@ def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, o
     front, hand = page.open() or window(out), SpringHand.of_mouse()
     out.mkdir(parents=True, exist_ok=True)
     with input_hand.open(hand) as devices:
-        session = Session(hand=hand, folder=out, publishers=devices)
+        session = Session(hand_force=hand, folder=out, publishers=devices)
         _show(Tour(session), session, devices, front, seconds)
     return 0
 

@@ -317,9 +317,9 @@ class SampledPlant(ABC):
         """True after the first sample."""
         return self._tick >= 0
 
-    def hold(self, hand: HandForce) -> None:
+    def hold(self, hand_force: HandForce) -> None:
         """Replace the hand force from the next sample on; the hand's impedance stays."""
-        self._hand_force = hand
+        self._hand_force = hand_force
 
     @property
     def held(self) -> bool:

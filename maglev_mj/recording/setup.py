@@ -216,12 +216,12 @@ def rebuild_controller(setup: Setup, own: CodeLoader | None = None) -> Controlle
         return controller
 
 
-def rebuild_plant(setup: Setup, hand: HandForce | None = None) -> SampledPlant | None:
+def rebuild_plant(setup: Setup, hand_force: HandForce | None = None) -> SampledPlant | None:
     """Rebuild the plant of a setup; None for a user-defined plant.
 
     Args:
         setup: The setup.
-        hand: The hand on the flotor; None for the hand of the setup, if any.
+        hand_force: The hand on the flotor; None for the hand of the setup, if any.
 
     Raises:
         InvalidRecordingError: If a value is missing, of another type, or out of range.
@@ -230,9 +230,10 @@ def rebuild_plant(setup: Setup, hand: HandForce | None = None) -> SampledPlant |
     if isinstance(description, str):
         return None
     with refused(*_INVALID), engine_warnings_silenced():
-        if isinstance(description, dict) and (hand is not None or not scripted(setup)):
+        if isinstance(description, dict) and (hand_force is not None or not scripted(setup)):
             description = {name: value for name, value in description.items() if name != "hand_force"}
-        plant: SampledPlant = _object("plant", description, None, {} if hand is None else {"hand_force": hand})
+        force = {} if hand_force is None else {"hand_force": hand_force}
+        plant: SampledPlant = _object("plant", description, None, force)
         check_instance("plant", plant, SampledPlant, "an object")
         if plant.batch or np.ndim(plant.timing.delay):
             raise ParameterError("plant must be a single device, not a batch")

@@ -44,7 +44,7 @@ class _Member:
     laws: Sequence[Any]
     velocity: VelocityEstimator | None
     options: Mapping[str, Any]
-    hand: HandForce | None
+    hand_force: HandForce | None
 
 
 class SceneStack:
@@ -105,7 +105,7 @@ class SceneStack:
             if options.get(name) is not None:
                 rows = np.array([member.options[name] for member in self._members], dtype=np.float64)
                 options[name] = rows if name == "pose" or (rows != rows[0]).any() else options[name]
-        hands = [member.hand for member in self._members if member.hand is not None]
+        hands = [member.hand_force for member in self._members if member.hand_force is not None]
         options |= {"escape": _FAR, "hand_force": SideBySide(hands) if hands else None}
         return ExactPlant(timing or self.timing(), **options | keywords)
 
@@ -187,7 +187,7 @@ def _kind(member: _Member) -> Hashable:
     kinds = [law_kind(law) for law in member.laws]
     fixed = content(
         (
-            (scene.axis, scene.end, scene.period, type(member.hand)),
+            (scene.axis, scene.end, scene.period, type(member.hand_force)),
             (timing.period, timing.delay, timing.jitter, timing.seed, *timing.device),
             {name: value for name, value in options.items() if name not in _STACKED},
             [name for name in _STACKED if options.get(name) is None],

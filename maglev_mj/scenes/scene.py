@@ -263,8 +263,8 @@ class Scene(OnDevice):
     def guided(self, path: Trajectory) -> Self:
         """Return the scene with a hand that moves along a path, with the impedance of its own hand if it has one."""
         impedance, scene = getattr(self.scripted_hand(), "hand", None), self.replace()
-        hand: HandForce = SpringHand(target=path) if impedance is None else GuidedHand(hand=impedance, path=path)
-        store(scene, script=path, scripted_hand=lambda phase=0.0: hand)
+        force: HandForce = SpringHand(target=path) if impedance is None else GuidedHand(hand=impedance, path=path)
+        store(scene, script=path, scripted_hand=lambda phase=0.0: force)
         return scene
 
     # --- derived from it --------------------------------------------------------------------------
@@ -282,7 +282,7 @@ class Scene(OnDevice):
         plant: str | PlantMaker = "mujoco",
         *,
         phase: Component = 0.0,
-        hand: HandForce | None = None,
+        hand_force: HandForce | None = None,
         timing: Timing | None = None,
         **keywords: Any,
     ) -> SampledPlant:
@@ -291,7 +291,7 @@ class Scene(OnDevice):
         Args:
             plant: Name from PLANTS, or a function that returns a plant.
             phase: Sampling phase, in [0, 1); (N,) for N devices.
-            hand: Hand in place of the scripted one.
+            hand_force: Hand in place of the scripted one; `hand`, among the keywords, is an impedance.
             timing: Timing in place of the scene's own.
             keywords: Keywords of the plant; they override the scene's.
 
@@ -306,14 +306,14 @@ class Scene(OnDevice):
         options |= keywords
         if isinstance(plant, str):
             plant = PLANTS[plant]
-        return plant(timing, hand_force=hand or scripted, **options)
+        return plant(timing, hand_force=hand_force or scripted, **options)
 
-    def plant_keywords(self, plant: str | PlantMaker, hand: HandForce | None) -> dict[str, Any]:
+    def plant_keywords(self, plant: str | PlantMaker, hand_force: HandForce | None) -> dict[str, Any]:
         """Return all keywords of a plant at release, including `plant_options`.
 
         Args:
             plant: Name from PLANTS, or a function that returns a plant.
-            hand: The scripted hand, whose impedance acts on the flotor.
+            hand_force: The scripted hand, whose impedance acts on the flotor.
         """
         start = self.start()
         check_instance(f"start() of {named(type(self))}", start, Start, "a Start")
@@ -326,7 +326,7 @@ class Scene(OnDevice):
             options["twist"] = start.twist
         if any(start.wrench):
             options["wrench"] = start.wrench
-        if (impedance := getattr(hand, "hand", None)) is not None:
+        if (impedance := getattr(hand_force, "hand", None)) is not None:
             options["hand"] = impedance
         options |= self.device_options()
         if callable(step := options.get("longest_step")):

@@ -128,13 +128,13 @@ def _own_names(setup: Setup) -> Iterator[str]:
 
 @checked(own="setup")
 def rebuild(
-    setup: Setup, hand: HandForce | None, *, own: UserCode | None = None
+    setup: Setup, hand_force: HandForce | None, *, own: UserCode | None = None
 ) -> tuple[SampledPlant | None, Controller]:
     """Rebuild plant and controller of a recorded setup.
 
     Args:
         setup: The setup.
-        hand: The hand on the flotor; None for the hand of the setup, if any.
+        hand_force: The hand on the flotor; None for the hand of the setup, if any.
         own: User code; its scene, if any, replaces the laws of the setup.
 
     Returns:
@@ -152,7 +152,7 @@ def rebuild(
         ('ExactPlant', ['Wall', 'Hold'])
     """
     check_setup(setup)
-    plant = None if setup["kind"] in ("device", MEASURED) else rebuild_plant(setup, hand)
+    plant = None if setup["kind"] in ("device", MEASURED) else rebuild_plant(setup, hand_force)
     return plant, _controller(setup, own)
 
 

@@ -82,7 +82,7 @@ class LiveSegment:
     def __init__(
         self,
         scene: Scene,
-        hand: HandForce,
+        hand_force: HandForce,
         *,
         pose: Sequence[float],
         twist: Sequence[float] = ZERO,
@@ -92,7 +92,7 @@ class LiveSegment:
         first: int,
         keep: Callable[..., object],
     ) -> None:
-        self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
+        self.plant = live_plant(scene, hand_force, pose=pose, twist=twist, wrench=wrench)
         self.controller = scene.controller()
         self._carried = self.controller.carried
         self.energy = EnergyAccount(np.array(pose), self._carried)
@@ -103,13 +103,13 @@ class LiveSegment:
         self.force: Sequence[float] = wrench
         self.pulsed = False
         self._parts: list[tuple[int, int]] = []
-        self.begin(hand, file, first)
+        self.begin(hand_force, file, first)
 
-    def begin(self, hand: HandForce, file: RecordingFile | None, first: int) -> None:
+    def begin(self, hand_force: HandForce, file: RecordingFile | None, first: int) -> None:
         """Resume with a hand, recorded from here on.
 
         Args:
-            hand: The hand.
+            hand_force: The hand.
             file: File to record to, or None.
             first: Session number of the next sample; rewinds do not reset it.
         """
@@ -122,10 +122,10 @@ class LiveSegment:
             details = {"before": self.force, "session": {"first": first, "after": after}}
             name, plant = f"scene {self.scene.name}", self.plant
             record = begin_scene(file, self.scene, plant, self.controller, name=name, **details)
-        self._start_loop(hand, record)
+        self._start_loop(hand_force, record)
 
-    def _start_loop(self, hand: HandForce, record: Record | None) -> None:
-        self.plant.hold(hand)
+    def _start_loop(self, hand_force: HandForce, record: Record | None) -> None:
+        self.plant.hold(hand_force)
         self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
 
     def tick(self) -> None:
@@ -172,21 +172,20 @@ class LiveSegment:
         self._keep(self.time, self.pose, self.twist, self.rendered, effort)
 
 
-def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
+def live_plant(scene: Scene, hand_force: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
     """Return a scene's plant with metal stops and current limits, by default 10 A per coil.
 
     Args:
         scene: The scene.
-        hand: The hand on the flotor; its attribute `hand`, if any, is its impedance.
+        hand_force: The hand on the flotor; its attribute `hand`, if any, is its impedance.
         start: Pose, twist and wrench that override the scene's.
     """
 
     def make(timing: Timing, **options: Any) -> MuJoCoPlant:
         coils = scene.hardware.coils
         limits: dict[str, Any] = {"current_limit": coils and coils.current_limit, "stops": scene.hardware.range.stops}
-        return MuJoCoPlant(
-            timing, **limits | {"metered": True} | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)}
-        )
+        hands = {"hand_force": hand_force, "hand": getattr(hand_force, "hand", None)}
+        return MuJoCoPlant(timing, **limits | {"metered": True} | options | hands)
 
     plant = scene.plant(make, **start)  # type: ignore[arg-type]
     assert isinstance(plant, MuJoCoPlant)

@@ -155,7 +155,7 @@ _CHANGE_INTERVAL = 0.1
 """Shortest real time between two changes of parameters [s]."""
 
 
-@checked(own="hand scene")
+@checked(own="hand_force scene")
 class Session:
     """Scene running in real time, with live parameters.
 
@@ -164,7 +164,7 @@ class Session:
 
     Args:
         scene: The first scene, or a text for `find_scene`; by default the joystick.
-        hand: The hand on the flotor; by default the mouse's.
+        hand_force: The hand on the flotor; by default the mouse's.
         folder: Folder of recordings started by a key.
         record: File to record to from the start; None for no recording.
         pacer: Scheduler of the ticks in real time.
@@ -188,7 +188,7 @@ class Session:
         self,
         scene: SceneLike | None = None,
         *,
-        hand: HandForce | None = None,
+        hand_force: HandForce | None = None,
         folder: Path = Path(),
         record: Path | None = None,
         pacer: Pacer | None = None,
@@ -196,7 +196,7 @@ class Session:
         step_force: float = STEP_FORCE,
     ) -> None:
         self._scene = get_scene("joystick" if scene is None else scene)
-        self._hand = hand or SpringHand.of_mouse(device=self._scene.device)
+        self._hand = hand_force or SpringHand.of_mouse(device=self._scene.device)
         # the mouse moves only a spring
         self.hand = self._hand if isinstance(self._hand, SpringHand) else SpringHand.of_mouse(device=self._scene.device)
         self.simulated = 0.0

@@ -53,7 +53,8 @@ if __name__ == "__main__":
     path = Path(os.environ.get("SPNAV_SOCKET") or "/tmp/maglev-spnav.sock")
     path.unlink(missing_ok=True)
     print(f"export SPNAV_SOCKET={path}", flush=True)
-    with closing(Session(find_scene("joystick")(), hand=SpringHand(), publishers=[SpacenavServer(path)])) as session:
+    session = Session(find_scene("joystick")(), hand_force=SpringHand(), publishers=[SpacenavServer(path)])
+    with closing(session):
         for elapsed, now in real_time(float(sys.argv[1]) if sys.argv[1:] else None, PERIOD):
             axis = np.eye(6)[int(now / 2.0) % 6]  # a hand moves the axes in turn
             session.hand.target = 3.0 * math.sin(math.pi * now) * axis * RANGE

@@ -91,7 +91,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a joystick recording without, then with friction."""
     folder, tour = tmp_path_factory.mktemp("session"), Trajectory(np.asarray(TOUR.times) - 0.6, TOUR.poses)
     running = Session(
-        Joystick(), folder=folder, hand=SpringHand(target=tour), pacer=Pacer(budget=100.0, patience=100.0)
+        Joystick(), folder=folder, hand_force=SpringHand(target=tour), pacer=Pacer(budget=100.0, patience=100.0)
     )
     running.act("record")
     running.tick(0.9)

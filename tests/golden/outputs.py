@@ -144,7 +144,7 @@ def pressed(count: int = 40, seed: int = 19) -> list[dict[str, Any]]:
     made: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         path, pacer = Path(folder) / "run.maglev", Pacer(budget=3600.0, patience=3600.0)
-        session = Session(find_scene("corner")(), hand=SpringHand(), record=path, pacer=pacer)
+        session = Session(find_scene("corner")(), hand_force=SpringHand(), record=path, pacer=pacer)
         for _ in range(count):
             action = "pause" if paused and draw.random() < 0.5 else draw.choice(PRESSES)
             paused ^= action == "pause"

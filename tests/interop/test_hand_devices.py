@@ -130,7 +130,7 @@ def test_while_the_mouse_pulls_its_target_counts() -> None:
 def test_a_session_reads_the_device_by_itself_and_closes_it() -> None:
     stick, hand = Stick(), SpringHand()
     device = HandDevice(stick, hand)
-    session = Session(find_scene("joystick")(), hand=hand, publishers=[device])
+    session = Session(find_scene("joystick")(), hand_force=hand, publishers=[device])
     goal(device, hand)
     stick.reading = Reading(one(1))
     waited(lambda: session.tick(PERIOD) and hand.device_target)

@@ -113,7 +113,7 @@ import sys, time
 from pathlib import Path
 from maglev_mj.session import Session, Pacer
 from maglev_mj.plants.hand import SpringHand
-session = Session(hand=SpringHand(), folder=Path(sys.argv[1]))
+session = Session(hand_force=SpringHand(), folder=Path(sys.argv[1]))
 session.act("friction"); session.act("record")
 session.hand.target = [0.012, 0.003, 0.0, 0.0, 0.1, 0.0]
 last = time.perf_counter()

@@ -140,7 +140,7 @@ def test_keywords_hands_and_timings_go_before_the_scene_s() -> None:
     lift: HandForce = lambda tick, time, state: [0.0, 0.0, 2.0, 0.0, 0.0, 0.0]  # noqa: E731
     seen = []
     for plant, keywords in (("exact", {}), ("mujoco", {"mass": 1.0}), ("exact", {"timing": Timing(period=0.01)})):
-        device = Heavy().plant(plant, hand=lift, record=True, **keywords)
+        device = Heavy().plant(plant, hand_force=lift, record=True, **keywords)
         with device:
             drive(device, 2)
             trace = device.trace()

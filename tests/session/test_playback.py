@@ -21,7 +21,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """Record two segments with a hand; the second stops early."""
     path = tmp_path_factory.mktemp("playback") / "run.maglev"
     hand = SpringHand(target=[6e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
-    session = Session(hand=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
+    session = Session(hand_force=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
     session.tick(3.0)
     session.change({"period": 0.001, "friction": True})
     session.tick(0.5)

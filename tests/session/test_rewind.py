@@ -247,7 +247,7 @@ def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(
 def test_a_rewind_before_a_change_takes_its_scripted_hand_along_and_sticks_alike(tmp_path: Path) -> None:
     record, hand = tmp_path / "run.maglev", Hand(mass=0.1, damping=4.0, stiffness=1500.0, axes="x")
     path = Trajectory([0.0, 0.3, 0.5, 0.9], [[place, 0.0, 0.0, 0.0, 0.0, 0.0] for place in (0.0, 3e-3, 0.0, 2e-3)])
-    session = made(find_scene("table")(), record=record, hand=GuidedHand(hand=hand, path=path))
+    session = made(find_scene("table")(), record=record, hand_force=GuidedHand(hand=hand, path=path))
     session.tick(0.5)
     session.change({"delay": 0.0016})  # a hand's path begins again
     session.tick(0.6)

@@ -155,7 +155,7 @@ SCENES = [
 def test_every_scene_runs_in_its_scripted_hand_and_takes_energy(name: str, period: float) -> None:
     scene = find_scene(name)(period=period, delay=min(0.0015, 0.5 * period))
     hand = scene.scripted_hand()
-    session = after(made(scene, hand=hand), scene.end + 0.6)
+    session = after(made(scene, hand_force=hand), scene.end + 0.6)
     view = session.snapshot()
     assert not view.notes
     assert view.taken > -stored_at_start(scene) - 1e-4

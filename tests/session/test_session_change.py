@@ -25,7 +25,7 @@ def made(scene: Scene | None = None, **options: Any) -> Session:
 def test_a_change_keeps_the_force_until_the_next_answer_acts(axis: int) -> None:
     # At rest under a hand, 4 ms of every period pass under the force of before the change.
     hand = SpringHand(target=[(0.01 if axis < 3 else 0.3) * (place == axis) for place in range(6)])
-    session = made(Joystick(delay=0.004, wall=False), hand=hand)
+    session = made(Joystick(delay=0.004, wall=False), hand_force=hand)
     session.tick(3.0)
     before = session.snapshot()
     assert abs(before.force[axis]) > (0.1 if axis < 3 else 0.005)
@@ -144,7 +144,7 @@ def test_slow_motion_is_simulated_time_over_real_time(scale: float) -> None:
 
 
 def test_stops_do_nothing_away_from_them() -> None:
-    session = made(Joystick(wall=False), hand=SpringHand(target=[9e-3, *[0.0] * 5]))
+    session = made(Joystick(wall=False), hand_force=SpringHand(target=[9e-3, *[0.0] * 5]))
     session.change({"hand_stiffness": 2000.0})
     session.tick(0.005)
     assert session.snapshot().hand[0] == pytest.approx(2000.0 * 9e-3)

@@ -190,7 +190,7 @@ def render(
     moving = path.suffix in CLIPS
     end = seconds if seconds is not None else scene.end if moving else 0.5 * scene.end
     unlimited = Pacer(budget=_UNLIMITED, patience=_UNLIMITED)  # no deadline
-    session = Session(scene, hand=scene.scripted_hand() or SpringHand(), pacer=unlimited)
+    session = Session(scene, hand_force=scene.scripted_hand() or SpringHand(), pacer=unlimited)
     if time_scale is None:
         time_scale = slow_motion(end) if moving else 1.0
     session.change({"time_scale": time_scale})
