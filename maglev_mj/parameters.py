@@ -80,7 +80,8 @@ def number(
     except (TypeError, ValueError, OverflowError):
         result = math.nan
     if not (above < result < below and at_least <= result <= at_most and math.isfinite(result)):
-        bounds = {"above": above, "at least": at_least, "below": below, "at most": at_most}
+        bounds = {"above": above} if above >= at_least else {"at least": at_least}  # the stricter of two
+        bounds |= {"below": below} if below <= at_most else {"at most": at_most}
         limits = " and ".join(f"{word} {bound:g}" for word, bound in bounds.items() if math.isfinite(bound))
         limits = re.sub(r"e\+?(-?)0?(?=\d)", r"e\1", re.sub(r"^at least (\S+ and) at most", r"between \1", limits))
         allowed = [*["a finite number"] * (not limits or not math.isfinite(result)), *[limits] * bool(limits), unit]
