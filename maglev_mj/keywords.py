@@ -219,10 +219,14 @@ def _hints(
                 hint = hint if note == "Array" else _Numeric | None if "None" in note else _Numeric
             if hint in (Any, object):
                 continue
-            parts = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-            usual = {part for part in parts if isinstance(part, type)} | ({int} if float in parts else set())
-            hints[name] = note, hint, usual, _test(hint)
+            hints[name] = note, hint, _classes(hint), _test(hint)
     return code.co_varnames[: code.co_argcount], hints
+
+
+def _classes(hint: Any) -> set[type]:
+    """Return classes whose objects are of a type for certain."""
+    parts = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    return {part for part in parts if isinstance(part, type)} | ({int} if float in parts else set())
 
 
 class _Numeric:
@@ -254,7 +258,7 @@ def _test(hint: Any) -> Callable[[Any], bool]:
     elif kind in (tuple, list, Sequence):
         kind = Collection  # a list is as good as a tuple
     if kind in (Collection, Iterable) and len(parts) == 1 + (... in parts):
-        return partial(_holds, kind, _test(parts[0]))
+        return partial(_holds, kind, _classes(parts[0]), _test(parts[0]))
     return lambda value: isinstance(value, kind)
 
 
@@ -268,10 +272,10 @@ def _is_scalar(kind: type, value: Any) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool) and (kind is float or value % 1 == 0)
 
 
-def _holds(kind: type, test: Callable[[Any], bool], value: Any) -> bool:
-    """Return True for a collection; in a list or tuple one element of each type is tested."""
-    kinds = dict(zip(map(type, value), value)) if isinstance(value, (list, tuple, str)) else {}
-    return isinstance(value, kind) and all(map(test, kinds.values()))
+def _holds(kind: type, usual: set[type], test: Callable[[Any], bool], value: Any) -> bool:
+    """Return True for a collection; in a list or tuple one element of each class that is not usual is tested."""
+    items = dict(zip(map(type, value), value)) if isinstance(value, (list, tuple, str)) else {}
+    return isinstance(value, kind) and all(map(test, map(items.__getitem__, items.keys() - usual)))
 
 
 def _members(protocol: type) -> list[str]:

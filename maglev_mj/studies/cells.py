@@ -206,7 +206,7 @@ def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ())
     return Workers(lambda: _Cluster(_client(address)), 4 * max(threads, 1), (KilledWorker,), partial(_cause, address))
 
 
-@checked(own="cells")
+@checked(own="cells function")
 def run_cells(
     function: Callable[[list[Cell]], list[Any]],
     cells: Sequence[Cell],

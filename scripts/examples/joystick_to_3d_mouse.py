@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maglev_mj import Session, SpringHand, find_scene, real_time
+from maglev_mj import Session, SpringHand, real_time
 from maglev_mj.spec import RANGE
 
 FULL, PERIOD = 500, 1.0 / 60.0  # a full deflection; time between two events [s]
@@ -53,8 +53,7 @@ if __name__ == "__main__":
     path = Path(os.environ.get("SPNAV_SOCKET") or "/tmp/maglev-spnav.sock")
     path.unlink(missing_ok=True)
     print(f"export SPNAV_SOCKET={path}", flush=True)
-    session = Session(find_scene("joystick")(), hand_force=SpringHand(), publishers=[SpacenavServer(path)])
-    with closing(session):
+    with closing(Session("joystick", hand_force=SpringHand(), publishers=[SpacenavServer(path)])) as session:
         for elapsed, now in real_time(float(sys.argv[1]) if sys.argv[1:] else None, PERIOD):
             axis = np.eye(6)[int(now / 2.0) % 6]  # a hand moves the axes in turn
             session.hand.target = 3.0 * math.sin(math.pi * now) * axis * RANGE
