@@ -209,10 +209,11 @@ def _hints(
     function = unwrap(call)
     code, hints, module = function.__code__, {}, sys.modules.get(function.__module__)
     space = vars(module) if module else function.__globals__
+    others = ChainMap(*(vars(sys.modules[kind.__module__]) for kind in _packed(function)))
     for name, declared in _names(function).items():
         note = getattr(declared, "__forward_arg__", declared)
         with suppress(NameError, TypeError):  # without a type, or one that cannot be checked here
-            hint = eval(note, space)
+            hint = eval(note, space, others)
             if re.search("Array|Mask|Six|Component", note):
                 if not arrays:
                     continue
@@ -292,8 +293,13 @@ def _is_numeric(value: Any) -> bool:
 
 def _names(call: Any) -> dict[str, Any]:
     """Return a function's parameters with their declared types, with those of an unpacked TypedDict."""
-    given = {name: re.fullmatch(r"Unpack\[(\w+)\]", str(note)) for name, note in call.__annotations__.items()}
     named = [one.name for one in signature(call).parameters.values() if one.kind is not one.VAR_POSITIONAL]
-    names = [name for name in named if name not in ("self", "cls", "_cls") and not given.get(name)]
-    packed = [unwrap(call).__globals__[kind[1]].__annotations__ for kind in given.values() if kind]
-    return {name: call.__annotations__.get(name) for name in names} | dict(ChainMap(*packed))
+    notes = {name: call.__annotations__.get(name) for name in named if name not in ("self", "cls", "_cls")}
+    plain = {name: note for name, note in notes.items() if not str(note).startswith("Unpack[")}
+    return plain | dict(ChainMap(*(kind.__annotations__ for kind in _packed(call))))
+
+
+def _packed(call: Any) -> list[Any]:
+    """Return the TypedDicts that a function unpacks."""
+    found = [re.fullmatch(r"Unpack\[(\w+)\]", str(note)) for note in call.__annotations__.values()]
+    return [unwrap(call).__globals__[match[1]] for match in found if match]

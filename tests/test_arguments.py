@@ -135,8 +135,16 @@ RATED: dict[str, Callable[[], Any]] = {
         theory.critical_delay(6e3, 80.0, rate=500.0) == theory.critical_delay(6e3, 80.0, period=0.002)
     ),
     "largest_stable_stiffness": lambda: (
-        theory.largest_stable_stiffness(rate=500.0) == theory.largest_stable_stiffness(period=0.002)
+        theory.largest_stable_stiffness(80.0, rate=500.0) == theory.largest_stable_stiffness(80.0, period=0.002)
     ),
+    "least_dynamic_stiffness": lambda: (
+        theory.least_dynamic_stiffness(6e3, 80.0, rate=500.0) == theory.least_dynamic_stiffness(6e3, 80.0, period=0.002)
+    ),
+    "spectral_radius": lambda: (
+        theory.spectral_radius(6e3, 80.0, rate=500.0) == theory.spectral_radius(6e3, 80.0, period=0.002)
+    ),
+    "stable_ranges": lambda: theory.stable_ranges(80.0, rate=500.0) == theory.stable_ranges(80.0, period=0.002),
+    "stiffest_wall": lambda: theory.stiffest_wall(rate=500.0) == theory.stiffest_wall(period=0.002),
 }
 """Calls with a rate, as a type checker sees them: 500 Hz is a period of 0.002 s."""
 
@@ -153,7 +161,7 @@ def keywords_of(call: Callable[..., Any]) -> Iterator[tuple[str, object]]:
 
 
 def test_a_rate_is_taken_for_a_period_where_the_signature_has_it() -> None:
-    assert RATED.keys() == {name for name, call in calls() if "rate" in dict(keywords_of(call))}
+    assert RATED.keys() == {name for name, call in calls() if {"rate", "period"} <= {*dict(keywords_of(call))}}
     for name, call in RATED.items():
         assert call() in (0.002, True), name
     assert Timing(rate=500.0).rate == 500.0 and Timing(device_rate=1e3).device_period == 1e-3

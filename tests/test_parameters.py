@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import maglev_mj
+from maglev_mj import bridge, plants, recording, theory
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import Parameters, flag, number, numbers, param, param_range, parsed_number
 
@@ -18,10 +19,16 @@ OURS = re.compile(r".*Plant\.six|.*\.(axis|force|signals)")
 """Methods that the package calls itself, those of a law on every tick."""
 
 
+ALSO: list[Any] = [theory.analog_wall, theory.karnopp, theory.least_dynamic_stiffness, theory.least_passive_damping]
+ALSO += [theory.spectral_radius, theory.stable_ranges, theory.stiffest_wall, theory.worst_case]
+ALSO += [recording.import_table, plants.RecordedHand, bridge.HaplyPlant, bridge.HaplyServer, bridge.HaplyTwin]
+"""What the pages use of the packages."""
+
+
 def calls() -> Iterator[tuple[str, Callable[..., Any]]]:
-    """Yield every class, function and method that `import maglev_mj` gives, but what the package calls itself."""
-    for name in dir(maglev_mj):
-        found = getattr(maglev_mj, name)
+    """Yield every class, function and method that `import maglev_mj` gives, and `ALSO`, but what the package calls."""
+    names = {name: getattr(maglev_mj, name) for name in dir(maglev_mj)} | {one.__name__: one for one in ALSO}
+    for name, found in names.items():
         if inspect.isclass(found):
             methods = inspect.getmembers_static(found, inspect.isfunction)
             ours = [(method, call) for method, call in methods if call.__module__.startswith("maglev_mj")]
@@ -38,12 +45,13 @@ def test_a_number_is_no_text_and_no_switch(bad: object) -> None:
 
 
 def test_a_message_names_the_stricter_of_two_bounds() -> None:
-    for bounds, said in (
+    cases: list[tuple[dict[str, Any], str]] = [
         ({"above": 0.0, "at_least": 0.0}, "above 0"),
         ({"above": 0.0, "at_least": 1.0}, "at least 1"),
         ({"below": 1.0, "at_most": 1.0, "at_least": 0.0}, "at least 0 and below 1"),
         ({"above": -1.0, "at_least": 0.0, "below": 2.0, "at_most": 1.0}, "between 0 and 1"),
-    ):
+    ]
+    for bounds, said in cases:
         with pytest.raises(ParameterError, match=rf"mass must be {said} \(got -5"):
             number("mass", -5.0, **bounds)
 
@@ -51,7 +59,8 @@ def test_a_message_names_the_stricter_of_two_bounds() -> None:
 def test_a_hand_is_an_impedance_and_a_hand_force_a_function() -> None:
     """In every function and named tuple of the package."""
     for path in Path(maglev_mj.__file__).parent.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        text = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text if re.search(r"\bhand(_force)?:", text) else "")):
             name = getattr(node, "arg", None) or getattr(getattr(node, "target", None), "id", None)
             if name in ("hand", "hand_force") and (note := getattr(node, "annotation", None)) is not None:
                 is_force = "HandForce" in ast.unparse(note)

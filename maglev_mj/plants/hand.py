@@ -550,6 +550,7 @@ class SpringHand:
         return moved
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class RecordedHand:
     """Replay of a recorded hand, sample by sample.

@@ -19,6 +19,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, check_one_of, one_line
 from maglev_mj.frames import AXES, Array, Mask, quaternions, rotation_vector
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import number, numbers, read_file
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Trajectory
@@ -119,6 +120,7 @@ def _is_number(word: str) -> bool:
         return False
 
 
+@checked
 def import_table(
     path: Path | str,
     columns: Mapping[str, str],

@@ -145,6 +145,7 @@ def ranges_of(loop: SampledLoop, damping: float, limit: float = 1.0) -> list[tup
     return ranges
 
 
+@checked
 def stable_ranges(damping: float, *, limit: float = 1.0, **loop: Unpack[LoopKeywords]) -> list[tuple[float, float]]:
     """Return all stable stiffness ranges at one damping.
 
@@ -239,6 +240,7 @@ def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
     return edges[np.arange(len(edges)), first], first
 
 
+@checked
 def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
     """Return the largest stable stiffness over all dampings, and its damping.
 
@@ -443,6 +445,7 @@ def _roots(series: Array) -> Array:
     return result
 
 
+@checked
 def least_passive_damping(
     stiffness: ArrayLike,
     damping: ArrayLike = 0.0,

@@ -455,6 +455,7 @@ def is_stable(spectral_radius: ArrayLike, limit: ArrayLike = 1.0) -> Mask:
     return np.asarray(spectral_radius) < np.asarray(limit) * (1.0 - ROUNDING)
 
 
+@checked
 def spectral_radius(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
     """Return the spectral radius of the closed loop inside the wall; stable below 1.
 
@@ -513,6 +514,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     return bisect(unstable_at, low, high, *(_SECTIONS if wide.device is None else _HALVED))
 
 
+@checked
 def least_dynamic_stiffness(
     stiffness: ArrayLike,
     damping: ArrayLike,

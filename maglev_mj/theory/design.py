@@ -274,6 +274,7 @@ def _dynamic_stiffness(
     return result
 
 
+@checked
 def worst_case(requirements: WallRequirements, stiffness: float, damping: float) -> tuple[float, Case]:
     """Return the largest spectral radius over the requirements, and its case.
 

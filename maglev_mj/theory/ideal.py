@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
+from maglev_mj.keywords import checked
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.closed_loop import bisect
@@ -23,6 +24,7 @@ from maglev_mj.theory.closed_loop import bisect
 _HALVINGS = 60
 
 
+@checked
 def analog_wall(
     time: ArrayLike,
     *,
@@ -150,6 +152,7 @@ class KarnoppMotion:
     events: tuple[FrictionEvent, ...]
 
 
+@checked
 def karnopp(
     time: ArrayLike,
     *,

@@ -21,6 +21,7 @@ from maglev_mj.bridge.links import Link, LinkError
 from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError, PlantError, require
 from maglev_mj.frames import Command, Sample, rotation_vector
+from maglev_mj.keywords import checked, every_tick
 from maglev_mj.parameters import SAMPLE_PERIOD, number, numbers
 from maglev_mj.session.access import resolve
 
@@ -283,6 +284,7 @@ class WebSocketLink:
             raise LinkError(f"the service closed the connection ({error})") from None
 
 
+@checked
 class HaplyPlant(AbstractContextManager["HaplyPlant"]):
     """Three-axis arm as a plant, paced by the host.
 
@@ -373,6 +375,7 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
         place = [part - centre for part, centre in zip(position, self.centre)]
         return Sample(self._tick, self._tick * self.period, [*place, *rotation])
 
+    @every_tick
     def write(self, command: Command) -> Command:
         """Set the force that the next `read` sends; return it as limited.
 

@@ -17,6 +17,7 @@ import numpy as np
 from maglev_mj.bridge.haply.plant import Arm, devices, numbers_at, token_of, vector
 from maglev_mj.errors import require
 from maglev_mj.frames import ZERO, Command, Six, quaternion
+from maglev_mj.keywords import checked, explained
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import HandForce
 from maglev_mj.session.access import check_host, listen, local_access
@@ -37,6 +38,7 @@ _STATUS = dict.fromkeys(("calibrated", "in_use", "power_supply", "ready", "start
 _BUTTONS = "a", "b", "c", "button_0", "button_1", "button_2", "button_3"
 
 
+@checked
 class HaplyTwin:
     """Arm in simulated time behind the service's JSON.
 
@@ -84,6 +86,7 @@ class HaplyTwin:
         self.force = [0.0, 0.0, 0.0]
         self.plant.read()
 
+    @explained
     def receive(self, data: str | bytes, now: int) -> str:
         """Take one message at `now` [ns]; return the state update."""
         self._advance(now)
@@ -136,6 +139,7 @@ class HaplyTwin:
         return [*(push - stop for push, stop in zip(hand, stops.tolist())), 0.0, 0.0, 0.0]
 
 
+@checked
 class HaplyServer:
     """WebSocket server of a twin; a request needs a permitted Host and Origin, and a key's token if there is a key.
 
