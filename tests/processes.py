@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import replace
+from inspect import unwrap
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 from unittest.mock import patch
@@ -197,7 +198,7 @@ def lockstep_twin(parameters: TwinParameters) -> Iterator[str]:
     thread = threading.Thread(target=twin.run)
     thread.start()
     try:
-        with patch.dict(cast(Any, RemotePlant.__init__).__kwdefaults__, patience=30.0):
+        with patch.dict(cast(Any, unwrap(RemotePlant.__init__)).__kwdefaults__, patience=30.0):
             yield "udp://{}:{}".format(*server.address)
     finally:
         twin.stop()

@@ -143,7 +143,7 @@ static void fill(struct maglev_frame *f) {
             f->of.cmd.pulsed[i] = draw(10) ? 0.5 : number_at_random();
         }
         f->of.cmd.width = draw(10) ? 0.001 : number_at_random();
-        f->of.cmd.count = (uint32_t)draw(MAGLEV_WALLS + 1);
+        f->of.cmd.count = (uint32_t)(draw(2) * draw(MAGLEV_WALLS + 1)); /* half have none */
         for (uint32_t i = 0; i < f->of.cmd.count; i++) {
             bool odd = draw(200) == 0;
             f->of.cmd.walls[i] = (struct maglev_wall){odd ? 6 : (uint8_t)(i % 6), (int8_t)draw(3) - 1,

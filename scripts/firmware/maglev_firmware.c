@@ -4,13 +4,13 @@
    Bounded time: every loop below runs over the coils, the spots, or the bytes of a frame, of which there are
    MAGLEV_LARGEST at most; nothing waits and nothing calls itself. How many frames are processed between two samples is
    for the board to bound, by time: see maglev_queue.h. The longest ways through are
-     maglev_receive  a HELLO with a key: its CRC and tag, and those of the answer; 29 000 instructions of a Cortex-M4. A
-                     CMD: 16 000, without a key 7 000; with
-                     one wall 25 000 and 15 500, with six 44 000 and 28 000. 384 bytes that are no frame: 5 000.
+     maglev_receive  a HELLO with a key: its CRC and tag, and those of the answer; 32 000 instructions of a Cortex-M4. A
+                     CMD: 16 000, without a key 7 000; with one wall 25 000 and 15 500, with twelve 72 000 and 51 000.
+                     600 bytes that are no frame: 8 000.
      maglev_sample   read(), the guards, one exp step, one drive() or cut(), toggle(), CRC and tag of the STATE;
-                     27 000 instructions, without a key 17 000. In a controlled stop 2 000 more.
+                     27 000 instructions, without a key 18 000. In a controlled stop 2 000 more.
      maglev_wall     read(), the guard of the spots, two products of six by six, add(); 20 000 instructions with one wall,
-                     48 000 with six, each with a filter.
+                     48 000 with six, each with a filter; 39 000 with twelve without one.
    Add 4 400 for each maglev_heat() and what the hardware's functions take. Doubles are the wire's; a Cortex-M4
    computes them in software, which is in these figures. */
 #include "maglev_firmware.h"

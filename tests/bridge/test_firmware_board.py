@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from inspect import unwrap
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,10 +42,13 @@ INSTRUCTION = 64.0  # [ns]
 COUNTS = {"mps2_an386": 40.0, "stm32f405": 1.0}  # of each board's emulated clock [ns]
 MACHINES = {"mps2_an386": "mps2-an386", "stm32f405": "netduinoplus2"}
 # without a key and with one: those of maglev_firmware.c, but for frame, a HELLO whose number is drawn by a hash
-INSTRUCTIONS_AT_MOST = {"sample": (17_000, 27_000), "command": (7_000, 16_500), "frame": (20_000, 36_500)}
-INSTRUCTIONS_OF_WALLS = {"command": (15_500, 25_000), "wall": (20_000, 20_000)}  # with one wall
+INSTRUCTIONS_AT_MOST = {"sample": (17_700, 27_000), "command": (7_000, 16_500), "frame": (22_600, 39_400)}
+INSTRUCTIONS_OF_WALLS = {
+    "drop": {"command": (15_500, 25_000), "wall": (20_000, 20_000)},  # one wall
+    "joystick": {"command": (50_400, 71_800), "wall": (38_500, 38_500)},  # the twelve faces of a box
+}
 HARDWARE = 600  # instructions of the simulated hardware in each
-STACK = 2816
+STACK = 3904  # with the frames of twelve walls, 600 bytes each
 PERIOD = 0.005
 HAND, PRESSED = np.array([4.0, 0.0, -5.0, 0.0, 0.0, 0.0]), (2.3, 2.6)  # [N, N m], [s] of the device's clock
 PUSH = f"{','.join(map(str, HAND))}@{PRESSED[0]}:{PRESSED[1]}"
@@ -135,7 +139,7 @@ Starter = Callable[..., Board]
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the host wait for samples of an emulator that its machine does not run."""
-    monkeypatch.setitem(GuardedPlant.__init__.__kwdefaults__, "patience", PATIENCE)  # type: ignore[arg-type]
+    monkeypatch.setitem(unwrap(GuardedPlant.__init__).__kwdefaults__, "patience", PATIENCE)
     monkeypatch.setattr(tester.Tester.exchange, "__defaults__", (PATIENCE,))
     monkeypatch.setattr(tester, "RETRY_INTERVAL", 1.0)
 
@@ -221,14 +225,17 @@ def assert_same_on_pc(flight: Segment, program: Program, tmp_path: Path, *option
 
 
 @KEY_ALONE
-def test_a_wall_on_the_board(program: Program, start: Starter, tmp_path: Path) -> None:
-    board, options = start(), ["--scene", "drop", "--wall-on", "device", "--stiffness", "60000", "--damping", "200"]
+@pytest.mark.parametrize("scene", INSTRUCTIONS_OF_WALLS)
+def test_walls_on_the_board(program: Program, scene: str, start: Starter, tmp_path: Path) -> None:
+    board, options = start(), ["--scene", scene, "--wall-on", "device", "--stiffness", "60000", "--damping", "200"]
     (flight,) = flown(board.address, tmp_path / "flight.maglev", *program.options, *options).segments
     told = board.wait(state=State.INACTIVE, flows=0)
     assert told["faults"] == 0 and told["stack"] < STACK
-    # at rest it carries weight and hand
-    assert flight.position[pressed(flight), 2].mean() == pytest.approx((HAND - WEIGHT)[2] / 6e4, abs=2e-6)
-    for name, bounds in INSTRUCTIONS_OF_WALLS.items():
+    if scene == "drop":  # at rest it carries weight and hand
+        assert flight.position[pressed(flight), 2].mean() == pytest.approx((HAND - WEIGHT)[2] / 6e4, abs=2e-6)
+    else:
+        assert np.abs(flight.position[pressed(flight), :3]).max() < EDGE + 1e-3
+    for name, bounds in INSTRUCTIONS_OF_WALLS[scene].items():
         most = bounds[program.key is not None] + HARDWARE
         assert 0.9 * most < told[name] * COUNTS[program.board] / INSTRUCTION <= most, name
     # float precision: the depth differs by about 1e-12 m, in the contact alone

@@ -112,11 +112,12 @@ def waited(so: Callable[[], bool], pause: float = 0.002) -> None:
 
 PATIENT = """
 import sys
+from inspect import unwrap
 from maglev_mj.bridge import landing
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.cli import main
 landing.LANDING_TIME = 60.0
-RemotePlant.__init__.__kwdefaults__["patience"] = 30.0
+unwrap(RemotePlant.__init__).__kwdefaults__["patience"] = 30.0
 sys.exit(main())
 """
 """The command, patient with a busy machine."""
