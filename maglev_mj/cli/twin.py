@@ -129,7 +129,7 @@ def twin(
         calibration=calibration,
         truth=None if truth is None else Calibration.load(truth),
         seed=seed,
-        limits=limits_of(calibration.base).replace(watchdog=watchdog),
+        limits=limits_of(calibration.device).replace(watchdog=watchdog),
         faults=[InjectedFault.parse(text) for text in fault],
         plant=plant,
     )
