@@ -18,6 +18,7 @@ from maglev_mj.errors import ModelError, ParameterError, check_one_of
 from maglev_mj.frames import AXES, Array
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import LAG, Parameters, numbers, param, read_file, transport_delay
+from maglev_mj.scale import HAND, Scale, Sizes
 from maglev_mj.spec import GRAVITY, MAX_PERIOD, MIN_PERIOD, RANGE
 from maglev_mj.versions import MODELS
 
@@ -384,7 +385,38 @@ class Device:
         return _frozen([*self.range.translation, *np.radians(self.range.rotation_deg)])
 
     @cached_property
-    def scale(self) -> Array:
+    def scale(self) -> Scale:
+        """Thresholds of a flight that follow from this file; only for a device with coils."""
+        return Scale.of(self.sizes, published_device().sizes)
+
+    @cached_property
+    def sizes(self) -> Sizes:
+        """Sizes from which the thresholds of a flight follow; g is 9.81 m/s² and a range that of `ubc` without one."""
+        if self.coils is None:
+            raise ParameterError(f"device {self.name!r} has no coils: its scale is not defined")
+        gravity = np.array(self.body.gravity)
+        weight = float(np.linalg.norm(gravity))
+        down = gravity / weight if weight else np.array([0.0, 0.0, -1.0])
+        unit = self.coils.wrench_per_current(self.body.centre_of_mass)[:3]
+        reach = np.where(np.isfinite(self.reach), self.reach, RANGE)
+        noise = np.hypot(np.array(self.sensor.resolution) / math.sqrt(12.0), self.sensor.noise)
+        return Sizes(
+            mass=self.mass,
+            gravity=weight or GRAVITY,
+            longest=float(reach[:3].max()),
+            shortest=float(reach[:3].min()),
+            fall=float(1.0 / (np.abs(down) / reach[:3]).max()),
+            tilt=float(reach[3:].max()),
+            narrowest=float(reach[3:].min()),
+            radius=math.sqrt(float(self.inertia[3:].mean()) / self.mass),
+            force=min(HAND, float(self.force_limit[:3].min())),
+            lift=float(np.abs(down @ unit).sum()),
+            noise=float(noise[:3].max()),
+            turning=float(noise[3:].max()),
+        )
+
+    @cached_property
+    def range_ratio(self) -> Array:
         """Range of motion as a multiple of the published joystick's, 1 without a range, (6,)."""
         return _frozen(np.where(np.isfinite(self.reach), self.reach, RANGE) / np.array(RANGE))
 

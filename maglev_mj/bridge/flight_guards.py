@@ -14,12 +14,12 @@ from typing import NamedTuple, TypeAlias
 
 from maglev_mj.bridge.connection import SampleCounter
 from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, FlotorGuard, HostLimits, Limits, SpotGuard, reading_fault
-from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.wire import Fault, Flag, State, StateReport
 from maglev_mj.device import published_device
 from maglev_mj.errors import SensingError
 from maglev_mj.frames import ZERO
 from maglev_mj.result import number_text
+from maglev_mj.scale import Scale
 from maglev_mj.spec import INERTIA, MAX_DELAY_PERIODS
 
 _DELAY_SHARE = 0.8
@@ -101,7 +101,7 @@ def device_guards(limits: Limits, own: HostLimits, period: float, scale: Scale) 
         _pose,
         _response,
         partial(_envelope, FlotorGuard(own, scale)),
-        partial(_currents, CoilGuard(limits.off_current)),
+        partial(_currents, CoilGuard(limits)),
         partial(_holding, 2e6 * period),
         _enabled,
         _clock,
@@ -260,7 +260,7 @@ class PowerGuard:
     """
 
     def __init__(self, period: float, inertia: Sequence[float] = INERTIA, scale: Scale | None = None) -> None:
-        scale = scale or Scale.of(published_device())
+        scale = scale or published_device().scale
         self._cap, self._limits = scale.cap, (scale.reversals, scale.capped, scale.stored, -scale.generated)
         self._sizes = [math.sqrt(part / inertia[0]) for part in inertia]  # radii of gyration [m], 1 for translations
         self._growth = math.exp(period / _MEMORY)

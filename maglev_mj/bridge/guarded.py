@@ -18,7 +18,6 @@ from maglev_mj.bridge.flight_guards import DeviceSample, device_guards
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import UNKNOWN, HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
-from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.wire import CUT, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError
@@ -94,7 +93,7 @@ class GuardedPlant:
     ) -> None:
         link = open_link(link, key)
         self.calibration = calibration = calibration or Calibration.nominal()
-        self.scale = scale = Scale.of(calibration.device)
+        self.scale = scale = calibration.device.scale
         host = (limits or HostLimits()).scaled(scale)
         self._hover: list[float] = calibration.hover.tolist()
         weight = calibration.mass * math.hypot(*calibration.gravity)

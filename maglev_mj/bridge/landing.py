@@ -14,13 +14,13 @@ import numpy as np
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.guarded import GuardedPlant
 from maglev_mj.bridge.realtime import interrupt, stopping
-from maglev_mj.bridge.scale import Scale
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.plants.hand import Trajectory
+from maglev_mj.scale import Scale
 from maglev_mj.scenes.find import line_of
 
 LANDING_TIME = 2.0
@@ -145,7 +145,7 @@ class Leader:
 
     def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
         self.period = period
-        body, self._scale = calibration.body, Scale.of(calibration.device)
+        body, self._scale = calibration.body, calibration.device.scale
         hold = Hold.critically_damped(inertia=body.inertia, period=period, delay=delay)
         self._controller = Controller([Bias(0.0 - body.load), hold], period=period)
         self.aim(straight(ZERO, ZERO, 1.0))

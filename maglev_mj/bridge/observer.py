@@ -10,7 +10,6 @@ from typing import TypeAlias
 import numpy as np
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
-from maglev_mj.bridge.scale import Scale
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.frames import ZERO, Array, Command
 from maglev_mj.plants.coils import wrench_of
@@ -335,7 +334,7 @@ class CoilEstimator:
     sensor_delay = math.nan
 
     def __init__(self, calibration: Calibration, period: float) -> None:
-        self._period, self._scale = period, Scale.of(calibration.device)
+        self._period, self._scale = period, calibration.device.scale
         self._paths = calibration.coils.wrench_per_current * (period**2 / calibration.body.inertia)[:, None]
         self._fall = np.concatenate([period**2 * calibration.gravity, np.zeros(3)])
         self._rows: list[tuple[float, ...]] = []
@@ -432,7 +431,7 @@ class CoilMonitor:
         self.add = self._samples.append
         to_currents = np.linalg.inv(calibration.coils.wrench_per_current).T
         self._per_change = (calibration.body.inertia / self._step**2)[:, None] * to_currents
-        self._least = _COMPARED * Scale.of(calibration.device).least ** 2
+        self._least = _COMPARED * calibration.device.scale.least**2
 
     def fault(self) -> str:
         """Return a message about a coil that fails; "" if none does. Call it after each sample: every 10 ms it checks.

@@ -111,7 +111,7 @@ class RemotePlant(GuardedPlant):
 
         leader.aim(straight(rest, rest, duration))
         loop.cycle(2)  # warm-up of slow first calls; the device ignores these answers
-        poses = [rest, ZERO, *((np.array(_TRIES) * base.scale).tolist() if check_coils else ())]
+        poses = [rest, ZERO, *((np.array(_TRIES) * base.range_ratio).tolist() if check_coils else ())]
         times = [0.0, *(duration + _TRY * leg for leg in range(len(poses) - 1))]
         leader.aim(Trajectory(times, poses, "minimum-jerk"), off_path)
         self.arm()

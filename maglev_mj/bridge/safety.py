@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from maglev_mj.bridge.scale import OFF_LIFT, Scale
 from maglev_mj.bridge.wire import MOST_WALLS, PROPERTIES, VERSION, Fault, HelloAck, Wall
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.device import Device, published_device
@@ -20,6 +19,7 @@ from maglev_mj.frames import AXES, ZERO, Command, clipped, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import Parameters, flag, number, param, read_json, store
 from maglev_mj.plants.coils import CoilMap, limited_wrench
+from maglev_mj.scale import OFF_LIFT, Scale
 from maglev_mj.spec import Spec
 
 WARNING_RISE = 0.8
@@ -87,7 +87,7 @@ def at_most(current: float) -> str:
 
 def off_fault(limits: Limits, device: Device) -> str:
     """Return a message if currents that a device takes for off could lift its flotor, or its meter is too coarse."""
-    off, largest = limits.off_current, Scale.of(device).off * _LIFT / OFF_LIFT
+    off, largest = limits.off_current, device.scale.off * _LIFT / OFF_LIFT
     if off > largest:
         return f"off_current must be at most {largest:.3g} A, which lifts 25 % of the weight (got {off:.3g})"
     if device.coils is not None and off < _METER_STEPS * device.coils.meter:
@@ -109,7 +109,7 @@ def limits_of(device: Device) -> Limits:
     coils = device.coils
     if coils is None:
         return Limits()
-    steady, scale = coils.continuous_current, Scale.of(device)
+    steady, scale = coils.continuous_current, device.scale
     own = Limits(current_limit=coils.current_limit, continuous_current=steady, hover_limit=steady).replace(
         stiffness_limit=min(scale.stiffness, 1e8),
         damping_limit=min(scale.damping, 1e6),
@@ -296,7 +296,7 @@ _SCALED = {"envelope": "envelope", "envelope_angle": "tilt", "speed_limit": "spe
 def _scaled_limit(name: str, help: str, unit: str) -> Any:
     """Declare a limit that follows from the device's file; the published joystick's until `HostLimits.scaled`."""
     own = attrgetter(_SCALED[name])
-    return param(help, unit, default=None, derive=lambda _: own(Scale.of(published_device())), above=0.0)
+    return param(help, unit, default=None, derive=lambda _: own(published_device().scale), above=0.0)
 
 
 @checked
@@ -440,13 +440,14 @@ class CoilGuard:
     """Detector of coil currents that do not follow the command.
 
     Args:
-        tolerance: Tolerance of a current, plus a tenth of the command [A]; see `Limits.off_current`.
+        limits: Limits of the device: a current may differ by `off_current` plus a tenth of the command; None for those
+            of the published joystick.
     """
 
     _PATIENCE = 3
 
-    def __init__(self, tolerance: float) -> None:
-        self._tolerance, self._strikes = tolerance, 0
+    def __init__(self, limits: Limits | None = None) -> None:
+        self._tolerance, self._strikes = (limits or Limits()).off_current, 0
 
     def check(self, commanded: Sequence[float] | None, measured: Sequence[float]) -> Fault:
         """Compare the currents of a sample [A], six each.

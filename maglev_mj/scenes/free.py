@@ -57,7 +57,7 @@ class LetGo(_Body):
         "simulated time",
         "s",
         default=None,
-        derive=lambda scene: 0.08 * math.sqrt(scene.hardware.scale[2]),
+        derive=lambda scene: 0.08 * math.sqrt(scene.hardware.range_ratio[2]),
         above=0.0,
         at_most=1e6,
     )
@@ -101,11 +101,11 @@ class SixAxes(_Body):
 
     def start(self) -> Start:
         """Return a flotor displaced on all six axes, its weight compensated."""
-        pose = np.array([0.003, -0.002, 0.003, 0.06, -0.04, 0.05]) * self.hardware.scale
+        pose = np.array([0.003, -0.002, 0.003, 0.06, -0.04, 0.05]) * self.hardware.range_ratio
         return Start(pose=pose.tolist(), gravity=0.0)
 
     def describe(self) -> str:
         """Return a one-line description."""
         gains = f"{self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
-        reach = f"{3.0 * self.hardware.scale[0]:.3g} mm and {3.4 * self.hardware.scale[3]:.3g} degrees"
+        reach = f"{3.0 * self.hardware.range_ratio[0]:.3g} mm and {3.4 * self.hardware.range_ratio[3]:.3g} degrees"
         return f"PD centring from {reach} on all six axes, {gains}"

@@ -143,7 +143,7 @@ _PROGRAMS_ONLY = Turn()
 
 def _scaled(trajectory: Trajectory, device: Device) -> Trajectory:
     """Return a trajectory scaled by the range of a device."""
-    return replace(trajectory, poses=np.asarray(trajectory.poses) * device.scale)
+    return replace(trajectory, poses=np.asarray(trajectory.poses) * device.range_ratio)
 
 
 def _faces(walls: Any) -> tuple[Face, ...]:
@@ -245,7 +245,7 @@ class InteractiveScene(Scene):
 
     def start(self) -> Start:
         """Return a flotor at rest, its weight compensated if `weightless`."""
-        pose = (np.array(self.pose) * self.hardware.scale).tolist()
+        pose = (np.array(self.pose) * self.hardware.range_ratio).tolist()
         return Start(pose=pose, wrench=self.lift if self.weightless else ZERO)
 
     def scripted_hand(self, phase: float = 0.0) -> SpringHand | None:
@@ -295,7 +295,7 @@ class Joystick(InteractiveScene):
 
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
-        edges = np.array(_EDGES) * self.hardware.scale
+        edges = np.array(_EDGES) * self.hardware.range_ratio
         soft = spring(AXES, stiffness=CENTRING, damping=_DAMPING, inertia=self.hardware.inertia)
         return [*weight(self), soft, *contacts(self, AXES, lower=-edges, upper=edges)]
 
@@ -353,7 +353,7 @@ class Box(InteractiveScene):
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
         # slight damping, as by air: the flotor comes to rest within a minute
-        edges = np.array(BOX_WALLS) * self.hardware.scale
+        edges = np.array(BOX_WALLS) * self.hardware.range_ratio
         soft = spring(AXES, stiffness=0.0, damping=_AIR, inertia=self.hardware.inertia)
         return [*weight(self), soft, *contacts(self, AXES, lower=-edges, upper=edges)]
 
@@ -378,6 +378,6 @@ class Corner(InteractiveScene):
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
         # presses the walls with 0.4 N, and the stop with the same acceleration
-        target = np.isin(AXES, _INTO) * -2e-3 * self.hardware.scale
+        target = np.isin(AXES, _INTO) * -2e-3 * self.hardware.range_ratio
         soft = spring(AXES, stiffness=200.0, damping=4.0, target=target, inertia=self.hardware.inertia)
         return [*weight(self), soft, *contacts(self, _INTO, lower=0.0)]

@@ -47,7 +47,7 @@ class Press(WallScene):
         "start height of a hit above the wall",
         "m",
         default=None,
-        derive=lambda scene: float(0.003 * scene.hardware.scale[2]),
+        derive=lambda scene: float(0.003 * scene.hardware.range_ratio[2]),
         above=0.0,
     )
     press: float = param("force of the final press", "N", default=5.0, above=0.0, at_most=1e6)

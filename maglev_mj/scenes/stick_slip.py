@@ -57,7 +57,7 @@ def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> 
         index, inertia = AXES.index(scene.axis), scene.hardware.inertia
         radius = 1.0 if index < 3 else math.sqrt(inertia[index] / inertia[0])
         own = value if gain is None else value * getattr(scene.hardware.wall, gain) / getattr(PUBLISHED_WALL, gain)
-        return float(own * radius**power * (scene.hardware.scale[index] if unit in ("m", "N") else 1.0))
+        return float(own * radius**power * (scene.hardware.range_ratio[index] if unit in ("m", "N") else 1.0))
 
     return param(help, unit, default=None, derive=derived, along=True, **keywords)
 

@@ -509,7 +509,7 @@ class Session:
         pose = self._scene.start().pose
         if "weightless" in settable_parameters(self._scene):
             self._scene = self._scene.replace(weightless=False)
-        self._restart((*pose[:2], _DROP_HEIGHT * float(self._scene.hardware.scale[2]), *pose[3:]))
+        self._restart((*pose[:2], _DROP_HEIGHT * float(self._scene.hardware.range_ratio[2]), *pose[3:]))
 
     def _centre(self) -> None:
         """Restart with the default weight compensation."""

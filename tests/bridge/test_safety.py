@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -63,7 +62,7 @@ def spots_guard() -> SpotGuard:
 
 
 SERIES: dict[str, tuple[Any, Any, Any, Fault]] = {
-    "coils": (partial(CoilGuard, 0.25), ((0.0,) * 6, (2.0,) * 6), (None, (2.0,) * 6), Fault.COIL_NOT_FOLLOWING),
+    "coils": (CoilGuard, ((0.0,) * 6, (2.0,) * 6), (None, (2.0,) * 6), Fault.COIL_NOT_FOLLOWING),
     "frozen, no valid spot": (spots_guard, (STILL, 7), (STILL, 3), Fault.SENSOR_FROZEN),
     "frozen, spots not finite": (spots_guard, (STILL, 7), ((NAN,) * 6, 7), Fault.SENSOR_FROZEN),
     "frozen, too fast": (spots_guard, (STILL, 7), ((0.009,) * 6, 7), Fault.SENSOR_FROZEN),

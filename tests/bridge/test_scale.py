@@ -20,11 +20,11 @@ from maglev_mj.bridge.flight_guards import PowerGuard
 from maglev_mj.bridge.landing import Leader, Motion, Swing, straight
 from maglev_mj.bridge.observer import CoilEstimator, CoilMonitor
 from maglev_mj.bridge.safety import FlotorGuard
-from maglev_mj.bridge.scale import Scale, _sizes
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.device import Device, published_device
 from maglev_mj.errors import ModelError
+from maglev_mj.scale import Scale
 from maglev_mj.spec import GRAVITY, RANGE
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -86,7 +86,7 @@ RANDOM = [drawn(seed) for seed in range(200)]
 @pytest.mark.parametrize("name", [*DEVICES, "random"])
 def test_the_thresholds_of_any_device_are_sane(name: str) -> None:
     for device in RANDOM if name == "random" else [DEVICES[name]]:
-        scale, sizes = Scale.of(device), asdict(Scale.of(device))
+        scale, sizes = device.scale, asdict(device.scale)
         assert all(math.isfinite(value) and value > 0.0 for value in sizes.values()), sizes
         gravity = np.array(device.body.gravity)
         weight = float(np.linalg.norm(gravity))
@@ -108,22 +108,22 @@ def test_the_thresholds_of_any_device_are_sane(name: str) -> None:
 def test_a_takeoff_is_slower_than_half_the_speed_limit_on_any_device() -> None:
     for device in RANDOM:
         rise = float(device.rest[2] and np.linalg.norm(device.rest[:3]))
-        assert 1.875 * rise / 0.6 < 0.5 * Scale.of(device).speed  # peak of a minimum-jerk path of 0.6 s
+        assert 1.875 * rise / 0.6 < 0.5 * device.scale.speed  # peak of a minimum-jerk path of 0.6 s
 
 
 def test_the_published_joystick_keeps_its_numbers() -> None:
-    assert asdict(Scale.of(published_device())) == PUBLISHED
+    assert asdict(published_device().scale) == PUBLISHED
     limits = HostLimits()
     own = limits.envelope, limits.envelope_angle, limits.speed_limit, limits.spin_limit
     assert own == (5.5e-3, math.radians(7.5), 0.6, 15.0)
-    assert limits == limits.scaled(Scale.of(published_device()))
+    assert limits == limits.scaled(published_device().scale)
 
 
 def test_a_light_device_is_off_below_its_hover_current() -> None:
     hover = np.abs(Calibration.of(LIGHT).hover).max()
-    assert Scale.of(LIGHT).off < 0.25 * hover < 0.03
+    assert LIGHT.scale.off < 0.25 * hover < 0.03
     blind = LIGHT.change("sensor", resolution=(1e-4,) * 6)
-    assert Scale.of(blind).least == pytest.approx(0.15 / 0.25 * Scale.of(LIGHT).off * 1e-4 / 5e-6, rel=1e-3)
+    assert blind.scale.least == pytest.approx(0.15 / 0.25 * LIGHT.scale.off * 1e-4 / 5e-6, rel=1e-3)
 
 
 # where they are used
@@ -131,7 +131,7 @@ def test_a_light_device_is_off_below_its_hover_current() -> None:
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_limits_of_the_host_are_the_devices_own_unless_set(name: str) -> None:
-    device, scale = DEVICES[name], Scale.of(DEVICES[name])
+    device, scale = DEVICES[name], DEVICES[name].scale
     plant = remote(device)
     assert plant.scale == scale
     own = HostLimits().scaled(scale)
@@ -158,7 +158,7 @@ def crossed(guard: FlotorGuard, axis: int, far: float, *, guided: bool = False) 
 
 
 def test_a_stage_of_2_mm_is_guided_within_its_own_envelope() -> None:
-    scale = Scale.of(STAGE)
+    scale = STAGE.scale
     assert scale.envelope == pytest.approx(2.444e-3, rel=1e-3)
     for chosen, guided in ((None, scale.envelope), (1e-3, scale.envelope), (4e-3, 4e-3)):
         limits = HostLimits().scaled(scale) if chosen is None else HostLimits(envelope=chosen).scaled(scale)
@@ -179,15 +179,15 @@ def connected(known: Calibration) -> RemotePlant:
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_the_power_guard_of_a_flight_has_the_devices_limits(name: str) -> None:
-    plant, scale = remote(DEVICES[name]), Scale.of(DEVICES[name])
+    plant, scale = remote(DEVICES[name]), DEVICES[name].scale
     flight = Flight(plant, find_scene("joystick")().replace(period=plant.period))
     assert flight._power_guard._limits == (scale.reversals, scale.capped, scale.stored, -scale.generated)
 
 
 def test_takeoff_and_landing_have_the_numbers_of_the_measured_device(monkeypatch: pytest.MonkeyPatch) -> None:
     known = replace(Calibration.of(STAGE), mass=0.35)
-    plant, scale = connected(known), Scale.of(known.device)
-    assert plant.scale == scale != Scale.of(STAGE)
+    plant, scale = connected(known), known.device.scale
+    assert plant.scale == scale != STAGE.scale
     assert plant._observed(0.0)._slow == plant._leader.motion._slow == (scale.rest, scale.rest_spin)
     assert plant._hand.coils._scale == plant._leader._scale == scale
     assert plant._hand.failing._least == 2.0 * scale.least**2
@@ -204,7 +204,7 @@ def test_takeoff_and_landing_have_the_numbers_of_the_measured_device(monkeypatch
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_the_power_guard_trips_at_each_of_its_limits(name: str) -> None:
-    scale, inertia = Scale.of(DEVICES[name]), DEVICES[name].inertia.tolist()
+    scale, inertia = DEVICES[name].scale, DEVICES[name].inertia.tolist()
     for limit, force, why in (
         (scale.capped, 0.4 * scale.cap, f"capped at {scale.cap:.3g} N each in 0.2 s, limit {scale.capped:.3g} N"),
         (scale.reversals, 2.4 * scale.cap, f"N of force reversals in 0.2 s, limit {scale.reversals:.3g} N"),
@@ -237,7 +237,7 @@ def pushed(guard: PowerGuard, force: float, energy: float) -> float:
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_rest_and_the_path_of_a_takeoff_are_the_devices(name: str) -> None:
-    calibration, scale = Calibration.of(DEVICES[name]), Scale.of(DEVICES[name])
+    calibration, scale = Calibration.of(DEVICES[name]), DEVICES[name].scale
     for axis, slow in ((0, scale.rest), (4, scale.rest_spin)):
         for share in (0.95, 1.05):
             motion = Motion(0.001, scale)
@@ -256,7 +256,7 @@ def test_rest_and_the_path_of_a_takeoff_are_the_devices(name: str) -> None:
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_gains_are_estimated_once_a_device_has_lifted_off(name: str) -> None:
-    calibration, scale = Calibration.of(DEVICES[name]), Scale.of(DEVICES[name])
+    calibration, scale = Calibration.of(DEVICES[name]), DEVICES[name].scale
     for share in (0.95, 1.05):
         estimator = CoilEstimator(calibration, 0.005)
         for height in [0.0] * 10 + [share * scale.lifted] * 10:
@@ -280,7 +280,7 @@ def test_a_gain_is_as_certain_as_the_devices_sensor_allows(name: str) -> None:
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_rotations_count_by_the_devices_lever(name: str) -> None:
-    calibration, scale = Calibration.of(DEVICES[name]), Scale.of(DEVICES[name])
+    calibration, scale = Calibration.of(DEVICES[name]), DEVICES[name].scale
     estimator = CoilEstimator(calibration, 0.005)
     for tick in range(20):
         turned = 0.01 * (-1) ** tick
@@ -292,7 +292,7 @@ def test_rotations_count_by_the_devices_lever(name: str) -> None:
 @pytest.mark.parametrize("coil", range(6))
 @pytest.mark.parametrize("name", DEVICES)
 def test_a_coil_that_fails_is_judged_from_the_devices_least_current_on(name: str, coil: int) -> None:
-    calibration, least = Calibration.of(DEVICES[name]), Scale.of(DEVICES[name]).least
+    calibration, least = Calibration.of(DEVICES[name]), DEVICES[name].scale.least
     for share in (0.98, 1.02):
         monitor, said = CoilMonitor(calibration, 0.005), ""
         currents = calibration.hover.copy()
@@ -339,13 +339,13 @@ def test_the_page_states_formulas_and_numbers_of_every_threshold() -> None:
     functions: dict[str, Any] = {"sqrt": math.sqrt, "max": max, "min": min, "rad": math.radians}
     random = []
     for device in RANDOM[:60]:
-        own, published = _sizes(device), _sizes(published_device())
+        own, published = device.sizes, published_device().sizes
         sizes = {letter: a / b for letter, a, b in zip("m g x s d a b r F L n w".split(), own, published)}
-        random.append((Scale.of(device), functions | sizes | {"n": sizes["n"] or 1.0, "w": sizes["w"] or 1.0}))
+        random.append((device.scale, functions | sizes | {"n": sizes["n"] or 1.0, "w": sizes["w"] or 1.0}))
     for name, formula, *columns in rows:
         for device_name, stated in zip(("ubc", "stage"), columns):
             ((number, unit),) = re.findall(r"^([\d.]+) ?(.*)$", stated.strip())
-            value = getattr(Scale.of(DEVICES[device_name]), name) / UNITS.get(unit, 1.0)
+            value = getattr(DEVICES[device_name].scale, name) / UNITS.get(unit, 1.0)
             assert float(number) == pytest.approx(float(f"{value:.3g}"), rel=1e-9), (name, device_name)
         code = compile(formula, name, "eval")
         for scale, names in random:
@@ -374,7 +374,7 @@ def changed(key: str) -> set[str]:
         for name in ("force_constants", "current_limit") if rest == "*" else (rest,):
             value = 0.7 * np.array(getattr(getattr(device, section), name))
             other = device.change(section, **{name: value.tolist()})
-            before, after = asdict(Scale.of(device)), asdict(Scale.of(other))
+            before, after = asdict(device.scale), asdict(other.scale)
             names |= {name for name in before if not math.isclose(before[name], after[name], rel_tol=1e-12)}
     return names
 

@@ -13,7 +13,6 @@ from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import Motion
 from maglev_mj.bridge.safety import HostLimits
-from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.device import published_device
@@ -50,7 +49,7 @@ def test_a_flotor_at_rest_is_detected_with_any_noise(noise: float, period: float
 
 def watched(period: float, pose: Any) -> Motion:
     """Return the motion of a pose as a function of time."""
-    motion = Motion(period, Scale.of(published_device()))
+    motion = Motion(period, published_device().scale)
     for tick in range(5000):
         if motion.full:
             break

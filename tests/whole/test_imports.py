@@ -30,7 +30,7 @@ FLOORS = {
     **dict.fromkeys(
         "errors files frames keywords spec versions lazy process colours pictures result terminal".split(), 0
     ),
-    "parameters": 1,
+    **dict.fromkeys(("parameters", "scale"), 1),
     **dict.fromkeys(("control", "device"), 2),
     "plants": 3,
     "theory": 4,

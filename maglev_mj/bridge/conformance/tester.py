@@ -19,7 +19,6 @@ from maglev_mj.bridge.flight_guards import shown as pose_shown
 from maglev_mj.bridge.landing import Leader, Motion, straight
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.safety import OutputLimiter, at_most
-from maglev_mj.bridge.scale import Scale
 from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import ZERO, Sample
@@ -156,7 +155,7 @@ class Tester:
         self._times: dict[int, int] = {}  # of the last frame from each address
         self._random, self._raw, self._idle = random.Random(1), b"", 0
         self._track, self._offsets = tracker_of(calibration.beams), calibration.spot_offsets.tolist()
-        self._scale = Scale.of(calibration.device)
+        self._scale = calibration.device.scale
 
     def now(self) -> int:
         """Return the link's clock [ns]."""

@@ -94,8 +94,8 @@ class Firmware:
         self._stale = 0 if profile.lockstep else profile.stated["stale"]
 
     def _reset_guards(self) -> None:
-        off = self.profile.limits.off_current
-        self._coils, self._off, self._disabled = CoilGuard(off), CoilGuard(off), 0
+        limits = self.profile.limits
+        self._coils, self._off, self._disabled = CoilGuard(limits), CoilGuard(limits), 0
         self._spots = SpotGuard(self.profile.limits, self.profile.period * 1e-9)
 
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:

@@ -4,21 +4,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import NamedTuple
 
-import numpy as np
+from maglev_mj.spec import GRAVITY, Spec
 
-from maglev_mj.device import Device, published_device
-from maglev_mj.spec import GRAVITY, RANGE, Spec
-
-_HAND = 20.0
-"""Force of a strong hand [N], or the device's largest if that is smaller."""
+HAND = 20.0
+"""Force of a strong hand [N]."""
 
 OFF_LIFT = 0.25 * 3.0 * Spec.force_constant.value / (Spec.moving_mass.value * GRAVITY)
 """Share of the weight that currents at `Scale.off` lift: 22 %."""
 
 _SLOWEST = 5.0
 """Largest factor on the speed at rest: a noisy sensor must not make motion rest."""
+
+
+class Sizes(NamedTuple):
+    """Sizes of a device from which its thresholds follow, in SI units."""
+
+    mass: float
+    gravity: float
+    longest: float  # range of motion
+    shortest: float
+    fall: float  # range along gravity
+    tilt: float  # largest range of rotation
+    narrowest: float  # smallest
+    radius: float  # of gyration
+    force: float  # smallest limit of an axis, at most that of a hand
+    lift: float  # along gravity, of one ampere in each coil
+    noise: float  # of translations
+    turning: float  # noise of rotations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,15 +98,9 @@ class Scale:
     path_angle: float
 
     @staticmethod
-    @lru_cache(maxsize=32)
-    def of(device: Device) -> Scale:
-        """Return the scale of a device.
-
-        Args:
-            device: Description of the device, with coils.
-        """
-        own, published = _sizes(device), _sizes(published_device())
-        m, g, x, s, d, tilt, narrow, r, force, lift, noise, turning = (a / b for a, b in zip(own, published))
+    def of(sizes: Sizes, published: Sizes) -> Scale:
+        """Return the scale of a device from its sizes and those of the published joystick; see `Device.scale`."""
+        m, g, x, s, d, tilt, narrow, r, force, lift, noise, turning = (a / b for a, b in zip(sizes, published))
         noise, turning = noise or 1.0, turning or 1.0
         drop = math.sqrt(g * d)
         fast = max(math.sqrt(x / m), drop)  # a hand is as strong on any device
@@ -122,33 +130,3 @@ class Scale:
             path=0.002 * s,
             path_angle=math.radians(3.0) * narrow,
         )
-
-
-def _sizes(device: Device) -> tuple[float, ...]:
-    """Return the sizes from which the thresholds follow, in SI units.
-
-    Mass; gravity; longest and shortest range, and range along gravity; largest and smallest tilt; radius of gyration;
-    force; lift of one ampere in each coil; noise of translations and of rotations.
-    """
-    coils = device.coils
-    assert coils is not None, "only devices with coils are flown"
-    gravity = np.array(device.body.gravity)
-    weight = float(np.linalg.norm(gravity))
-    down = gravity / weight if weight else np.array([0.0, 0.0, -1.0])
-    unit = coils.wrench_per_current(device.body.centre_of_mass)[:3]
-    reach = np.where(np.isfinite(device.reach), device.reach, RANGE)
-    noise = np.hypot(np.array(device.sensor.resolution) / math.sqrt(12.0), device.sensor.noise)
-    return (
-        device.mass,
-        weight or GRAVITY,
-        float(reach[:3].max()),
-        float(reach[:3].min()),
-        float(1.0 / (np.abs(down) / reach[:3]).max()),
-        float(reach[3:].max()),
-        float(reach[3:].min()),
-        math.sqrt(float(device.inertia[3:].mean()) / device.mass),
-        min(_HAND, float(device.force_limit[:3].min())),
-        float(np.abs(down @ unit).sum()),
-        float(noise[:3].max()),
-        float(noise[3:].max()),
-    )
