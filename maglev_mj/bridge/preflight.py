@@ -316,7 +316,7 @@ def preflight(
         side.ask(*question)
         while (found := side.answer()) is None:
             cycle()
-        return cast(Preflight, found)
+        return cast(Preflight, found._replace(report=report))
 
 
 def on_device(scene: Scene, plant: RemotePlant) -> Scene:

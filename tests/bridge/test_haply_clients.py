@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import importlib
-import re
-import shlex
 import subprocess
 import sys
 import time
@@ -29,7 +27,7 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command
 from maglev_mj.theory import largest_stable_stiffness
 from tests.bridge.test_haply import FREE
-from tests.processes import COMMAND, PATIENCE, run, started
+from tests.processes import PATIENCE, started
 
 pytestmark = pytest.mark.machine
 
@@ -95,19 +93,6 @@ def test_a_plant_reads_the_twin_of_the_command_and_notices_its_end() -> None:
             assert program.end().status == 0 and "0 forces above the limit" in program.output
             with pytest.raises(PlantError, match="the service closed the connection"):
                 plant.read()
-
-
-def test_the_guide_s_flight_on_the_twin_lasts_to_its_end_five_times_in_a_row() -> None:
-    guide = Path(__file__).parents[2].joinpath("docs/howto/drive_an_inverse3.md").read_text(encoding="utf-8")
-    (arm,), (line,) = (
-        re.findall(rf"^    maglev-mj ({name} .*?)(?:  +#.*)?$", guide, re.MULTILINE)[:1] for name in ("twin", "bridge")
-    )
-    assert "--anyway" not in line
-    for _ in range(5):
-        with started(*shlex.split(arm), "0") as program:
-            address = program.wait_for(r"arm at ws://(127\.0\.0\.1:\d+)/")
-            flight = run(*COMMAND, *shlex.split(line.replace("127.0.0.1:10001", address)), "--seconds", "5")
-            assert flight.status == 0 and "5.0 s, 1000 samples; the force has faded to zero\n" in flight.output, flight
 
 
 ISAAC = "isaaclab==2.3.2.post1"

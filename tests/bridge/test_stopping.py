@@ -434,7 +434,7 @@ def test_estop_stops_any_flight_and_reset_clears_it(tmp_path: Path) -> None:
     with Watched() as twin, flight(twin, tmp_path) as host:
         twin.flown(1.0)
         status, said = said_by("estop", twin.address)
-        assert status == 0 and "stopped: ESTOP, no current" in said
+        assert status == 0 and "stopped: ESTOP, at most 0.25 A in each coil" in said
         status, told = ended(host, None)
         assert status == 1 and "ESTOP: reported by the device" in told
         status, said = said_by("bridge", twin.address, "--seconds", "0.2", "--out", str(tmp_path))
