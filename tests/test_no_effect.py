@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import CodeType
@@ -16,6 +17,7 @@ import pytest
 from maglev_mj import RemotePlant, Session, Twin, TwinParameters, estop
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.errors import ParameterError
 from maglev_mj.keywords import mismatch
 from maglev_mj.scenes.interactive import Joystick
 from tests.test_arguments import CHECKABLE, Foreign
@@ -160,3 +162,20 @@ def test_a_refused_flight_does_not_take_off() -> None:
     for value in [one for one in BAD if one not in (None, 5)]:
         assert refusal(flight.run, None, duration=value)
         assert not effects and things.state == before, f"{value!r}: {effects}"
+
+
+@pytest.mark.parametrize(
+    ("method", "values"),
+    [
+        ("arm", ([0.0] * 5, [0.0] * 7, [math.nan] * 6, [math.inf] + [0.0] * 5, "xxxxxx", [[0.0] * 6])),
+        ("drive", ([0.0] * 5, [0.0] * 7, [math.nan] * 6, [1e3] + [0.0] * 5)),
+        ("write", (object(), None, [0.0] * 6, 1.0)),
+    ],
+)
+def test_currents_and_commands_of_another_shape_are_not_sent(method: str, values: Sequence[Any]) -> None:
+    things = live(RemotePlant)
+    for value in values:
+        before = things.state
+        with watched(None), pytest.raises(ParameterError):
+            getattr(things.plant, method)(value)
+        assert not effects and things.state == before, f"{method}({value!r}): {effects}"

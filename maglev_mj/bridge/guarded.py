@@ -20,9 +20,10 @@ from maglev_mj.bridge.observer import UNKNOWN, HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
 from maglev_mj.bridge.wire import CUT, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
-from maglev_mj.errors import ParameterError, PlantError, SensingError
+from maglev_mj.errors import ParameterError, PlantError, SensingError, check_instance
 from maglev_mj.frames import ZERO, Command, DeviceWall, Sample
 from maglev_mj.keywords import checked, every_tick, explained
+from maglev_mj.parameters import numbers
 from maglev_mj.plants.sensor import tracker_of
 
 _INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
@@ -243,9 +244,11 @@ class GuardedPlant:
 
         Raises:
             DeviceFault: If the command is not finite.
+            ParameterError: If it is not a command; nothing is sent.
             PlantError: If no sample was read.
         """
         self._check_sample("write")
+        check_instance("command", command, Command, "a Command")
         try:
             walls = self._on_device(command.walls) if command.walls else ()
             command, held, pulsed, width = self._output.currents(command, self.pose)
@@ -262,10 +265,12 @@ class GuardedPlant:
         """Send six coil currents [A] instead of a wrench.
 
         Raises:
-            ParameterError: If one is not finite or above the limit.
+            ParameterError: If they are not six, or one is not finite or above the limit; nothing is sent.
             PlantError: If no sample was read.
         """
         self._check_sample("drive")
+        if len(currents) != len(ZERO):
+            raise ParameterError(f"currents must be six (got {len(currents)})")
         if safety.command_fault(self.limits, currents, currents, 0.0):
             raise ParameterError(f"currents must be within ±{self.limits.current_limit:g} A (got {list(currents)})")
         self._answer(currents, None, 0.0)
@@ -308,7 +313,11 @@ class GuardedPlant:
         Args:
             hover: Currents held by the device while commands are missing [A], six; by default those that carry the
                 flotor, and a controlled stop follows. With others the device cuts instead.
+
+        Raises:
+            ParameterError: If they are not six finite numbers; nothing is sent.
         """
+        hover = None if hover is None else numbers("hover", hover, shape="(6,)").tolist()
         stop = self._stop if hover is None else CUT
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover, stop=stop)
         self.state, self._armed, self.guided = _ACTIVE, True, False
