@@ -12,7 +12,7 @@ import maglev_mj
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.links import Link, open_link
-from maglev_mj.bridge.safety import Profile, at_most
+from maglev_mj.bridge.safety import Profile, are_off, at_most
 from maglev_mj.bridge.wire import WRAP, Codec, Frame, HelloStatus, Operation, State, StateReport, fault_names
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import ZERO
@@ -103,7 +103,7 @@ def _stop(link: Link, codec: Codec, patience: float, others: Callable[[Frame | N
             others(frame)
             continue
         answer, first = frame.body, frame.time if first is None else first
-        off = answer.sampled > first and all(abs(current) <= answer.off_current for current in answer.currents)
+        off = answer.sampled > first and are_off(answer.currents, answer.off_current)
         # in lockstep no sample may follow: simulated time stands still until the host answers
         confirmed = answer.state == State.FAULT and (off or answer.lockstep == 1)
         if confirmed:
@@ -391,9 +391,8 @@ class Connection:
             return None
         if answer.status == HelloStatus.CALIBRATION:
             both = f"device {answer.calibration.hex()}, host {hello.calibration.hex()}"
-            ends = f"protocol {answer.version} and {wire.VERSION}, host maglev_mj {maglev_mj.__version__}"
-            remedy = "start both with the same device file, and bring the older end up to date"
-            raise HandshakeError(f"calibration mismatch: {both} ({ends}); {remedy}")
+            older = f"if they have it, update the older end (host: maglev_mj {maglev_mj.__version__})"
+            raise HandshakeError(f"calibration mismatch: {both}; start both with the same device file; {older}")
         if answer.status == HelloStatus.WELCOME:
             self._session, self._handshake_time = frame.session, frame.time
         return answer if answer.status in (HelloStatus.WELCOME, HelloStatus.BUSY) else None

@@ -460,7 +460,7 @@ class GuardedPlant:
             for _ in range(_PROOFS + math.ceil(self._stop[6] / self.period)):
                 if frame is not None and frame.time > self._connection.settled:
                     report: StateReport = frame.body  # type: ignore[assignment]
-                    off = report.state != _ACTIVE and self.stated.are_off(report.currents)
+                    off = report.state != _ACTIVE and safety.are_off(report.currents, self.stated.off_current)
                     if off and not report.flags & _STOPPING:
                         return True
                 if self.lockstep:  # the device waits for an answer

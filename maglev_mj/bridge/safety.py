@@ -74,9 +74,10 @@ class Limits(Parameters):
         """Return the lever arm of the limits of a wall on an axis [m]; 1 on a translation."""
         return 1.0 if axis < 3 else self.lever
 
-    def are_off(self, currents: Iterable[float]) -> bool:
-        """Return True if measured currents [A] count as off; False for NaN."""
-        return all(abs(current) <= self.off_current for current in currents)
+
+def are_off(currents: Iterable[float], off_current: float) -> bool:
+    """Return True if all measured currents [A] count as off; False for NaN."""
+    return all(abs(current) <= off_current for current in currents)
 
 
 def at_most(current: float) -> str:
@@ -440,22 +441,20 @@ class CoilGuard:
     """Detector of coil currents that do not follow the command.
 
     Args:
-        limits: Limits of the device: a current may differ by `off_current` plus a tenth of the command; None for those
-            of the published joystick.
+        limits: Limits of the device: a current may differ by `off_current` plus a tenth of the command.
     """
 
     _PATIENCE = 3
 
-    def __init__(self, limits: Limits | None = None) -> None:
-        self._tolerance, self._strikes = (limits or Limits()).off_current, 0
+    def __init__(self, limits: Limits) -> None:
+        self._tolerance, self._strikes = limits.off_current, 0
 
     def check(self, commanded: Sequence[float] | None, measured: Sequence[float]) -> Fault:
         """Compare the currents of a sample [A], six each.
 
         A sample without commanded currents ends a series of wrong ones: they are not consecutive.
         """
-        known = commanded is not None and measured != commanded  # fast path: a twin
-        for target, actual in zip(commanded or (), measured) if known else ():
+        for target, actual in () if measured == commanded else zip(commanded or (), measured):  # fast path: a twin
             if not abs(target - actual) <= self._tolerance + _TOLERANCE * abs(target):
                 self._strikes += 1
                 return Fault.COIL_NOT_FOLLOWING if self._strikes >= self._PATIENCE else _NO_FAULT
@@ -516,14 +515,13 @@ class FlotorGuard:
 
     Args:
         limits: Limits of the host.
-        scale: Scale of the device; None if the limits hold in takeoff and landing, too.
+        scale: Scale of the device: its envelope, if larger, holds in takeoff and landing.
     """
 
-    def __init__(self, limits: HostLimits, scale: Scale | None = None) -> None:
+    def __init__(self, limits: HostLimits, scale: Scale) -> None:
         far, turned = limits.envelope, limits.envelope_angle
-        self._own = self._guided = far, turned**2
-        if scale is not None:
-            self._guided = max(far, scale.envelope), max(turned, scale.tilt) ** 2
+        self._own = far, turned**2
+        self._guided = max(far, scale.envelope), max(turned, scale.tilt) ** 2
         self._fast, self._turning = limits.speed_limit**2, limits.spin_limit**2
         self._last: Sequence[float] | None = None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -18,7 +17,7 @@ from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.twin import firmware
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
-from maglev_mj.bridge.wire import VERSION, State
+from maglev_mj.bridge.wire import State
 from maglev_mj.control import Bias, FiniteDifference, Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Plant, drive
@@ -329,10 +328,10 @@ def test_a_device_with_offsets_flies_with_its_calibration_and_beside_the_centre_
     assert rms(wrong.poses[-200:]) > 1e-4
 
 
-def test_a_calibration_mismatch_names_both_hashes_and_versions() -> None:
+def test_a_calibration_mismatch_names_both_hashes_and_the_hosts_version() -> None:
     names = [one.digest.hex() for one in (Calibration.nominal(), offsets())]
-    ends = rf"\(protocol {VERSION} and {VERSION}, host maglev_mj {re.escape(maglev_mj.__version__)}\)"
-    with pytest.raises(HandshakeError, match=f"calibration mismatch: device {names[0]}, host {names[1]} {ends}; start"):
+    message = f"calibration mismatch: device {names[0]}, host {names[1]}; start .* maglev_mj {maglev_mj.__version__}"
+    with pytest.raises(HandshakeError, match=message):
         Rig(host={"calibration": offsets()})
 
 

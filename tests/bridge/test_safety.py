@@ -25,12 +25,14 @@ from maglev_mj.bridge.safety import (
     weight_fault,
 )
 from maglev_mj.bridge.wire import Fault
+from maglev_mj.device import published_device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command
 from tests.published import WEIGHT
 
 NONE = Fault(0)
 PERIOD = 0.005
+SCALE = published_device().scale
 NAN, INF = math.nan, math.inf
 
 
@@ -44,14 +46,14 @@ def test_a_flotor_outside_its_envelope_is_detected_on_every_axis() -> None:
     for axis in range(6):
         for sign in (1.0, -1.0):
             most = sign * (limits.envelope if axis < 3 else limits.envelope_angle)
-            assert FlotorGuard(limits).check(moved(axis, 1.001 * most), PERIOD) == Fault.BOUNDARY
-            assert FlotorGuard(limits).check(moved(axis, 0.999 * most), PERIOD) == NONE
+            assert FlotorGuard(limits, SCALE).check(moved(axis, 1.001 * most), PERIOD) == Fault.BOUNDARY
+            assert FlotorGuard(limits, SCALE).check(moved(axis, 0.999 * most), PERIOD) == NONE
 
 
 def test_an_angle_about_several_axes_counts_as_one() -> None:
     part = 0.6 * HostLimits().envelope_angle
-    assert FlotorGuard(HostLimits()).check((0.0, 0.0, 0.0, part, part, part), PERIOD) == Fault.BOUNDARY
-    assert FlotorGuard(HostLimits()).check((0.0, 0.0, 0.0, part, part, 0.0), PERIOD) == NONE
+    assert FlotorGuard(HostLimits(), SCALE).check((0.0, 0.0, 0.0, part, part, part), PERIOD) == Fault.BOUNDARY
+    assert FlotorGuard(HostLimits(), SCALE).check((0.0, 0.0, 0.0, part, part, 0.0), PERIOD) == NONE
 
 
 STILL = (0.001,) * 6
@@ -62,7 +64,7 @@ def spots_guard() -> SpotGuard:
 
 
 SERIES: dict[str, tuple[Any, Any, Any, Fault]] = {
-    "coils": (CoilGuard, ((0.0,) * 6, (2.0,) * 6), (None, (2.0,) * 6), Fault.COIL_NOT_FOLLOWING),
+    "coils": (lambda: CoilGuard(Limits()), ((0.0,) * 6, (2.0,) * 6), (None, (2.0,) * 6), Fault.COIL_NOT_FOLLOWING),
     "frozen, no valid spot": (spots_guard, (STILL, 7), (STILL, 3), Fault.SENSOR_FROZEN),
     "frozen, spots not finite": (spots_guard, (STILL, 7), ((NAN,) * 6, 7), Fault.SENSOR_FROZEN),
     "frozen, too fast": (spots_guard, (STILL, 7), ((0.009,) * 6, 7), Fault.SENSOR_FROZEN),
@@ -93,7 +95,7 @@ def test_speed_is_over_the_time_that_passed(axis: int, missed: int) -> None:
     limits, elapsed = HostLimits(envelope=1.0, envelope_angle=3.0), PERIOD * (1 + missed)
     most = elapsed * (limits.speed_limit if axis < 3 else limits.spin_limit)
     for share, fault in ((0.99, NONE), (1.01, Fault.FLOTOR_OVERSPEED)):
-        guard = FlotorGuard(limits)
+        guard = FlotorGuard(limits, SCALE)
         assert guard.check((0.0,) * 6, PERIOD) == NONE
         assert guard.check(moved(axis, share * most), elapsed) == fault
 

@@ -18,7 +18,7 @@ from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight_guards import shown as pose_shown
 from maglev_mj.bridge.landing import Leader, Motion, straight
 from maglev_mj.bridge.links import Link
-from maglev_mj.bridge.safety import OutputLimiter, at_most
+from maglev_mj.bridge.safety import OutputLimiter, are_off, at_most
 from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import ZERO, Sample
@@ -387,7 +387,7 @@ class Tester:
 
     def is_off(self, currents: Sequence[float]) -> bool:
         """Return True if measured currents [A] count as off."""
-        return max(map(abs, currents)) <= self.welcome.off_current
+        return are_off(currents, self.welcome.off_current)
 
     def close(self, frame: Any, expected: Sequence[float]) -> None:
         """Check that the measured currents are close to the expected ones [A]."""

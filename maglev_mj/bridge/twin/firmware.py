@@ -9,7 +9,7 @@ from itertools import count
 from typing import Any, NamedTuple, Protocol
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, Profile, SpotGuard, ThermalModel, command_fault
+from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, Profile, SpotGuard, ThermalModel, are_off, command_fault
 from maglev_mj.bridge.wire import MOST_WALLS, NEVER, WRAP, Codec, Fault, HelloStatus, Operation, State, Wall, newer
 from maglev_mj.frames import ZERO
 
@@ -338,7 +338,7 @@ class Firmware:
         return True
 
     def _reset(self) -> bool:
-        off = self.profile.limits.are_off(self._measured)
+        off = are_off(self._measured, self.profile.limits.off_current)
         if self.state == State.ACTIVE or self.stopping or max(self._thermal.rises) >= WARNING_RISE or not off:
             return False
         self.state, self.faults, self._first, self._fault_time = State.INACTIVE, Fault(0), Fault(0), 0
