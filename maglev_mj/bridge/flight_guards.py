@@ -27,7 +27,7 @@ _DELAY_SHARE = 0.8
 _FULL_SHARE = 0.005
 """Critical delay up to which the limit is the critical delay itself [s]: a share would stop usual delays.
 
-Both are counted from the delay that is the device's own and does not change.
+Both are counted from the device's own delay, which does not change: a share of the sum could be below it.
 """
 _LONGEST = 0.03
 """Longest delay for which margins are computed [s]."""

@@ -63,8 +63,8 @@ def estop(*, address: Address, key: Key = None) -> int:
     Works in any state, whichever host is flying. `maglev-mj bridge ADDRESS --reset` shows and clears the fault.
 
     Returns:
-        Exit status: 0 if the device confirmed that its currents are off; otherwise cut the power. A serial link has
-        one user only: stop that flight with Escape in its window, or Ctrl-C twice.
+        Exit status: 0 if the device confirmed that its currents are off, or in lockstep the fault alone; otherwise cut
+        the power. A serial link has one user only: stop that flight with Escape in its window, or Ctrl-C twice.
     """
     from maglev_mj.bridge.connection import estop
 

@@ -314,7 +314,9 @@ class Tester:
                 self._times.clear()
                 return
             if status != HelloStatus.BUSY or self.now() > end:
-                raise HandshakeError(f"the device answered HELLO with status {shown(status, HelloStatus.WELCOME)}")
+                hint = "; state its file by --device" if status == HelloStatus.CALIBRATION else ""
+                shown_status = shown(status, HelloStatus.WELCOME)
+                raise HandshakeError(f"the device answered HELLO with status {shown_status}{hint}")
             self.wait(0.1)
 
     def ask(
