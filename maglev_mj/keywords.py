@@ -96,7 +96,7 @@ def explained(call: _T) -> _T:
 
 def _checked(call: Any, called: str, *, late: bool = False, own: str = "", rates: Sequence[str] = ()) -> Any:
     """Return a function that checks its arguments before the call; if `late`, only once the call has failed."""
-    seen: dict[tuple[Any, ...], bool] = {}  # by keywords and classes of arguments: whether these alone tell
+    seen: dict[tuple[Any, ...], bool] = {}  # by keywords and classes of arguments: whether these suffice
     passed = frozenset(own.split())
 
     @wraps(call)
@@ -118,9 +118,8 @@ def _checked(call: Any, called: str, *, late: bool = False, own: str = "", rates
             raise
 
     if rates:
-        known = signature(call)
         added = [Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation="float | None") for name in rates]
-        checked.__signature__ = known.replace(parameters=[*known.parameters.values(), *added])  # type: ignore[attr-defined]
+        checked.__signature__ = signature(call).replace(parameters=[*signature(call).parameters.values(), *added])  # type: ignore[attr-defined]
     checked.late, checked.own = late, passed  # type: ignore[attr-defined]
     return checked
 
@@ -134,7 +133,7 @@ def _refuse(
     *,
     arrays: bool = False,
 ) -> bool:
-    """Raise the error of the first wrong argument, without a call. Return True if the arguments' classes alone tell."""
+    """Raise the error of the first wrong argument, without a call. Return True if checking their classes suffices."""
     names = _names(call)
     if not called:  # a constructor, perhaps of a subclass
         called = (arguments[0] if isinstance(arguments[0], type) else type(arguments[0])).__name__
@@ -178,7 +177,7 @@ def mismatch(
 ) -> str | None:
     """Return the message for the first argument that does not have its declared type; "" for none.
 
-    None if the classes of the arguments alone tell that there is none.
+    None if the classes of the arguments suffice to exclude one.
     """
     positions, hints = _hints(call, arrays)
     certain = True
@@ -301,5 +300,5 @@ def _names(call: Any) -> dict[str, Any]:
 
 def _packed(call: Any) -> list[Any]:
     """Return the TypedDicts that a function unpacks."""
-    found = [re.fullmatch(r"Unpack\[(\w+)\]", str(note)) for note in call.__annotations__.values()]
-    return [unwrap(call).__globals__[match[1]] for match in found if match]
+    matches = [re.fullmatch(r"Unpack\[(\w+)\]", str(note)) for note in call.__annotations__.values()]
+    return [unwrap(call).__globals__[match[1]] for match in matches if match]

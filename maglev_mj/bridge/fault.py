@@ -84,8 +84,8 @@ class DeviceFault(PlantError):
 
     def __init__(self, faults: Fault, message: str, path: Path | None, *, off: float | None) -> None:
         where = f"; the last cycles are in {path}" if path is not None else ""
-        said = "currents not confirmed off: cut the power at the amplifiers" if off is None else at_most(off)
-        super().__init__(f"{fault_names(faults)}: {message}{where}; {said}")
+        currents = "currents not confirmed off: cut the power at the amplifiers" if off is None else at_most(off)
+        super().__init__(f"{fault_names(faults)}: {message}{where}; {currents}")
         self.faults, self.path, self.off = faults, path, off
 
 

@@ -314,9 +314,9 @@ def preflight(
         if side is None:
             return assess(*question)
         side.ask(*question)
-        while (found := side.answer()) is None:
+        while (result := side.answer()) is None:
             cycle()
-        return cast(Preflight, found._replace(report=report))
+        return cast(Preflight, result)
 
 
 def on_device(scene: Scene, plant: RemotePlant) -> Scene:

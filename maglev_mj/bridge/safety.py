@@ -441,13 +441,14 @@ class CoilGuard:
     """Detector of coil currents that do not follow the command.
 
     Args:
-        limits: Limits of the device: a current may differ by `off_current` plus a tenth of the command.
+        limits: Limits of the device: a current may differ by `off_current` plus a tenth of the command. None for
+            those of the published joystick.
     """
 
     _PATIENCE = 3
 
-    def __init__(self, limits: Limits) -> None:
-        self._tolerance, self._strikes = limits.off_current, 0
+    def __init__(self, limits: Limits | None = None) -> None:
+        self._tolerance, self._strikes = (limits or Limits()).off_current, 0
 
     def check(self, commanded: Sequence[float] | None, measured: Sequence[float]) -> Fault:
         """Compare the currents of a sample [A], six each.
@@ -515,13 +516,14 @@ class FlotorGuard:
 
     Args:
         limits: Limits of the host.
-        scale: Scale of the device: its envelope, if larger, holds in takeoff and landing.
+        scale: Scale of the device: its envelope, if larger, holds in takeoff and landing; None if the limits hold there.
     """
 
-    def __init__(self, limits: HostLimits, scale: Scale) -> None:
+    def __init__(self, limits: HostLimits, scale: Scale | None = None) -> None:
         far, turned = limits.envelope, limits.envelope_angle
+        own = (far, turned) if scale is None else (scale.envelope, scale.tilt)
         self._own = far, turned**2
-        self._guided = max(far, scale.envelope), max(turned, scale.tilt) ** 2
+        self._guided = max(far, own[0]), max(turned, own[1]) ** 2
         self._fast, self._turning = limits.speed_limit**2, limits.spin_limit**2
         self._last: Sequence[float] | None = None
 
