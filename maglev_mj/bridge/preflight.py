@@ -316,7 +316,7 @@ def preflight(
         side.ask(*question)
         while (result := side.answer()) is None:
             cycle()
-        return cast(Preflight, result)
+        return cast(Preflight, result._replace(report=report))
 
 
 def on_device(scene: Scene, plant: RemotePlant) -> Scene:

@@ -516,7 +516,7 @@ class FlotorGuard:
 
     Args:
         limits: Limits of the host.
-        scale: Scale of the device: its envelope, if larger, holds in takeoff and landing; None if the limits hold there.
+        scale: Scale of the device: its envelope, if larger, holds in takeoff and landing; None if the limits do.
     """
 
     def __init__(self, limits: HostLimits, scale: Scale | None = None) -> None:
