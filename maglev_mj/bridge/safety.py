@@ -106,7 +106,11 @@ def macro(name: str, members: Mapping[str, Any]) -> str:
 
 
 def limits_of(device: Device) -> Limits:
-    """Return the limits of a device with coils; thresholds by its `Scale`, within the bounds of `Limits`."""
+    """Return the limits of a device with coils; thresholds by its `Scale`, within the bounds of `Limits`.
+
+    Raises:
+        ParameterError: If its meter is too coarse to tell that the coils are off.
+    """
     coils = device.coils
     if coils is None:
         return Limits()
@@ -120,6 +124,8 @@ def limits_of(device: Device) -> Limits:
         recede=min(scale.recede, 10.0),
         off_current=min(scale.off, steady),
     )
+    if problem := off_fault(own, device):
+        raise ParameterError(problem)
     farthest = _ROOM * max(*device.range.translation, device.sensor.lever * float(device.reach[3:].max()))
     if device.sensor.kind == "pose":  # whose values are the pose itself
         own = own.replace(spot_limit=min(max(own.spot_limit, farthest), 0.1))
