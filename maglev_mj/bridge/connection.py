@@ -36,7 +36,7 @@ class EstopReport(NamedTuple):
         confirmed: True if the device is in the fault state and has measured its currents off since, or is in lockstep.
         duration: Time from the first request to the end [s].
         faults: Faults latched in the device; 0 without an answer.
-        currents: Last measured currents [A], six; empty without an answer.
+        currents: Currents measured since the first answer [A], six; empty without.
         at: Device time of its first answer [ns]; 0 without an answer.
         off: Largest current that counts as off on the device, if a sample since its first answer shows no larger one
             [A]; None otherwise.
@@ -60,6 +60,8 @@ class EstopReport(NamedTuple):
         if self.currents:
             coil = max(range(6), key=lambda index: abs(self.currents[index]))
             reason = f"faults {names}, {self.currents[coil]:.3g} A in coil {coil}"
+        elif self.at or self.faults:
+            reason = f"faults {names}, no sample in {self.duration:.3g} s"
         return f"not confirmed: cut the power ({reason})"
 
 
@@ -96,6 +98,7 @@ def _stop(link: Link, codec: Codec, patience: float, others: Callable[[Frame | N
     body = wire.Estop(draw())
     start, first = link.now(), None
     answer: wire.EstopAck | None = None
+    currents: tuple[float, ...] = ()
     off, confirmed = False, False
     for data in _requested(link, codec, 0, body, _ESTOP_INTERVAL, patience):
         frame = codec.decode(data)
@@ -103,7 +106,8 @@ def _stop(link: Link, codec: Codec, patience: float, others: Callable[[Frame | N
             others(frame)
             continue
         answer, first = frame.body, frame.time if first is None else first
-        off = answer.sampled > first and are_off(answer.currents, answer.off_current)
+        currents = answer.currents if answer.sampled > first else ()
+        off = bool(currents) and are_off(currents, answer.off_current)
         # in lockstep no sample may follow: simulated time stands still until the host answers
         confirmed = answer.state == State.FAULT and (off or answer.lockstep == 1)
         if confirmed:
@@ -112,7 +116,7 @@ def _stop(link: Link, codec: Codec, patience: float, others: Callable[[Frame | N
     if answer is None:
         return EstopReport(False, duration, 0, (), 0, None)
     limit = answer.off_current if off else None
-    return EstopReport(confirmed, duration, answer.faults, answer.currents, first or 0, limit)
+    return EstopReport(confirmed, duration, answer.faults, currents, first or 0, limit)
 
 
 def exchange(

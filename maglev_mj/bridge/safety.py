@@ -90,9 +90,9 @@ def off_fault(limits: Limits, device: Device) -> str:
     """Return a message if currents that a device takes for off could lift its flotor, or its meter is too coarse."""
     off, largest = limits.off_current, device.scale.off * _LIFT / OFF_LIFT
     if off > largest:
-        return f"off_current must be at most {largest:.3g} A, which lifts 25 % of the weight (got {off:.3g})"
+        return f"off_current must be at most {largest:.3g} A, which lifts 25 % of the weight (got {off:.3g} A)"
     if device.coils is not None and off < _METER_STEPS * device.coils.meter:
-        return f"off_current must be at least three times coils.meter, {device.coils.meter:.3g} A (got {off:.3g})"
+        return f"off_current must be at least three times coils.meter, {device.coils.meter:.3g} A (got {off:.3g} A)"
     return ""
 
 

@@ -26,17 +26,9 @@ from maglev_mj.device import Device, published_device
 from maglev_mj.errors import ModelError
 from maglev_mj.scale import Scale
 from maglev_mj.spec import GRAVITY, RANGE
+from tests.bridge.devices import DEVICES, LIGHT, STAGE
 
 DOCS = Path(__file__).parents[2] / "docs"
-STAGE = Device.load("stage")
-LIGHT = (
-    STAGE.change("body", mass=0.25, inertia=(1.0e-4, 1.1e-4, 1.6e-4))
-    .change("coils", force_constants=(7.0, 7.5, 8.0, 6.0, 6.5, 7.0), current_limit=1.5, continuous_current=0.6)
-    .change("loop", rate=500.0, delay=8e-4)
-)
-"""A device that hovers with 0.11 A."""
-
-DEVICES = {"ubc": published_device(), "stage": STAGE, "light": LIGHT}
 SIGNS = np.array(list(product((1.0, -1.0), repeat=6))).T
 
 PUBLISHED: dict[str, float] = {
