@@ -21,7 +21,7 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.conformance import CheckResult, checks, conform
 from maglev_mj.bridge.conformance.tester import CHECKS
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.safety import Limits, Profile, ThermalModel, command_fault
+from maglev_mj.bridge.safety import Limits, Profile, ThermalModel, at_most, command_fault
 from maglev_mj.bridge.twin import firmware, twin
 from maglev_mj.bridge.twin.firmware import Firmware, Walls
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
@@ -29,6 +29,7 @@ from maglev_mj.bridge.twin.twin import AmplifierBoard, Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Fault, State
 from maglev_mj.cli import main
 from maglev_mj.errors import PlantError
+from tests.bridge.devices import DEVICES
 from tests.bridge.firmware_core import FIRMWARE
 from tests.sweeps import sweep
 
@@ -90,7 +91,7 @@ def results_of(
     """Test a twin in virtual time; return results by name."""
     device = Mortal(TwinParameters(**parameters), key=key)
     link = VirtualLink(device)
-    results = conform([link, Elsewhere(device, link)], key=key, only=only)
+    results = conform([link, Elsewhere(device, link)], calibration=parameters.get("calibration"), key=key, only=only)
     if all(one.passed is not False for one in results):
         assert (device.firmware.state, device.firmware.session) == (State.INACTIVE, 0)
     return {one.name: one for one in results}
@@ -123,6 +124,24 @@ def test_devices_pass(language: str, key: bytes | None, monkeypatch: pytest.Monk
 
 LEFT_OUT = "needs real time (the device is in lockstep)"
 TIMED = [name for name, one in CHECKS.items() if one.real_time] + ["hover", "flight-silence"]
+
+
+SCALED = "period currents stop estop reset-flowing walls hover flight-over-current flight-estop".split()
+"""Checks that judge by the scale of the device, and some of those in flight."""
+
+
+@pytest.mark.parametrize(
+    ("name", "only"),
+    [
+        *(pytest.param(name, SCALED, id=name) for name in DEVICES),
+        *(pytest.param(name, None, marks=pytest.mark.study, id=f"{name}, all") for name in DEVICES),
+    ],
+)
+def test_devices_of_other_sizes_pass(name: str, only: list[str] | None) -> None:
+    results = results_of(calibration=Calibration.of(DEVICES[name]), only=only)
+    assert not names(results, False) and (only is None or set(only) <= set(results))
+    off = at_most(DEVICES[name].scale.off)
+    assert off in results["currents"].seen and off in results["estop"].seen and off in results["flight-estop"].seen
 
 
 @pytest.mark.study
@@ -395,7 +414,7 @@ CASES = {
     "arm": r"\S+ in (hover|stop)\[[067]\]: result, state \(DONE, ACTIVE\) instead of \(REFUSED, INACTIVE\)",
     "trip": r"TRIP of (0x80000000|none): faults (0x80000000|none) instead of HOST|"
     "TRIP of SENSOR_OUT_OF_RANGE, then of CLOCK: faults CLOCK instead of SENSOR_OUT_OF_RANGE CLOCK",
-    "currents": r"after (DISARM|TRIP): \(0\.57\d+, .*\) A after the cut instead of 0 A",
+    "currents": r"after (DISARM|TRIP): \(0\.57\d+, .*\) A after the cut instead of at most 0.25 A",
     "temperatures": "coil 0: 0 instead of 0.00106, from 0",
     "not-active": r"CMD of \(nan, .*\) A in INACTIVE: state, faults \(FAULT, .*\) instead of \(INACTIVE, none\)",
     "not-finite": r"nan in entry [06] of held, pulsed, width: "
@@ -455,7 +474,9 @@ def test_a_command_that_survives_the_cut_is_seen(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(AmplifierBoard, "drive", remember)
     monkeypatch.setattr(AmplifierBoard, "cut", cut_but_forget_nothing)
     result = results_of(only=["forgotten"])["forgotten"]
-    expected = r"after a CMD of \(0\.57\d+, .*\) A and DISARM: \(0\.57\d+, .*\) A after the cut instead of 0 A"
+    expected = (
+        r"after a CMD of \(0\.57\d+, .*\) A and DISARM: \(0\.57\d+, .*\) A after the cut instead of at most 0.25 A"
+    )
     assert result.passed is False and re.match(expected, result.seen), result.seen
 
 

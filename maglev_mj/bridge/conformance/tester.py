@@ -349,7 +349,7 @@ class Tester:
             self.join()
         end = self.now() + round(TAKEOVER * 1e9)
         while (answer := self.ask(Operation.DISARM)).state != State.INACTIVE:
-            # refused until a sample shows that the currents are zero
+            # refused until a sample shows that the currents are off
             if self.ask(Operation.RESET).state != State.INACTIVE:
                 if self.now() > end:
                     fail(f"RESET refused: {fault_names(answer.faults)}")
@@ -418,11 +418,13 @@ class Tester:
             self.wait(0.005)
 
     def zero(self) -> str:
-        """Check that the currents are zero from the second sample on."""
+        """Check that the currents are off from the second sample on."""
         for frame in self.states(4)[1:]:
             if not self.is_off(frame.body.currents):
-                fail(f"{shown(frame.body.currents)} A after the cut instead of 0 A")
-        return "currents zero"
+                fail(
+                    f"{shown(frame.body.currents)} A after the cut instead of at most {self.welcome.off_current:.3g} A"
+                )
+        return at_most(self.welcome.off_current)
 
     # flights
 

@@ -12,13 +12,17 @@ from maglev_mj.bridge.wire import Fault, Flag, State
 from maglev_mj.frames import ZERO
 
 _NO_WALLS = "not checked: the device renders no walls"
+_PRESS = 0.44
+"""Force of a wall that presses the flotor on its stop, as a share of the weight."""
 
 
 def _pressing(t: Tester) -> tuple[wire.Wall, list[float]]:
-    """Bring the device to ACTIVE; return a wall that presses the flotor on its stop with 3 N, and its currents [A]."""
+    """Bring the device to ACTIVE; return a wall that presses the flotor on its stop, and its currents [A]."""
     t.bring(State.ACTIVE)
     depth = 0.8e-9 * t.welcome.edge_speed * t.welcome.period
-    stiffness = min(3.0 / depth, t.welcome.stiffness_limit) if depth else 0.0
+    sizes = t.calibration.device.sizes
+    force = _PRESS * sizes.mass * sizes.gravity
+    stiffness = min(force / depth, t.welcome.stiffness_limit) if depth else 0.0
     edge = t.calibration.wall_maps.pose(t.last.body.spots)[2] - depth
     per_force = t.calibration.coils.current_per_wrench[:, 2]
     return wire.Wall(2, -1, edge, stiffness, 0.0, 0.0), (-stiffness * depth * per_force).tolist()
