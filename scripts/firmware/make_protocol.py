@@ -182,10 +182,13 @@ def files() -> Iterator[tuple[Path, str]]:
     yield path, region(text, "properties", [f".{name} = p->{name}," for name in numbers], 8)
 
     names = [limit.name for limit in Limits.parameters() if wire.PROPERTIES[limit.name].type != "u64"]
-    limits = [f".{name} = {getattr(Limits(), name)}," for name in names if name not in ("hover_limit", "frozen")]
-    for name in ("simulated_device.c", "fuzz_firmware.c"):
-        path = FIRMWARE / name
-        yield path, region(path.read_text("utf-8"), "limits", limits, 4)
+    names = [name for name in names if name not in ("hover_limit", "frozen")]
+    limits = [f".{name} = {getattr(Limits(), name)}," for name in names]
+    places = [f'{{"{name}", &profile.{name}}},' for name in names if wire.PROPERTIES[name].type == "f64"]
+    path = FIRMWARE / "fuzz_firmware.c"
+    yield path, region(path.read_text("utf-8"), "limits", limits, 4)
+    path = FIRMWARE / "simulated_device.c"
+    yield path, region(region(path.read_text("utf-8"), "limits", limits, 4), "places of limits", places, 4)
     path = FIRMWARE / "README.md"
     yield path, put(path.read_text("utf-8"), r"protocol\.md\), version (\d+)", wire.VERSION)
     path = FIRMWARE / "boards" / "stm32f405" / "README.md"

@@ -10,8 +10,9 @@
 
    The plant FILE contains seven names, each followed by its numbers: wrench_per_current (36, row-major) [N/A, N m/A],
    inertia (6: mass three times, then moments) [kg, kg m^2], gravity (6: accelerations) [m/s^2, rad/s^2],
-   spots_per_pose (36, row-major) [1, m], rest (6) [m, rad], and the inverses pose_per_spot and current_per_wrench. A key FILE has 32 to 64 hexadecimal digits. --noise is
-   the amplitude of the spot noise [m]; with it 30 consecutive equal readings are a fault. --golden reads frames, one line of
+   spots_per_pose (36, row-major) [1, m], rest (6) [m, rad], and the inverses pose_per_spot and current_per_wrench.
+   Then come limits of the device by name, in the units of HELLO_ACK; others are those of the published joystick. A key
+   FILE has 32 to 64 hexadecimal digits. --noise is the amplitude of the spot noise [m]; with it 30 consecutive equal readings are a fault. --golden reads frames, one line of
    hexadecimal digits each, and prints them re-encoded. Faults are listed in FAULTS below. --hand applies a constant
    wrench [N, N m] to the flotor between two times of the device's clock [s]. */
 #define _POSIX_C_SOURCE 200809L
@@ -171,6 +172,24 @@ static void in_real_time(uint64_t stop) {
 
 /* ---- arguments ---- */
 
+static const struct { const char *name; double *place; } LIMITS[] = {
+    /* places of limits, by make protocol */
+    {"current_limit", &profile.current_limit},
+    {"continuous_current", &profile.continuous_current},
+    {"thermal_time", &profile.thermal_time},
+    {"spot_limit", &profile.spot_limit},
+    {"spot_speed", &profile.spot_speed},
+    {"stiffness_limit", &profile.stiffness_limit},
+    {"damping_limit", &profile.damping_limit},
+    {"edge_speed", &profile.edge_speed},
+    {"lever", &profile.lever},
+    {"energy", &profile.energy},
+    {"recede", &profile.recede},
+    {"off_current", &profile.off_current},
+    /* end */
+};
+
+/* Read the plant: its maps in a fixed order, then the limits of the device by name; others keep their default. */
 static void read_plant(const char *path) {
     static const char *const names[] = {"wrench_per_current", "inertia", "gravity", "spots_per_pose", "rest",
                                         "pose_per_spot", "current_per_wrench"};
@@ -185,6 +204,12 @@ static void read_plant(const char *path) {
         for (int k = 0; k < (i == 0 || i == 3 || i > 4 ? 36 : 6); k++)
             if (fscanf(file, "%lf", &places[i][k]) != 1 || !isfinite(places[i][k]))
                 fail("too few numbers, or one that is none", names[i]);
+    }
+    char name[32];
+    while (fscanf(file, "%31s", name) == 1) {
+        size_t k = 0, count = sizeof LIMITS / sizeof *LIMITS;
+        while (k < count && strcmp(name, LIMITS[k].name)) k++;
+        if (k == count || fscanf(file, "%lf", LIMITS[k].place) != 1) fail("no such limit, or no number", name);
     }
     fclose(file);
     for (int i = 0; i < 6; i++)

@@ -15,13 +15,19 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
+from maglev_mj import find_scene
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.conformance import conform
 from maglev_mj.bridge.conformance.tester import CHECKS
 from maglev_mj.bridge.conformance.tester import Tester as Host
+from maglev_mj.bridge.fault import DeviceFault
+from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.links import UdpLink
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.safety import at_most, limits_of
 from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.bridge.wire import (
+    PROPERTIES,
     Fault,
     Flag,
     HelloStatus,
@@ -29,8 +35,10 @@ from maglev_mj.bridge.wire import (
     State,
     StateReport,
 )
-from maglev_mj.plants.sensor import beams
+from maglev_mj.plants.sensor import PoseScale, beams
+from tests.bridge.devices import DEVICES
 from tests.bridge.firmware_core import FOLDER, SANITIZED, STRICT
+from tests.bridge.test_conform import SCALED
 from tests.bridge.test_firmware import HOVER, ZERO
 from tests.bridge.test_wire import KEY, golden_bytes
 from tests.conftest import COMPILER
@@ -68,17 +76,22 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return found
 
 
-def write_plant(path: Path) -> Path:
-    """Write the program's plant: the nominal device, linearised about its centre."""
+def write_plant(path: Path, device: Calibration = NOMINAL) -> Path:
+    """Write the program's plant: a device linearised about its centre, with its limits."""
+    sensor = device.beams
+    slopes = np.diag(sensor.spots(np.ones(6))) if isinstance(sensor, PoseScale) else sensor._spots(np.zeros(6))[1]
     rows: dict[str, ArrayLike] = {
-        "wrench_per_current": NOMINAL.coils.wrench_per_current,
-        "inertia": [*[NOMINAL.mass] * 3, *NOMINAL.inertia],
-        "gravity": [*NOMINAL.gravity, 0.0, 0.0, 0.0],
-        "spots_per_pose": SLOPES,
-        "rest": NOMINAL.base.rest,
-        "pose_per_spot": MAPS.pose_per_spot,
-        "current_per_wrench": MAPS.current_per_wrench,
+        "wrench_per_current": device.coils.wrench_per_current,
+        "inertia": [*[device.mass] * 3, *device.inertia],
+        "gravity": [*device.gravity, 0.0, 0.0, 0.0],
+        "spots_per_pose": slopes,
+        "rest": device.base.rest,
+        "pose_per_spot": device.wall_maps.pose_per_spot,
+        "current_per_wrench": device.wall_maps.current_per_wrench,
     }
+    limits = limits_of(device.device)
+    names = [limit.name for limit in limits.parameters() if PROPERTIES[limit.name].type == "f64"]
+    rows |= {name: getattr(limits, name) for name in names if name != "hover_limit"}  # an option
     lines = [f"{name} {' '.join(repr(float(one)) for one in np.ravel(values))}" for name, values in rows.items()]
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
     return path
@@ -132,16 +145,15 @@ def start(program: Path) -> Iterator[Starter]:
     """Start devices that are ended with the test."""
     devices: list[Device] = []
 
-    def new(*arguments: str) -> Device:
-        known = [
-            "--plant",
-            str(program.parent / "plant.txt"),
-            "--calibration-hash",
-            NOMINAL.digest.hex(),
-            "--seconds",
-            "60",
-        ]
-        child = Program(str(program), *known, "--hover-limit", str(PROFILE.limits.hover_limit), *arguments)
+    def new(*arguments: str, device: str | None = None) -> Device:
+        calibration = NOMINAL if device is None else Calibration.of(DEVICES[device])
+        plant, twin = program.parent / "plant.txt", TwinParameters(calibration=calibration).profile
+        if device is not None:
+            write_plant(plant := program.parent / f"{device}.txt", calibration)
+            own = {"rate": 1e9 / twin.period, "delay": (twin.delay + twin.latency) * 1e-9}
+            arguments = (*(part for name, value in own.items() for part in (f"--{name}", str(value))), *arguments)
+        known = ["--plant", str(plant), "--calibration-hash", calibration.digest.hex(), "--seconds", "60"]
+        child = Program(str(program), *known, "--hover-limit", str(twin.limits.hover_limit), *arguments)
         port = int(child.wait_for(r"^listening udp://127\.0\.0\.1:(\d+)$"))
         devices.append(Device(child, port, KEY if "--key" in arguments else None, [], {}))
         return devices[-1]
@@ -212,6 +224,35 @@ def test_it_passes_the_checks(start: Starter, program: Path, arguments: list[str
     lacking = {name for name, one in CHECKS.items() if one.real_time or (one.keyed and not device.key)}
     assert skipped == (set() if only else lacking)
     assert only or min(device.end()[name] for name in ("magic", "crc", "version", "type", "length", "old", "busy")) > 0
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_devices_of_any_size_pass_the_checks(start: Starter, name: str) -> None:
+    calibration = Calibration.of(DEVICES[name])
+    results = conform([start("--lockstep", device=name).link()], calibration, only=SCALED)
+    assert not [one for one in results if one.passed is False]
+    assert any(at_most(DEVICES[name].scale.off) in one.seen for one in results)
+
+
+@pytest.mark.parametrize("fault", [None, "stuck-amplifier:1@1.2", "dead-coil:1@1.2"])
+@pytest.mark.parametrize("name", DEVICES)
+def test_devices_of_any_size_fly(start: Starter, name: str, fault: str | None) -> None:
+    calibration, off = Calibration.of(DEVICES[name]), at_most(DEVICES[name].scale.off)
+    link = start("--lockstep", *(["--fault", fault] if fault else []), device=name).link()
+    plant, said = RemotePlant(link, calibration=calibration), "landed"
+    stated, own = plant.stated, limits_of(calibration.device)
+    names = "off_current", "energy", "recede", "lever", "edge_speed", "stiffness_limit", "damping_limit"
+    assert [getattr(stated, name) for name in names] == [getattr(own, name) for name in names]
+    try:
+        scene = find_scene("joystick")().replace(period=plant.period, delay=plant.delay)
+        assert Flight(plant, scene).run(0.2).landing.at_rest
+    except DeviceFault as error:
+        said = str(error)
+    kind = fault and fault.partition(":")[0]
+    endings = {None: "landed", "dead-coil": off, "stuck-amplifier": "cut the power at the amplifiers"}
+    assert said.endswith(endings[kind]) and (not fault or said.startswith("COIL_NOT_"))
+    report = plant.estop()
+    assert report.off is None and "in lockstep no sample follows, so the currents are not measured" in str(report)
 
 
 def test_motion_is_exact_between_switches(start: Starter) -> None:
