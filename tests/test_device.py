@@ -340,6 +340,6 @@ def test_the_position_limit_of_a_pose_sensor_covers_the_range() -> None:
     turned = stage.change("sensor", lever=0.2)  # whose rotations are sent as 14 mm
     assert limits_of(turned).spot_limit == pytest.approx(12.0 / 4.5 * 0.2 * math.radians(4.0))
     assert limits_of(stage.change("range", translation=(math.inf,) * 3)).spot_limit == 0.1
-    with pytest.raises(ParameterError, match=r"three times coils\.meter, 0\.07 A \(got 0\.195\)"):
+    with pytest.raises(ParameterError, match=r"three times coils\.meter, 0\.07 A \(got 0\.195 A\)"):
         limits_of(stage.change("coils", meter=0.07))
     assert TwinParameters(calibration=Calibration.of(wide)).profile.limits.spot_limit == pytest.approx(0.04)

@@ -18,13 +18,13 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.connection import EstopReport, estop
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.safety import at_most
+from maglev_mj.bridge.safety import at_most, limits_of
 from maglev_mj.bridge.twin import twin as twins
 from maglev_mj.bridge.twin.firmware import Reading
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import EstopAck, Fault, HelloAck, State, fault_names
 from maglev_mj.device import Device
-from maglev_mj.errors import PlantError
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Command, DeviceWall
 from tests.bridge.devices import DEVICES, LIGHT
 from tests.bridge.firmware_core import FIRMWARE, FIRMWARES
@@ -273,10 +273,13 @@ def test_a_device_whose_meter_is_too_coarse_is_refused(name: str) -> None:
     for steps in (3.01, 100.0):
         assert not refused(DEVICES[name].change("coils", meter=off / steps))
     for steps in (2.99, 1.0):
-        assert refused(DEVICES[name].change("coils", meter=off / steps)) == (
-            "the device cannot tell that its coils are off: off_current must be at least three times coils.meter, "
-            f"{off / steps:.3g} A (got {off:.3g} A)"
-        )
+        coarse = Calibration.of(DEVICES[name].change("coils", meter=off / steps))
+        problem = f"off_current must be at least three times coils.meter, {off / steps:.3g} A (got {off:.3g} A)"
+        with pytest.raises(ParameterError, match=re.escape(problem)):  # where its limits are made
+            TwinParameters(calibration=coarse)
+        other = TwinParameters(calibration=coarse, limits=limits_of(DEVICES[name]))
+        with pytest.raises(HandshakeError, match=re.escape(f"cannot tell that its coils are off: {problem}")):
+            RemotePlant(VirtualLink(Twin(other)), calibration=coarse)
 
 
 def test_the_host_sends_no_more_walls_than_the_device_states() -> None:
