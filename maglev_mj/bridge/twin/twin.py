@@ -83,7 +83,7 @@ class TwinParameters:
         if isinstance(scale := self.calibration.beams, PoseScale):
             usual = {"quantum": scale.spots(device.sensor.resolution), "noise": scale.spots(device.sensor.noise)}
         usual |= {"period": device.period, "delay": device.loop.delay, "latency": device.sensor.latency}
-        usual |= {"pose": device.rest, "limits": limits_of(self.calibration.device)}
+        usual |= {"pose": device.rest, "limits": self.limits or limits_of(self.calibration.device)}
         store(self, **{name: value for name, value in usual.items() if getattr(self, name) is None})
         numbers("pose", self.pose, shape="(6,)")
         # whole nanoseconds, the protocol's unit of time
