@@ -3,8 +3,8 @@
 A fault's case flies a twin over UDP or a serial line. `ms` is for how long currents flow at the device after the fault
 began, in simulated time; a machine that stalls adds to what the host does.
 
-A flood's times are from the first ESTOP leaving its sender to the firmware's cut, and to a sample without current. The
-twin's watchdog then waits for 1 s, its longest, so that currents flow although the flood drowns the host's commands.
+A flood's times are from the first ESTOP leaving its sender to the firmware's cut, and to a sample with at most
+`off_current`. The twin's watchdog then waits for 1 s, its longest, so that currents flow although the flood drowns the host's commands.
 """
 
 from __future__ import annotations
@@ -276,7 +276,7 @@ def flood(address: str, kind: str) -> None:
 
 
 def stopped(kind: str) -> tuple[float, float]:
-    """Fly, flood and stop once; return times to the cut, and to zero current [ms]."""
+    """Fly, flood and stop once; return times to the cut, and to a sample with at most `off_current` [ms]."""
     with process(*calling(flooded_device)) as (child, address), tempfile.TemporaryDirectory() as folder:
         plant = RemotePlant(open_link(address), folder=Path(folder))
         plant.takeoff()
@@ -295,7 +295,7 @@ def stopped(kind: str) -> tuple[float, float]:
 
 def floods(count: int) -> None:
     """Print a table."""
-    print("| flood | tried | to the cut, median and largest [ms] | to a sample without current |\n|---|---|---|---|")
+    print("| flood | tried | to the cut, median and largest [ms] | to currents off [ms] |\n|---|---|---|---|")
     for kind in FLOODS:
         cuts, zeros = (sorted(one) for one in zip(*[stopped(kind) for _ in range(count)]))
         middle = count // 2
