@@ -54,7 +54,7 @@ class Scale:
         envelope: Position limit, just outside the stops [m], x.
         tilt: Rotation limit, just outside the stops [rad].
         stored: Energy that laws may store without decay [J], F x: a hand's in a spring along the range.
-        generated: Limit of generated energy [J], m `drop`².
+        generated: Limit of generated energy [J], m times the square of `drop`.
         wall_energy: The same of walls on the device [J], half of it.
         reversals: Limit of the force reversals in 0.2 s [N], F; twice the most of good flights, with taps of 20 N.
         capped: Limit of the same sum with each reversal capped [N], F.

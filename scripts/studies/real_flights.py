@@ -4,7 +4,8 @@ A fault's case flies a twin over UDP or a serial line. `ms` is for how long curr
 began, in simulated time; a machine that stalls adds to what the host does.
 
 A flood's times are from the first ESTOP leaving its sender to the firmware's cut, and to a sample with at most
-`off_current`. The twin's watchdog then waits for 1 s, its longest, so that currents flow although the flood drowns the host's commands.
+`off_current`. The twin's watchdog then waits for 1 s, its longest, so that currents flow although the flood drowns the
+host's commands.
 """
 
 from __future__ import annotations
