@@ -149,7 +149,10 @@ def commission(
     coil: Annotated[
         int | None, option("coil index, 0 to 5 (default: all; for step, 0)", "test", "K", at_least=0, at_most=5)
     ] = None,
-    current: Annotated[float, option("test current [A]", "test", above=0.0)] = 0.2,
+    current: Annotated[
+        float | None,
+        option("test current [A] (default: 0.8 of the largest that counts as off; 0.2 on ubc)", "test", above=0.0),
+    ] = None,
     write: Annotated[Path | None, option("device file written by offsets", "output")] = None,
     calibration: DeviceFile,
     key: Key = None,
@@ -207,7 +210,7 @@ def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
                 print(f" {spots} {text}", flush=True)
 
 
-def _check_coils(plant: RemotePlant, coils: Sequence[int], current: float) -> int:
+def _check_coils(plant: RemotePlant, coils: Sequence[int], current: float | None) -> int:
     from maglev_mj.bridge.commissioning.coil_check import check_coil
 
     print("      currents [A]         displacement [µm]   calibrated force [N]")

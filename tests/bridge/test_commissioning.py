@@ -17,6 +17,7 @@ from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.cli.twin import foam
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.coils import CoilMap
+from tests.bridge.devices import DEVICES
 from tests.sweeps import sweep
 
 KNOWN = Calibration.nominal()
@@ -113,3 +114,15 @@ def test_a_coil_or_current_that_is_none_is_refused_unarmed() -> None:
             with pytest.raises(ParameterError, match=r"must be"):
                 test(plant, coil, current)
     assert twin.firmware.state == State.INACTIVE
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_the_test_current_is_a_share_of_the_devices_own(name: str) -> None:
+    """At 0.2 A a light device would lift off."""
+    calibration = Calibration.of(DEVICES[name])
+    twin = Twin(TwinParameters(calibration=calibration, pose=[0.0] * 6), hand_force=foam(10_000.0, calibration.mass))
+    plant = RemotePlant(VirtualLink(twin), calibration=calibration)
+    plant.read()
+    largest = record_step(plant, 0, samples=12)[:, 1].max()
+    assert largest == pytest.approx(0.8 * DEVICES[name].scale.off, rel=1e-6)
+    assert name != "ubc" or largest == pytest.approx(0.2)

@@ -16,6 +16,7 @@ from maglev_mj.parameters import number
 
 _PAUSE = 0.25  # settling time, and then measuring time [s]
 _SEEN = 5.0  # significant displacement [standard errors]
+_TEST = 0.8  # test current as a share of the largest that counts as off
 _CLOSE = 0.5  # smallest cosine between displacement and calibrated force at which both agree
 
 
@@ -43,7 +44,7 @@ class CoilCheck(NamedTuple):
     verdict: str
 
 
-def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck:
+def check_coil(plant: RemotePlant, coil: int, current: float | None = None) -> CoilCheck:
     """Check polarity and position of one coil with a current of either sign.
 
     The flotor must be blocked by soft foam that yields by some micrometres. The device is armed without hover
@@ -52,7 +53,8 @@ def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck
     Args:
         plant: The device, not armed.
         coil: Index, 0 to 5.
-        current: Test current above 0, at most the smaller of the host's and the device's limit [A].
+        current: Test current above 0, at most the smaller of the host's and the device's limit [A]; None for 0.8 times
+            `Scale.off`, 0.2 A on the published joystick.
 
     Raises:
         ParameterError: If an argument is outside its bounds.
@@ -70,16 +72,16 @@ def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck
     measured, expected = np.mean(flowed, axis=0), plant.calibration.coils.wrench(np.array(currents_on))
     own, others = float(measured[coil]), float(np.abs(np.delete(measured, coil)).max())
     verdict = _verdict(displacement[:3], error[:3], expected[:3])
-    return CoilCheck(coil, current, own, others, displacement, error, expected, verdict)
+    return CoilCheck(coil, currents_on[coil], own, others, displacement, error, expected, verdict)
 
 
-def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: int = 20) -> Array:
+def record_step(plant: RemotePlant, coil: int, current: float | None = None, samples: int = 20) -> Array:
     """Return the step response of a coil's measured current.
 
     Args:
         plant: The device, not armed, its flotor blocked.
         coil: Index, 0 to 5.
-        current: Step size [A].
+        current: Step size [A]; None as for `check_coil`.
         samples: Number of samples recorded after the step.
 
     Returns:
@@ -127,9 +129,10 @@ def with_offsets(calibration: Calibration, spots: ArrayLike) -> Calibration:
     return replace(calibration, spot_offsets=np.asarray(spots) - centre)
 
 
-def _arm(plant: RemotePlant, coil: int, current: float) -> list[float]:
+def _arm(plant: RemotePlant, coil: int, current: float | None) -> list[float]:
     """Arm a device without hover currents; return the currents of one coil."""
     number("coil", coil, at_least=0, at_most=5)
+    current = _TEST * plant.scale.off if current is None else current
     number("current", current, above=0.0, at_most=plant.limits.current_limit)
     plant.arm(hover=ZERO)
     return [current if index == coil else 0.0 for index in range(6)]
