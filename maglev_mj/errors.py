@@ -64,7 +64,7 @@ class KeywordError(ParameterError, TypeError):
 
 
 class TooManyCallsError(ParameterError):
-    """A law without declared gains is too slow to linearise numerically."""
+    """A law without declared gains is called too often to be linearised numerically."""
 
 
 class MissingPackageError(MaglevError):

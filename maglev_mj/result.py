@@ -28,6 +28,18 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 _IN_NUMBERS = re.compile(r"\bto\b|(?<=\d)e(?=[-+]?\d)")
 
 
+class NoTruthValue:
+    """Verdict in `stable`, without a truth value: an unstable loop would be as true as any object."""
+
+    def __bool__(self) -> bool:
+        """Raise.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(f"{type(self).__name__} has no truth value: use .stable, True, False or None (not computed)")
+
+
 def number_text(value: float, digits: int = 4, decimals: int | None = None) -> str:
     """Return a number as text; "-" if it is not finite.
 

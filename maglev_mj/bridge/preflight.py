@@ -402,7 +402,7 @@ def _problem(scene: Scene, report: LinkReport, critical_delay: float) -> str:
         answered = f"only {100.0 * report.success:.0f} % of {report.samples} samples were answered in time"
         return f"{answered}, at least {100.0 * _ANSWERED:.0f} % required: {_FASTER}"
     if math.isnan(critical_delay):
-        causes = "have too long a memory or a discontinuous force, or are too slow to linearise (declare gains())"
+        causes = "have too long a memory or a discontinuous force, or need too many calls (declare gains())"
         return f"critical delay of {scene.name} not computed: its laws {causes}"
     if critical_delay == 0.0:
         return f"{scene.name} is unstable even without delay: reduce its stiffness or increase its damping"

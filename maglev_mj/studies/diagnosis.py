@@ -19,7 +19,7 @@ from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import checked, rate_of, with_period
 from maglev_mj.parameters import param, transport_delay
 from maglev_mj.plants.hand import HANDS, get_hand
-from maglev_mj.result import Result, Table, number_text
+from maglev_mj.result import NoTruthValue, Result, Table, number_text
 from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory.boundary import (
     StiffestWall,
@@ -163,7 +163,7 @@ class Remedy(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis(Result):
+class Diagnosis(NoTruthValue, Result):
     """Verdict on one loop, its margins, and what helps.
 
     Attributes:

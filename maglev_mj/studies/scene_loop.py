@@ -49,6 +49,8 @@ def scene_values(
         assumptions += [f"without the cutoff of {x.cutoff:g} Hz on the device" for x in [own[index]] if x.cutoff]
     elif gains is None:
         verdict = stability(found)
+        if verdict.stable is None:
+            raise ParameterError(f"no diagnosis of {found.name}: stability {verdict}")
         index, acting = AXES.index(verdict.axes[0]) if verdict.axes else found.axis_index, verdict.acting
         k, b = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
         if len(verdict.axes) == 1:

@@ -18,25 +18,25 @@ POINTS, _STRIDE = 23, 0.9871
 
 The range is a fraction of the range of motion, chosen so that few poses fall on an edge.
 """
-_OFF, _DEPTHS = 1e-5, (1e-6, 1e-5, 1e-4)
+EDGE, _DEPTHS = 1e-5, (1e-6, 1e-5, 1e-4)
 """Distances from an edge [m]; ten times as many [rad].
 
 The first moves a start off an edge, the others are depths of poses inside a face or another edge.
 """
 _PROBE, _EDGE, _LOCATED = 1e-7, 1e-4, 10
 """Displacement that probes for an edge [m, 0.1 rad], relative change that marks one, and bisections of its interval."""
-_SCALE = np.array([1.0] * 3 + [10.0] * 3)
+SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
 def poses_of(controller: Controller, start: Array, reach: ArrayLike) -> Array:
     """Return start, centre, poses along each axis, and poses inside each face."""
     (near,) = linearise(controller, start[None])
-    start = start + _OFF * _SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
+    start = start + EDGE * SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
     rows = [start, np.zeros(6)]
     for axis, far in enumerate(np.asarray(reach)):
         rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, POINTS) * far * _STRIDE]
     for axis, normal, edge in controller.faces:
-        rows += [_with(start, axis, float(edge) - normal * depth * _SCALE[axis]) for depth in _DEPTHS]
+        rows += [_with(start, axis, float(edge) - normal * depth * SCALE[axis]) for depth in _DEPTHS]
     return np.array(rows)
 
 
@@ -55,14 +55,14 @@ def edges_of(controller: Controller, grid: Sequence[Linearised]) -> Iterator[Arr
                     middle = 0.5 * (outside + inside)
                     unchanged = _same(_slope(controller, middle, axis), slope)
                     outside, inside = (middle, inside) if unchanged else (outside, middle)
-                sign = np.sign(inside[axis] - outside[axis]) * _SCALE[axis]
+                sign = np.sign(inside[axis] - outside[axis]) * SCALE[axis]
                 yield from (_with(inside, axis, inside[axis] + sign * depth) for depth in _DEPTHS)
 
 
 def _slope(controller: Controller, pose: Array, axis: int) -> Array:
     """Return the change of the wrench by a small displacement along one axis, (1, 6)."""
     forces = []
-    for step in (0.0, _PROBE * _SCALE[axis]):
+    for step in (0.0, _PROBE * SCALE[axis]):
         probe = copy(controller)
         probe.reset()
         for tick, shift in enumerate((0.0, 0.0, step)):

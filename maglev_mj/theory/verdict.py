@@ -25,11 +25,11 @@ from maglev_mj.keywords import checked
 from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import Body
-from maglev_mj.result import Result, Table, plain
+from maglev_mj.result import NoTruthValue, Result, Table, plain
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_DELAY_PERIODS, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop, bisect
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
-from maglev_mj.theory.poses import POINTS, edges_of, poses_of
+from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device, rates_of
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
@@ -69,11 +69,11 @@ class LoopState(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Verdict(Result):
+class Verdict(NoTruthValue, Result):
     """Stability verdict on a controller, with its worst closed loop.
 
     Attributes:
-        stable: True if all loops are stable, apart from free motion; None if not computed.
+        stable: False if a loop is unstable; else None if one was not computed; else True. Free motion is stable.
         spectral_radius: Spectral radius of the worst loop, without the poles of free motion, which are exactly 1
             without stiffness. Below 1 for a stable loop; NaN if not computed.
         axes: Names of the worst loop's axes; () if not computed.
@@ -86,6 +86,7 @@ class Verdict(Result):
         unknown: Skipped poses: the impulse response exceeds 512 samples and has no low-order realisation, (U, 6).
         away: Skipped poses: unstable equilibria, such as the crest between two detents, (A, 6).
         states: Loop of each axis in each state of its laws, equal ones merged; () if a law declares no gains.
+        unjudged: Names of axes with a loop that was not computed, such as a law with a sign of the velocity.
     """
 
     stable: bool | None
@@ -101,6 +102,7 @@ class Verdict(Result):
     unknown: Array = field(default_factory=lambda: np.zeros((0, 6)))
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
     states: tuple[LoopState, ...] = ()
+    unjudged: tuple[str, ...] = ()
     units: ClassVar = {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
     picture: ClassVar = "maglev_mj.theory.pictures:pole_map"
 
@@ -124,19 +126,24 @@ class Verdict(Result):
 
     def __str__(self) -> str:
         if self.stable is None:
-            return f"not computed: {next(iter(self._skipped()))[1]}"
+            return f"not computed{self._unjudged}: {next((reason for _, reason in self._skipped()), 'no finite force')}"
         text = f"{_word(self.stable)}, spectral radius {self.spectral_radius:.3f}"
         return f"{', '.join(self.axes)}: {'free motion' if self.stable and not self.spectral_radius else text}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the verdict, ready for JSON."""
-        names = "stable", "spectral_radius", "axes", "acting", "pose", "stated", "states", "remarks"
+        names = "stable", "spectral_radius", "axes", "acting", "pose", "stated", "states", "unjudged", "remarks"
         return {name: plain(getattr(self, name)) for name in names}
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Number of skipped poses by reason, one line each."""
-        return tuple(f"{count} pose{'s' * (count > 1)} skipped: {reason}" for count, reason in self._skipped())
+        """Axes that were not computed, and the number of skipped poses by reason, one line each."""
+        skipped = (f"{count} pose{'s' * (count > 1)} skipped: {reason}" for count, reason in self._skipped())
+        return (*[f"not computed{self._unjudged}"] * bool(self.unjudged), *skipped)
+
+    @property
+    def _unjudged(self) -> str:
+        return f" on {', '.join(self.unjudged)}" * bool(self.unjudged)
 
     def _skipped(self) -> list[tuple[int, str]]:
         reasons = (
@@ -424,15 +431,16 @@ class _Loops(NamedTuple):
     away: list[_Loop]
     jumps: list[Array]
     unknown: list[Array]
-    complete: bool
-    """True if each axis has a loop, and no pose is unknown."""
+    missing: tuple[int, ...]
+    """Axes without a loop, with an unknown pose or with a region of discontinuous force."""
 
 
 def _linearised(controller: Controller, pose: Array, body: Array, reach: ArrayLike) -> _Loops:
     loops: list[_Loop] = []
     away: list[_Loop] = []
     previous: list[_Loop] = []
-    jumps, unknown, judged = [], [], set()
+    bent: list[tuple[Array, int]] = []
+    jumps, unknown, judged, missing = [], [], set[int](), set[int]()
     grid = linearise(controller, poses_of(controller, pose, reach))
     edges = [*edges_of(controller, grid[2 : 2 + len(AXES) * POINTS])]
     for near in [*grid, *(linearise(controller, edges) if edges else ())]:
@@ -441,10 +449,12 @@ def _linearised(controller: Controller, pose: Array, body: Array, reach: ArrayLi
             chosen = list(axes)
             if near.jumps[chosen].any():
                 jumps.append(near.pose)
+                bent += [(near.pose, axis) for axis in chosen if near.jumps[axis]]
                 continue
             loop = _loop(near, axes, scaled[:, chosen][:, :, chosen], previous)
             if loop.system is None and not loop.settles:
                 unknown.append(near.pose)
+                missing |= set(axes)
             elif loop.unstable_equilibrium:
                 away.append(loop)
             else:
@@ -452,8 +462,26 @@ def _linearised(controller: Controller, pose: Array, body: Array, reach: ArrayLi
                 judged |= set(axes)
     # an axis without a stable equilibrium is judged at the unstable ones
     unstable = [loop for loop in away if not judged.issuperset(loop.axes)]
-    missing = set(range(len(AXES))) - judged - {axis for loop in unstable for axis in loop.axes}
-    return _Loops(loops + unstable, away, jumps, unknown, not (missing or unknown))
+    missing |= set(range(len(AXES))) - judged - {axis for loop in unstable for axis in loop.axes}
+    missing |= _regions(controller, bent)
+    return _Loops(loops + unstable, away, jumps, unknown, tuple(sorted(missing)))
+
+
+def _regions(controller: Controller, bent: Sequence[tuple[Array, int]]) -> set[int]:
+    """Return the axes with a region of discontinuous force; the force is smooth to both sides of an edge alone.
+
+    Args:
+        controller: The controller.
+        bent: Poses and axes with a discontinuous force.
+    """
+    regions: set[int] = set()
+    for axis in sorted({axis for _, axis in bent}):
+        poses = _distinct([pose for pose, other in bent if other == axis])
+        beside = np.repeat(poses, 2, axis=0)
+        beside[:, axis] += np.tile([-EDGE, EDGE], len(poses)) * SCALE[axis]
+        if any(near.jumps[axis] for near in linearise(controller, beside, axes=AXES[axis])):
+            regions.add(axis)
+    return regions
 
 
 def _numerically(controller: Controller, delay: float, pose: Array, body: Array, reach: Array) -> Verdict:
@@ -465,10 +493,10 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array,
         own = _own_spectral_radius(roots, loop.still)
         if worst is None or own > spectral_radius * (1.0 + _ROUNDING):
             worst, spectral_radius, eigenvalues = loop, own, roots
-    unstable = spectral_radius >= 1.0 - _ROUNDING
+    unstable, complete = spectral_radius >= 1.0 - _ROUNDING, not linear.missing
     stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else worst.gains(body)
     return Verdict(
-        stable=not unstable if unstable or linear.complete else None,
+        stable=not unstable if unstable or complete else None,
         spectral_radius=spectral_radius,
         axes=() if worst is None else tuple(AXES[axis] for axis in worst.axes),
         pose=pose if worst is None else worst.near.pose,
@@ -479,6 +507,7 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array,
         jumps=_distinct(linear.jumps),
         unknown=_distinct(linear.unknown),
         away=_distinct([loop.near.pose for loop in linear.away]),
+        unjudged=tuple(AXES[axis] for axis in linear.missing),
     )
 
 
@@ -632,7 +661,7 @@ def delay_margins(
         linear = None
         with suppress(TooManyCallsError):
             linear = None if laws else _linearised(controller, start, body, reach)
-        if linear is None or not linear.complete:
+        if linear is None or linear.missing:
             return dict.fromkeys(hands, math.nan)
         loops = [*_grouped(linear.loops)]
 

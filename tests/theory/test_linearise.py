@@ -344,8 +344,8 @@ def test_an_answer_that_does_not_die_away_is_not_known(monkeypatch: pytest.Monke
     monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 40)
     monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:128])
     found = verdict(Echo(axes="x"))
-    assert found.stable is None and len(found.unknown) > 100 and "512 samples" in found.remarks[0]
-    assert str(found).startswith("not computed: ")
+    assert found.stable is None and len(found.unknown) > 100 and "512 samples" in found.remarks[1]
+    assert str(found).startswith("not computed on x: ") and found.unjudged == ("x",)
     # nor is a controller known that is stable at all poses but a few
     few = verdict(Cave(axes="x"))
     assert few.stable is None and few.spectral_radius < 1.0 and 0 < len(few.unknown) < 10
@@ -490,8 +490,8 @@ def test_a_law_unstable_near_an_edge_alone_is_unstable(edge: float, growth: floa
     assert found.spectral_radius == pytest.approx(spectral_radius(6000.0, 0.0, period=T, delay=DELAY), abs=0.005)
 
 
-@pytest.mark.parametrize("cost", [0.0, 20e-6, 1e-3, 0.1])
-def test_the_calls_of_a_slow_law_are_limited(cost: float, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("most", [50_000, 5000, 30])
+def test_the_calls_of_a_law_are_limited(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = 0
 
     def slow(position: Sequence[Any], velocity: Sequence[Any]) -> list[float]:
@@ -499,15 +499,15 @@ def test_the_calls_of_a_slow_law_are_limited(cost: float, monkeypatch: pytest.Mo
         calls += 1
         return [-300.0 * float(position[0]) - 3.0 * float(velocity[0]), 0.0, 0.0, 0.0, 0.0, 0.0]
 
-    monkeypatch.setattr("maglev_mj.theory.linearise._clock", lambda: calls * cost)
+    monkeypatch.setattr("maglev_mj.theory.linearise._CALLS", most)
     controller = Controller([slow], period=T)
-    if cost < 1e-4:
+    if most == 50_000:
         assert judge(controller, delay=DELAY).stable and calls < 40_000
         return
-    with pytest.raises(TooManyCallsError, match=r"not computed: law slow needs \d+ calls, over 2 s; declare gains\(\)"):
+    with pytest.raises(TooManyCallsError, match=f"not computed: law slow needs more than {most} calls: accept arrays"):
         judge(controller, delay=DELAY)
-    assert (calls - 8) * cost < 2.0
+    assert calls < 1.5 * most  # of the first pose alone, and of all
     assert all(map(math.isnan, delay_margins(controller, ["none"]).values()))
-    assert cost < 0.1 or math.isnan(
+    assert most > 30 or math.isnan(
         axis_loops([controller], 0, poses=[[0.0] * 6], delay=DELAY, inertia=np.array(INERTIA))[0][1]
     )
