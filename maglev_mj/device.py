@@ -536,6 +536,14 @@ def sample_period(**options: Any) -> Any:
     return param("sample period", "s", **own, at_least=MIN_PERIOD, at_most=MAX_PERIOD, **options)
 
 
+def lag_of(device: Device) -> float:
+    """Return the time constant of a device's drivers that enters its loops [s].
+
+    The published joystick's 80 µs are part of its published delay of 1.5 ms: the paper's own analysis has no other lag.
+    """
+    return 0.0 if device.published else device.driver.time_constant
+
+
 class OnDevice(Parameters):
     """Parameters with defaults of a device."""
 

@@ -22,7 +22,7 @@ from maglev_mj.result import Result, Table
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller, user_errors_rejected
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.theory.verdict import delay_margins, judge, stated_gains
+from maglev_mj.theory.verdict import delay_margins, judge, scene_lag, stated_gains
 
 _ANSWERS = 64
 _WINDOW = 2_000_000_000  # [ns] of the minimum transport time: clocks drift by up to 100 µs/s
@@ -389,6 +389,7 @@ def judge_change(
 
 def _critical_delay(scene: Scene, inertia: Array) -> float:
     around: Any = {"inertia": inertia, "reach": scene.body.bounded.range, "device": scene.timing().device}
+    around["driver_lag"] = scene_lag(scene)
     margins = delay_margins(device_controller(scene), list(HANDS), pose=scene.start().pose, **around)
     return float(np.min([*margins.values()]))
 
@@ -426,6 +427,7 @@ def _reduced(scene: Scene, required_delay: float, inertia: Array) -> Scene | Non
             except ParameterError:
                 continue
             around: Any = {"pose": reduced.start().pose, "inertia": inertia, "device": reduced.timing().device}
+            around["driver_lag"] = scene_lag(reduced)
             if judge(device_controller(reduced), delay=delay, **around).stable:
                 return reduced
         return None
@@ -440,8 +442,10 @@ def _reduced(scene: Scene, required_delay: float, inertia: Array) -> Scene | Non
     return best if best is not None and _critical_delay(best, inertia) >= required_delay else None
 
 
-def stiffest_walls(report: LinkReport, period: float, mass: float) -> dict[str, tuple[float, float]]:
+def stiffest_walls(
+    report: LinkReport, period: float, mass: float, driver_lag: float = 0.0
+) -> dict[str, tuple[float, float]]:
     """Return the stiffest wall that is stable at the required delay, by hand: stiffness and damping [N/m, N s/m]."""
-    loop: Any = {"period": period, "delay": report.required_delay, "mass": mass}
+    loop: Any = {"period": period, "delay": report.required_delay, "mass": mass, "driver_lag": driver_lag}
     walls = {hand: largest_stable_stiffness(hand=hand, **loop) for hand in HANDS}
     return {hand: (float(wall.stiffness), float(wall.damping)) for hand, wall in walls.items()}

@@ -52,6 +52,7 @@ from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICE_PARAMETERS, UNKNOWN, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
+from maglev_mj.theory.verdict import scene_lag
 from maglev_mj.views.viewer_process import RemoteViewer, ViewerFunction
 
 _IDENTIFYING, _ANSWER = 10.0, 10.0
@@ -208,7 +209,7 @@ def _print_check(result: Preflight, period: float, mass: float) -> int:
     print(result.report.table())
     walls = (
         f"{hand} {stiffness:.0f} N/m with {damping:.0f} N s/m"
-        for hand, (stiffness, damping) in stiffest_walls(result.report, period, mass).items()
+        for hand, (stiffness, damping) in stiffest_walls(result.report, period, mass, scene_lag(result.scene)).items()
     )
     head = f"critical stiffness at {result.report.required_delay * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
     print("\n".join(wrapped(f"{head}: {', '.join(walls)}")))

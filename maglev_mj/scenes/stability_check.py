@@ -22,7 +22,7 @@ from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.margin import Margin
-from maglev_mj.theory.verdict import axis_loops, stability, stated_gains, stated_spectral_radii
+from maglev_mj.theory.verdict import axis_loops, scene_lag, stability, stated_gains, stated_spectral_radii
 
 STEP_FORCE = 2.0
 """Default limit of force steps caused by other programs [N].
@@ -83,7 +83,7 @@ def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: floa
     around: Any = {"period": period, "delay": delay}
     ratio = math.nan
     if verdict.stated and not scene.controller().on_device:
-        around |= {"mass": body[index], "velocity": scene.controller().velocity}
+        around |= {"mass": body[index], "velocity": scene.controller().velocity, "driver_lag": scene_lag(scene)}
         ratio = float(theory.largest_stable_stiffness(damping, **around)) / stiffness if stiffness else 0.0
     acting = " and ".join(_LAWS.get(state, state) for state in verdict.acting)
     acting = acting or ("other laws" if verdict.stated else "all laws")
@@ -120,6 +120,7 @@ def wall_margin(
     hand = getattr(scene.scripted_hand(), "hand", None) if held else None
 
     around: Any = {"delay": delay, "inertia": body, "hand": hand, "device": scene.timing().device}
+    around["driver_lag"] = scene_lag(scene)
 
     def loop(factor: float, axis: int, normal: float, edge: float) -> tuple[float, float]:
         controller = (scene if factor == 1.0 else scene.replace(stiffness=factor * gain)).controller()
@@ -242,12 +243,12 @@ def unstable(scenes: Sequence[Scene]) -> list[bool]:
             if controller.on_device:
                 result[index] = stability(scene).stable is False
                 continue
-            kind = scene.period, scene.delay, *scene.body.inertia.tolist(), repr(controller.velocity)
+            kind = scene.period, scene.delay, scene_lag(scene), *scene.body.inertia.tolist(), repr(controller.velocity)
             for pair in (stated_gains(controller) or {}).values():
                 loops[kind].append((index, controller, pair))
-    for (_, delay, *body, _), group in loops.items():
+    for (_, delay, lag, *body, _), group in loops.items():
         indices, (controller, *_), pairs = zip(*group)
-        radii = stated_spectral_radii(pairs, controller, delay, np.array(body))
+        radii = stated_spectral_radii(pairs, controller, delay, np.array(body), None, lag)
         for index, spectral_radius in zip(indices, radii.tolist(), strict=True):
             result[index] |= spectral_radius >= 1.0
     return result

@@ -18,6 +18,7 @@ from maglev_mj.scenes.stability_check import UNKNOWN, wall_margin
 from maglev_mj.session.snapshot import Snapshot
 from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
 from maglev_mj.theory.margin import worst_axis
+from maglev_mj.theory.verdict import scene_lag
 
 _DAMPINGS = 32  # points of a stability boundary
 _EMPTY = np.zeros(0)
@@ -83,6 +84,7 @@ def _not_computed(error: Exception) -> Margin:
 
 def _smallest(scene: Scene, verdict: Verdict, gains: Any, body: Array, delay: float) -> Margin:
     around: Any = {"period": scene.period, "delay": delay, "velocity": scene.controller().velocity}
+    around["driver_lag"] = scene_lag(scene)
     state, index, ratio = worst_axis(gains, axis=scene.axis_index, inertia=body, **around)
     pair = float(gains[state][0][index]), float(gains[state][1][index])
     if not verdict.stable:
@@ -152,13 +154,16 @@ def measured_delay(snapshot: Snapshot) -> float | None:
     return round(snapshot.delay, 4) if is_measured else None
 
 
-def _boundary(period: float, delay: float, mass: float, velocity: VelocityEstimator) -> tuple[Array, Array]:
+def _boundary(
+    period: float, delay: float, mass: float, velocity: VelocityEstimator, driver_lag: float
+) -> tuple[Array, Array]:
     """Return dampings and the critical stiffness at each, for one mass or moment of inertia."""
     # no damping above this is stable at any stiffness
     largest = 0.5 * np.pi * mass / (0.5 * period + delay) * 1.1
     dampings = np.linspace(0.0, largest, _DAMPINGS)
     try:
-        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay, mass=mass, velocity=velocity)
+        around: Any = {"period": period, "delay": delay, "mass": mass, "velocity": velocity}
+        stiffnesses = largest_stable_stiffness(dampings, driver_lag=driver_lag, **around)
     except ParameterError:  # no boundary above ten periods of delay
         stiffnesses = np.zeros_like(dampings)
     end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2

@@ -26,7 +26,9 @@ from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, rigid_note, stiffest_of
 from maglev_mj.theory.closed_loop import Design, SampledLoop, bisect, is_stable
+from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters
+from maglev_mj.theory.verdict import scene_lag
 
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
 _WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10
@@ -60,8 +62,8 @@ class DeviceFigures(Result):
     @property
     def critical_stiffness(self) -> Array:
         """Critical stiffness of a wall on each translation, at the best damping [N/m], (3,)."""
-        around: Any = {"period": self.device.period, "delay": self.device.delay, "mass": self.device.mass}
-        return np.full(3, float(stiffest_of(SampledLoop(**around)).stiffness))
+        loop = Loop.of(self.device, stiffness=0.0, damping=0.0).array()
+        return np.full(3, float(stiffest_of(loop).stiffness))
 
     def _headline(self) -> str:
         force, stiffness = self.force_limit[2], self.critical_stiffness[0]
@@ -202,6 +204,7 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     period, mass = scene.period, float(scene.body.inertia[0])
     own = device or DeviceParameters()
     around: Any = {"period": period, "delay": scene.delay, "mass": mass, **own.around}
+    around["driver_lag"] = scene_lag(scene) if own.driver_lag is None else own.driver_lag
     loops = [SampledLoop(hand=get_hand(name), **around) for name in HANDS]
     walls = tuple(map(stiffest_of, loops))
     damping = np.linspace(0.0, 1.3 * max(wall.damping for wall in walls) or 4.0 * mass / period, 121)
@@ -215,7 +218,9 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     target = np.hypot(b, k / omega)
     within = np.logical_and.accumulate(np.abs(np.log(rendered / target)) < -math.log(_LOSS))
     transparent = float(np.max(frequency, where=within, initial=0.0))
-    flown = fly_impedance(scene, mass, k, b, cycles) if stable and own.plain else np.full(omega.shape, np.nan)
+    flown = np.full(omega.shape, np.nan)
+    if stable and own.plain:
+        flown = fly_impedance(scene, mass, k, b, cycles, around["driver_lag"])
     impedance = np.array([frequency, target, rendered, flown])
     masses = np.array([mass_range(loop, k, b) for loop in loops])
     lag = 2.0 * np.pi * scene.hardware.driver.time_constant
@@ -230,20 +235,24 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     return DeviceCard(title, tuple(HANDS), walls, *curves, bandwidth, step, rigid)
 
 
-def fly_impedance(scene: Scene, mass: float, stiffness: float, damping: float, cycles: Array) -> Array:
+def fly_impedance(
+    scene: Scene, mass: float, stiffness: float, damping: float, cycles: Array, lag: float = 0.0
+) -> Array:
     """Return the impedance on the exact plant under a sinusoidal hand force [N s/m].
 
     NaN for a wall that does not settle. One device per number of cycles in 400 samples; the force is constant between
     samples.
     """
-    spectral_radius = SampledLoop(period=scene.period, delay=scene.delay, mass=mass).spectral_radius(stiffness, damping)
+    loop = SampledLoop(period=scene.period, delay=scene.delay, mass=mass, driver_lag=lag)
+    spectral_radius = loop.spectral_radius(stiffness, damping)
     settle = math.ceil(math.log(_SETTLED) / math.log(spectral_radius)) if spectral_radius < 1.0 else _LONGEST
     if settle >= _LONGEST:
         return np.full(cycles.size, np.nan)
     none, turn, moved = np.zeros(cycles.size), 2.0 * np.pi * cycles / _WINDOW, list[Any]()
     start, hand = np.zeros((cycles.size, 6)), lambda tick, *_: [np.sin(turn * tick), *[none] * 5]
     controller = Controller([Hold(axes="x", stiffness=stiffness, damping=damping)], period=scene.period)
-    with ExactPlant(scene.timing(), mass=mass, pose=start, gravity=0.0, hand_force=hand) as plant:
+    own: Any = {"driver_lag": True, "driver_time_constant": lag} if lag else {}
+    with ExactPlant(scene.timing(), mass=mass, pose=start, gravity=0.0, hand_force=hand, **own) as plant:
         drive(plant, controller, settle + _WINDOW, observe=lambda sample, _: moved.append(sample.position[0]))
     swing = np.abs(np.fft.fft(moved[settle:], axis=0)[cycles.astype(int), np.arange(cycles.size)]) * 2.0 / _WINDOW
     return np.asarray(scene.period / (turn * swing))

@@ -37,7 +37,7 @@ from maglev_mj.studies.sweep import Grid, Sweep
 from maglev_mj.studies.wall_laws import LAWS, LawMaker, WallLaw, laws_of, wall_law
 from maglev_mj.theory import stated_gains
 from maglev_mj.theory.linearise import linearise
-from maglev_mj.theory.verdict import axis_loops
+from maglev_mj.theory.verdict import axis_loops, scene_lag
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
@@ -273,7 +273,7 @@ def sweep_laws(
         if name != "damping":
             raise ParameterError(f"values of {name} must be a list of numbers (got {values})")
         count = whole("grid", values, at_least=2, at_most=1000)
-        best = stiffest_in(chosen.period, chosen.delay, float(chosen.body.inertia[2]), "none")
+        best = stiffest_in(chosen.period, chosen.delay, float(chosen.body.inertia[2]), "none", scene_lag(chosen))
         high = 2.2 * float(best.damping) or chosen.mass / chosen.period
         values = list(np.unique([*np.linspace(high / count, high, count), chosen.damping]).tolist())
 
@@ -352,6 +352,7 @@ class _AtRest:
         first, self.scenes = scenes[0], scenes
         self.hand, weight = getattr(first.scripted_hand(), "hand", None), float(first.body.inertia[0]) * GRAVITY
         own: Any = {"inertia": first.body.inertia, "device": first.timing().device}
+        own["driver_lag"] = scene_lag(first)
         self._around: Any = {"delay": first.delay, "hand": self.hand, **own}
         self._poses = [[along(first.axis, -weight / scene.stiffness)] for scene in scenes]
         controllers = {index: scene.controller() for index, scene in enumerate(scenes)}

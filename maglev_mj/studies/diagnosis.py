@@ -29,6 +29,7 @@ from maglev_mj.theory.boundary import (
     stiffest_of,
 )
 from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, bisect, critical_delay, is_stable, pd
+from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.margin import Margin
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
 
@@ -124,13 +125,28 @@ class DiagnosedLoop(DeviceParameters):
     @property
     def sampled(self) -> SampledLoop:
         """Loop without the gains of the law in question; the other law is its device law."""
-        other = self.device_law
+        return self.loop_in_question.array()
+
+    @property
+    def loop_in_question(self) -> Loop:
+        """Loop with gains, clock and filter of the law in question, and the other law beside it."""
+        other, cutoff = self.device_law, self.cutoff if self.on_host else self.device_cutoff
         if not self.on_host:
             other = DeviceLaw(0.0, self.damping, self.period, self.delay, self.cutoff) if self.damping else None
-        velocity = None if self.cutoff is None else LowPass(cutoff=self.cutoff)
-        around = self.around | {"mass": self.body, "hand": get_hand(self.hand), "device": other}
-        around |= {"velocity": velocity, "design": self.law}
-        return SampledLoop(period=self.value("period"), delay=self.value("delay"), **around)
+        return Loop(
+            stiffness=self.gains[0],
+            damping=self.gains[1],
+            period=self.value("period"),
+            delay=self.value("delay"),
+            inertia=self.body,
+            own_damping=self.own_damping,
+            driver_lag=self.lag,
+            mode=self.flexible,
+            hand=get_hand(self.hand),
+            velocity=None if cutoff is None else LowPass(cutoff=cutoff),
+            law=self.law,
+            device=other,
+        )
 
     def critical(self) -> float:
         """Return the critical stiffness at the present damping."""
@@ -578,7 +594,8 @@ def _firmware(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     moved |= {"device_damping": damping}
     yield _remedy(loop, f"whole wall {where}, damping {damping:g} {damper}", "firmware", **moved)
     wanted, around = loop.target * loop.stiffness, loop.sampled
-    law = DeviceLaw(loop.device_stiffness, 0.0, times["device_period"], times["device_delay"])
+    clock = times["device_period"], times["device_delay"]
+    law = DeviceLaw(loop.device_stiffness, 0.0, *clock, loop.device_cutoff)
 
     def radius(values: Array) -> Array:
         loops = [replace(around, device=replace(law, damping=value)) for value in values.tolist()]

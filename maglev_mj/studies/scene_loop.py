@@ -15,7 +15,7 @@ from maglev_mj.scenes.find import get_scene
 from maglev_mj.theory.closed_loop import LinearisedLaw, pd
 from maglev_mj.theory.margin import worst_axis
 from maglev_mj.theory.two_rates import laws_on_device
-from maglev_mj.theory.verdict import axis_law, stability, stated_gains
+from maglev_mj.theory.verdict import axis_law, scene_lag, stability, stated_gains
 
 
 def scene_values(
@@ -45,8 +45,8 @@ def scene_values(
     if own and gains is not None:  # the wall in question; the host's laws in contact are beside it
         index, acting = max(own, key=lambda axis: (own[axis].stiffness, own[axis].damping)), ("contact",)
         k, b = (float(part[index]) for part in gains[acting])
-        rendered = {f"device_{name}": getattr(own[index], name) for name in ("stiffness", "damping", "period", "delay")}
-        assumptions += [f"without the cutoff of {x.cutoff:g} Hz on the device" for x in [own[index]] if x.cutoff]
+        names = "stiffness", "damping", "period", "delay", "cutoff"
+        rendered = {f"device_{name}": getattr(own[index], name) for name in names}
     elif gains is None:
         verdict = stability(found)
         if verdict.stable is None:
@@ -60,7 +60,7 @@ def scene_values(
             memory = "with its memory, which scales with the stiffness and keeps its length in samples"
         assumptions.append(f"law linearised at the worst pose, {memory}")
     else:
-        acting, index, _ = worst_axis(gains, **around, inertia=body, velocity=velocity)
+        acting, index, _ = worst_axis(gains, **around, inertia=body, velocity=velocity, driver_lag=scene_lag(found))
         k, b = (float(part[index]) for part in gains[acting])
         if not isinstance(velocity, FiniteDifference | LowPass):
             law = pd(velocity)(np.asarray(k), np.asarray(b), np.asarray(found.period))
@@ -74,4 +74,4 @@ def scene_values(
     result |= {"cutoff": velocity.cutoff} if isinstance(velocity, LowPass) and law is None else {}
     if stated.get("inertia") is None:
         result["inertia" if index > 2 else "mass"] = float(body[index])
-    return {**result, **around, **rendered, **stated}
+    return {**result, "driver_lag": scene_lag(found), **around, **rendered, **stated}

@@ -32,6 +32,7 @@ from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory.boundary import rigid_note
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
 from maglev_mj.theory.two_rates import DeviceParameters
+from maglev_mj.theory.verdict import scene_lag
 
 _MOVED = 1e-6
 _DECIDED = 1e4
@@ -119,7 +120,8 @@ class RestingWall(Scene):
     @property
     def loop(self) -> LoopKeywords:
         """Keywords of the theory besides the gains."""
-        return {"period": self.period, "delay": self.delay, "mass": float(self.body.inertia[2]), "hand": self.impedance}
+        around: LoopKeywords = {"period": self.period, "delay": self.delay, "mass": float(self.body.inertia[2])}
+        return {**around, "hand": self.impedance, "driver_lag": scene_lag(self)}
 
     def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
         """Return the figures of theory and simulation.
@@ -141,7 +143,7 @@ class RestingWall(Scene):
             walls = [scenes[index] for index in indices]
             stiffness, damping = (np.array([getattr(wall, name) for wall in walls]) for name in _GAINS)
             first = walls[0]
-            stiffest = stiffest_in(first.period, first.delay, first.mass, first.hand)
+            stiffest = stiffest_in(first.period, first.delay, first.mass, first.hand, scene_lag(first))
             columns = {
                 "spectral_radius": theory.spectral_radius(stiffness, damping, **first.loop),
                 "largest_stiffness": theory.largest_stable_stiffness(damping, **first.loop),
@@ -157,16 +159,17 @@ class RestingWall(Scene):
 
 
 @lru_cache(maxsize=1024)
-def stiffest_in(period: float, delay: float, mass: float, hand: str) -> theory.StiffestWall:
+def stiffest_in(period: float, delay: float, mass: float, hand: str, driver_lag: float) -> theory.StiffestWall:
     """Return the stiffest wall, cached for all gains."""
-    return theory.stiffest_wall(period=period, delay=delay, mass=mass, hand=get_hand(hand))
+    around: LoopKeywords = {"period": period, "delay": delay, "mass": mass, "driver_lag": driver_lag}
+    return theory.stiffest_wall(hand=get_hand(hand), **around)
 
 
 def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
     """Return indices of walls, grouped by loop: a group differs in its gains only."""
     groups: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for index, wall in enumerate(walls):
-        groups[wall.period, wall.delay, wall.mass, wall.hand].append(index)
+        groups[wall.period, wall.delay, wall.mass, wall.hand, wall.device].append(index)
     return groups
 
 
@@ -305,7 +308,7 @@ class StabilityParameters(DeviceParameters):
                 raise ParameterError(f"{name} must be 0 on a simulated plant (got {getattr(self, name):g})")
         if bool(self.friction) != bool(self.quantum):
             raise ParameterError("friction and quantum must be given together: a wall is quiet by both")
-        if self.plant != "none" and not self.plain:
+        if self.plant != "none" and not (self.plain and self.driver_lag is None):
             raise ParameterError(
                 f"plant must be none{self.described} (got {self.plant}): plants have a rigid flotor under one law"
             )
@@ -529,7 +532,7 @@ def _cells(p: StabilityParameters, stiffness: Array, damping: Array, spectral_ra
 
     These are near the boundary and so run together.
     """
-    around = {name: getattr(p, name) for name in _AROUND}
+    around = {name: getattr(p, name) for name in _AROUND} | ({} if p.hardware.published else {"device": p.device})
     order = np.argsort(np.abs(np.log(np.maximum(spectral_radius, 1e-9))).ravel())[::-1]
     cells = zip(*np.unravel_index(order, spectral_radius.shape), strict=True)
     gains = [{"stiffness": float(stiffness[row]), "damping": float(damping[column])} for row, column in cells]
@@ -543,8 +546,9 @@ def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
 
     Each cell has plant, period, delay, mass, hand, stiffness and damping; they share the plant.
     """
-    names = (*_AROUND[1:], "stiffness", "damping")
-    growth = measure_growth([RestingWall(**{name: cell[name] for name in names}) for cell in cells], cells[0]["plant"])
+    names = (*_AROUND[1:], "device", "stiffness", "damping")
+    walls = [RestingWall(**{name: cell[name] for name in names if name in cell}) for cell in cells]
+    growth = measure_growth(walls, cells[0]["plant"])
     return [
         {"stable": stable, "rate": rate, "ticks": int(ticks)}
         for stable, rate, ticks in zip(*(part.tolist() for part in growth), strict=True)

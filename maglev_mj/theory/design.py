@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.device import sample_period
+from maglev_mj.device import lag_of, sample_period
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.keywords import checked, rate_of
@@ -90,6 +90,11 @@ class WallRequirements(DeviceParameters):
             get_hand(hand)
 
     @property
+    def lag(self) -> float:
+        """Time constant of the drivers [s]; the published joystick's only if it is asked for."""
+        return self.hardware.driver.time_constant if self.driver_lag else lag_of(self.hardware)
+
+    @property
     def nominal(self) -> tuple[float, float]:
         """Mass and delay at the middle of their ranges."""
         return 0.5 * sum(self.mass), 0.5 * sum(self.delay)
@@ -97,9 +102,8 @@ class WallRequirements(DeviceParameters):
     @property
     def description(self) -> str:
         """One-line summary of the requirements."""
-        lag = " with driver lag" if self.driver_lag else ""
         mass, delay = _span(self.mass, 1.0), _span(self.delay, 1e3)
-        return f"mass {mass} kg, delay {delay} ms{lag}, hand: {', '.join(self.hands)}{self.described}"
+        return f"mass {mass} kg, delay {delay} ms, hand: {', '.join(self.hands)}{self.described}"
 
     def grid(self, points: int) -> list[Case]:
         """Return cases on a grid over masses and delays for each hand, corners included."""
@@ -143,7 +147,6 @@ class WallRequirements(DeviceParameters):
                 mass=[cases[row].mass for row in index],
                 delay=[cases[row].delay for row in index],
                 hand=get_hand(hand),
-                driver_lag=self.hardware.driver.time_constant if self.driver_lag else 0.0,
                 **self.around,
             )
             result.append((index, loop))

@@ -217,7 +217,9 @@ class StateSpace(LinearController):
         once = np.linalg.solve(still, self.take)
         return self.direct + self.give @ once, self.give @ np.linalg.solve(still, once)
 
-    def closed_loop(self, *, period: float, delay: float, inertia: Array, hand: Hand | None = None) -> Array:
+    def closed_loop(
+        self, *, period: float, delay: float, inertia: Array, hand: Hand | None = None, driver_lag: float = 0.0
+    ) -> Array:
         """Return the closed loop's matrix; see `loop_matrix`.
 
         Args:
@@ -225,8 +227,10 @@ class StateSpace(LinearController):
             delay: Transport delay [s], up to 10 periods.
             inertia: Mass or moments of inertia [kg, kg m²], (n,).
             hand: Hand on each of the axes; None for a free flotor.
+            driver_lag: Time constant of the drivers [s].
         """
-        phi, old, new, whole, waiting = SampledLoop(period=period, delay=delay, mass=inertia, hand=hand).flotor()
+        around: Any = {"period": period, "delay": delay, "hand": hand, "driver_lag": driver_lag}
+        phi, old, new, whole, waiting = SampledLoop(mass=inertia, **around).flotor()
         states = range(phi.shape[-1])
         body = np.block([[np.diag(phi[:, row, column]) for column in states] for row in states])
         before, after = (np.vstack([np.diag(part[:, row]) for row in states]) for part in (old, new))

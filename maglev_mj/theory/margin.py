@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -79,6 +79,7 @@ def worst_axis(
     inertia: Array,
     velocity: VelocityEstimator,
     axis: int = 2,
+    driver_lag: float = 0.0,
 ) -> tuple[tuple[str, ...], int, float]:
     """Return states and axis of a scene's loop nearest to its critical stiffness, and present over critical stiffness.
 
@@ -89,11 +90,13 @@ def worst_axis(
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         velocity: Velocity estimator of the laws.
         axis: Index of the axis to return without any stiffness, at its largest damping.
+        driver_lag: Time constant of the drivers [s].
     """
     states, (stiffness, damping) = list(gains), np.moveaxis(np.array([*gains.values()]), 1, 0)
     if not stiffness.any():
         return states[int(damping[:, axis].argmax())], axis, 0.0
-    critical = largest_stable_stiffness(damping, period=period, delay=delay, mass=inertia, velocity=velocity)
+    around: Any = {"period": period, "delay": delay, "velocity": velocity, "driver_lag": driver_lag}
+    critical = largest_stable_stiffness(damping, mass=inertia, **around)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(stiffness > 0.0, stiffness / critical, 0.0)
     # the first of those equal within rounding

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.timeline import Timing
+from maglev_mj.device import lag_of
 from maglev_mj.errors import ParameterError, TooManyCallsError
 from maglev_mj.frames import AXES, ZERO, Array, Mask, unit_of
 from maglev_mj.keywords import checked
@@ -199,7 +200,14 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
     inertia = body.inertia if inertia is None else inertia
     controller, pose = scene.controller(), scene.start().pose
     device = scene.timing().device if controller.on_device else (DEVICE_PERIOD, DEVICE_DELAY)
-    return judge(controller, delay=delay, pose=pose, inertia=inertia, reach=body.range, device=device)
+    around: Any = {"inertia": inertia, "reach": body.range, "device": device, "driver_lag": scene_lag(scene)}
+    return judge(controller, delay=delay, pose=pose, **around)
+
+
+def scene_lag(scene: Any) -> float:
+    """Return the time constant of the drivers of a scene's device [s]; 0 without a device."""
+    hardware = getattr(scene, "hardware", None)
+    return 0.0 if hardware is None else lag_of(hardware)
 
 
 @checked
@@ -211,6 +219,7 @@ def judge(
     inertia: ArrayLike = INERTIA,
     reach: ArrayLike = RANGE,
     device: ArrayLike = (DEVICE_PERIOD, DEVICE_DELAY),
+    driver_lag: float = 0.0,
 ) -> Verdict:
     """Return the stability verdict on the closed loop of a free flotor.
 
@@ -225,6 +234,7 @@ def judge(
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         reach: Range of motion [m, rad], (6,).
         device: Sample period and delay of walls on the device [s], (2,).
+        driver_lag: Time constant of the drivers [s].
 
     Raises:
         ParameterError: If `controller` is no Controller, or a value is outside its bounds.
@@ -243,8 +253,9 @@ def judge(
     if gains is None and controller.on_device:
         raise ParameterError("stability of a law with walls on the device needs declared gains: define gains()")
     if gains is None:
-        return _numerically(controller, delay, start, body, numbers("reach", reach, shape="(6,)", above=0.0))
-    return _by_gains(gains, controller, delay, start, body, laws_on_device(controller, (own, late)))
+        far = numbers("reach", reach, shape="(6,)", above=0.0)
+        return _numerically(controller, delay, start, body, far, driver_lag)
+    return _by_gains(gains, controller, delay, start, body, laws_on_device(controller, (own, late)), None, driver_lag)
 
 
 _Gains: TypeAlias = dict[tuple[str, ...], tuple[Array, Array]]
@@ -282,6 +293,7 @@ def _by_gains(
     body: Array,
     laws: Mapping[int, DeviceLaw],
     hand: Hand | None = None,
+    lag: float = 0.0,
 ) -> Verdict:
     """Return the verdict from declared gains, and laws on the device in contact; with a hand on the translations."""
     kinds: dict[tuple[Any, ...], tuple[list[str], NDArray[Any]]] = {}
@@ -290,7 +302,7 @@ def _by_gains(
         {acting: (float(k[axis]), float(b[axis]), touching[acting].get(axis)) for acting, (k, b) in gains.items()}
         for axis in range(len(AXES))
     ]
-    loop: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
+    loop: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity, "driver_lag": lag}
     cases = {mass: {pair for axis in np.flatnonzero(body == mass) for pair in own[axis].values()} for mass in {*body}}
     held = {mass: hand if mass in body[:3] else None for mass in cases}
     # once for equal axes
@@ -484,12 +496,14 @@ def _regions(controller: Controller, bent: Sequence[tuple[Array, int]]) -> set[i
     return regions
 
 
-def _numerically(controller: Controller, delay: float, pose: Array, body: Array, reach: Array) -> Verdict:
+def _numerically(
+    controller: Controller, delay: float, pose: Array, body: Array, reach: Array, lag: float = 0.0
+) -> Verdict:
     """Return the verdict by linearisation."""
     linear = _linearised(controller, pose, body, reach)
     worst: _Loop | None = None
     spectral_radius, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
-    for loop, roots in _roots(_grouped(linear.loops), delay, body):
+    for loop, roots in _roots(_grouped(linear.loops), delay, body, None, lag):
         own = _own_spectral_radius(roots, loop.still)
         if worst is None or own > spectral_radius * (1.0 + _ROUNDING):
             worst, spectral_radius, eigenvalues = loop, own, roots
@@ -512,14 +526,14 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array,
 
 
 def _roots(
-    groups: Iterable[_Group], delay: float, body: Array, hand: Hand | None = None
+    groups: Iterable[_Group], delay: float, body: Array, hand: Hand | None = None, lag: float = 0.0
 ) -> Iterator[tuple[_Loop, NDArray[np.complex128]]]:
     """Yield distinct loops with their poles; loops of equal size are computed as one batch."""
     for different, systems, axes in groups:
         period, inertia = different[0].near.period, body[list(axes)]
         held = hand if hand is not None and set(axes) <= set(hand.indices) else None
         system = StateSpace(*map(np.array, zip(*systems))).with_units(period, inertia)
-        matrices = system.closed_loop(period=period, delay=delay, inertia=inertia, hand=held)
+        matrices = system.closed_loop(period=period, delay=delay, inertia=inertia, hand=held, driver_lag=lag)
         yield from zip(different, np.linalg.eigvals(matrices).astype(np.complex128), strict=True)
 
 
@@ -548,6 +562,7 @@ def axis_loops(
     inertia: Array,
     hand: Hand | None = None,
     device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
+    driver_lag: float = 0.0,
 ) -> list[tuple[float, float]]:
     """Return static stiffness and spectral radius of one axis with all of its laws active, for each controller.
 
@@ -561,6 +576,7 @@ def axis_loops(
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         hand: The hand on the axis; None for a free flotor.
         device: See `judge`.
+        driver_lag: See `judge`.
 
     Returns:
         Stiffness [N/m, N m/rad], infinite for an integrator, and spectral radius, below 1 for a stable loop, of each;
@@ -587,14 +603,14 @@ def axis_loops(
         stiffness, damping = (float(both[axis]) for both in list(gains.values())[-1])
         law = laws_on_device(controller, device).get(axis)
         around: Any = {"period": controller.period, "velocity": controller.velocity, "device": law, "hand": held}
-        both = SampledLoop(mass=inertia[axis], delay=delay, **around)
+        both = SampledLoop(mass=inertia[axis], delay=delay, driver_lag=driver_lag, **around)
         result.append((stiffness + (law.stiffness if law else 0.0), float(both.spectral_radius(stiffness, damping))))
     else:
         return result
     result = [(math.nan, math.nan)] * len(controllers)
     for index, loop in enumerate(_axis(controllers, axis, poses, inertia)):
         if loop is not None:
-            ((_, roots),) = _roots(_grouped([loop]), delay, inertia, hand)
+            ((_, roots),) = _roots(_grouped([loop]), delay, inertia, hand, driver_lag)
             result[index] = float(loop.gains(inertia)[0][axis, axis]), _own_spectral_radius(roots, loop.still)
     return result
 
@@ -628,6 +644,7 @@ def delay_margins(
     inertia: ArrayLike = INERTIA,
     reach: ArrayLike = RANGE,
     device: ArrayLike = (DEVICE_PERIOD, DEVICE_DELAY),
+    driver_lag: float = 0.0,
 ) -> dict[str, float]:
     """Return the critical delay of a controller's loops, free and in each hand [s].
 
@@ -640,6 +657,7 @@ def delay_margins(
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         reach: Range of motion [m, rad], (6,).
         device: Sample period and delay of walls on the device [s], (2,).
+        driver_lag: See `judge`.
 
     Returns:
         By hand: 0 if unstable without delay, infinity above the lesser of 30 ms and 10 periods, NaN if not computed.
@@ -667,24 +685,30 @@ def delay_margins(
 
     def spectral_radius(delay: float, hand: Hand | None) -> float:
         if gains is not None and laws:
-            return _by_gains(gains, controller, delay, start, body, laws, hand).spectral_radius
+            return _by_gains(gains, controller, delay, start, body, laws, hand, driver_lag).spectral_radius
         if gains is not None:
-            return float(stated_spectral_radii([*gains.values()], controller, delay, body, hand).max())
-        roots = (_own_spectral_radius(own, loop.still) for loop, own in _roots(loops, delay, body, hand))
+            return float(stated_spectral_radii([*gains.values()], controller, delay, body, hand, driver_lag).max())
+        roots = (_own_spectral_radius(own, loop.still) for loop, own in _roots(loops, delay, body, hand, driver_lag))
         return max(roots, default=0.0)
 
     return {name: _margin(partial(spectral_radius, hand=get_hand(name)), period) for name in hands}
 
 
 def stated_spectral_radii(
-    gains: Sequence[tuple[Array, Array]], controller: Controller, delay: float, body: Array, hand: Hand | None = None
+    gains: Sequence[tuple[Array, Array]],
+    controller: Controller,
+    delay: float,
+    body: Array,
+    hand: Hand | None = None,
+    lag: float = 0.0,
 ) -> Array:
     """Return the largest spectral radius over the axes for each of N pairs of gains (6,), without free motion, (N,)."""
     radii = []
     for part, held in ((slice(3), hand), (slice(3, 6), None)):
         stiffness, damping = (np.array([both[kind][part] for both in gains]).ravel() for kind in (0, 1))
         mass = np.tile(body[part], len(gains))
-        loop = SampledLoop(period=controller.period, delay=delay, mass=mass, hand=held, velocity=controller.velocity)
+        around: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity, "driver_lag": lag}
+        loop = SampledLoop(mass=mass, hand=held, **around)
         roots = np.linalg.eigvals(loop.matrix(stiffness, damping))
         free = np.where(stiffness > 0.0, 0, np.where(damping > 0.0, 1, 2)) * (held is None)
         radii.append(np.array([*map(_spectral_radius, roots, free)]).reshape(-1, 3))

@@ -51,9 +51,8 @@ def densely(wall: DesignedWall, seed: int, count: int = 1000) -> np.ndarray[Any,
             np.clip(low + (high - low) * random.uniform(-0.2, 1.2, count), low, high)
             for low, high in (needs.mass, needs.delay)
         )
-        lag = SampledLoop(driver_lag=needs.loops([wall.worst])[0][1].driver_lag).driver_lag
         around = {"period": needs.period, "mass": mass, "delay": delay, **needs.around}
-        loop = SampledLoop(hand=get_hand(hand), driver_lag=lag, **around)
+        loop = SampledLoop(hand=get_hand(hand), **around)
         spectral_radii.append(loop.spectral_radius(wall.stiffness, wall.damping))
     return np.concatenate(spectral_radii)
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from maglev_mj import AxisLaw, diagnose, gain, hold, param, stability
+from maglev_mj import AxisLaw, Device, device_card, diagnose, gain, hold, largest_stable_stiffness, param, stability
 from maglev_mj.bridge.preflight import judge_change
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.stability_check import stability_warning, wall_margin
+from maglev_mj.scenes.stability_check import stability_warning, unstable, wall_margin
 from maglev_mj.session.margin import margin
 from maglev_mj.studies.compare import compare
+from maglev_mj.studies.stability_map import StabilityParameters
+from maglev_mj.theory.boundary import boundary_of
+from maglev_mj.theory.loop import Loop
 from tests.scenes.test_stability_check import GOOD
 
 
@@ -73,3 +78,68 @@ def test_an_edge_is_skipped_and_its_region_is_not() -> None:
     """A wall without a gains() method is smooth to both sides of its edge, and stays judged."""
     verdict = stability(Rough(stiffness=2000.0, friction=0.0))
     assert verdict.stable is True and len(verdict.jumps) and not verdict.unjudged
+
+
+def lagging(lag: float, folder: Path) -> str:
+    path = folder / f"{lag:g}.toml"
+    path.write_text(Device.load("stage").change("driver", time_constant=lag).toml())
+    return str(path)
+
+
+FRONTS: dict[str, Callable[[Drop], Any]] = {
+    "stability": lambda scene: max(one.spectral_radius for one in stability(scene).states if "contact" in one.acting),
+    "diagnose": lambda scene: diagnose(scene).critical_stiffness,
+    "compare": lambda scene: compare(scene, ["pd"], phases=1).margins["pd"]["spectral_radius"],
+    "wall": lambda scene: wall_margin(scene).spectral_radius,  # type: ignore[union-attr]
+    "sweep": lambda scene: unstable([scene]),
+    "page": lambda scene: (margin(scene).words, margin(scene).stiffnesses.tolist()),
+    "flight": lambda scene: judge_change(scene, scene.body.inertia.tolist(), [], report=GOOD, anyway=False),
+    "card": lambda scene: float(device_card(scene).walls[0].stiffness),
+    "map": lambda scene: float(largest_stable_stiffness(**StabilityParameters(device=scene.device).loop).stiffness),
+}
+LOOP: dict[str, Any] = {"stiffness": 40_000.0, "damping": 140.9, "pulse": 0.0}
+
+
+@pytest.mark.parametrize("front", FRONTS)
+def test_the_lag_of_a_device_moves_every_verdict(front: str, tmp_path: Path) -> None:
+    exact, late = (FRONTS[front](Drop(device=lagging(lag, tmp_path), **LOOP)) for lag in (0.0, 1e-3))
+    assert exact != late
+
+
+FILTERED = {"stability", "diagnose", "compare", "wall", "page", "flight"}
+
+
+@pytest.mark.parametrize("front", sorted(FILTERED))
+def test_the_filter_of_a_law_on_the_device_moves_every_verdict(front: str) -> None:
+    gains: Any = {**LOOP, "damping": 20.0, "device_damping": 200.0}
+    plain, filtered = (FRONTS[front](Drop(**gains, **more)) for more in ({}, {"device_cutoff": 50.0}))
+    assert plain != filtered
+
+
+def test_front_ends_agree_on_random_devices(tmp_path: Path) -> None:
+    random = np.random.default_rng(5)
+    for lag in (0.0, 1e-4, 1e-3):
+        values: Any = {"device": lagging(lag, tmp_path), "stiffness": 10.0 ** random.uniform(3.5, 4.9), "pulse": 0.0}
+        values |= {"damping": random.uniform(30.0, 250.0), "delay": random.uniform(1e-4, 1.5e-3)}
+        scene = Drop(**values)
+        contact = FRONTS["stability"](scene)
+        found, wall = diagnose(scene), wall_margin(scene)
+        loop = Loop.of(scene.device, **{name: getattr(scene, name) for name in ("stiffness", "damping", "delay")})
+        assert wall is not None
+        for other in (found.spectral_radius, wall.spectral_radius, FRONTS["compare"](scene), loop.spectral_radius):
+            assert other == pytest.approx(contact, abs=1e-9)
+        assert (stability_warning(scene) is not None) == (contact > 1.0) == unstable([scene])[0]
+
+
+def test_the_lag_of_the_published_joystick_is_part_of_its_delay() -> None:
+    assert Loop.of("ubc", stiffness=1.0, damping=1.0).driver_lag == 0.0
+    assert Device.load("ubc").driver.time_constant == pytest.approx(8e-5, rel=0.01)
+    assert float(device_card(Drop()).walls[0].stiffness) == pytest.approx(10_173.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("lag", "critical"), [(0.0, 54_339.185), (1e-4, 48_340.252), (1e-3, 21_503.423)]
+)  # by events and eigenvalues of another program
+def test_critical_stiffness_with_lagging_drivers(lag: float, critical: float) -> None:
+    loop = Loop.of("stage", stiffness=0.0, damping=140.9, delay=8e-4, driver_lag=lag)
+    assert float(boundary_of(loop.array(), np.asarray(140.9))) == pytest.approx(critical, abs=2e-3)
