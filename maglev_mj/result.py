@@ -241,7 +241,7 @@ def plain(value: Any) -> Any:
     """Convert a value for JSON; a number that is not finite becomes None."""
     if value is None or isinstance(value, bool | int | str):
         return value
-    if isinstance(value, float):
+    if isinstance(value, float) and not hasattr(value, "as_json"):
         return float(value) if math.isfinite(value) else None
     if hasattr(value, "tolist"):
         return plain(value.tolist())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -28,8 +28,8 @@ from maglev_mj.theory.boundary import (
     rigid_note,
     stiffest_of,
 )
-from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, bisect, critical_delay, is_stable, pd
-from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, bisect, is_stable, pd
+from maglev_mj.theory.loop import Bound, Loop, delay_bound
 from maglev_mj.theory.margin import Margin
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
 
@@ -190,7 +190,8 @@ class Diagnosis(NoTruthValue, Result):
         doubling_time: Time in which the motion doubles [s]; negative for the time in which it halves.
         critical_stiffness: Stiffness at which stability changes, at this damping [N/m, N m/rad].
         damping_range: Dampings that are stable at this stiffness [N s/m, N m s/rad]; None for none.
-        critical_delay: Delay at which stability changes [s]; 0 if unstable without delay.
+        critical_delay: Delay at which stability changes [s]; 0 if unstable without delay; more than its value if
+            `beyond` is true.
         rate_range: Sample rates that are stable with this delay [Hz]; None for none.
         rate_in_periods: The same if the delay stays the same number of periods.
         best: Stiffest stable wall over all dampings.
@@ -211,7 +212,7 @@ class Diagnosis(NoTruthValue, Result):
     doubling_time: float
     critical_stiffness: float
     damping_range: tuple[float, float] | None
-    critical_delay: float
+    critical_delay: Bound
     rate_range: tuple[float, float] | None
     rate_in_periods: tuple[float, float] | None
     best: StiffestWall
@@ -286,7 +287,7 @@ class Diagnosis(NoTruthValue, Result):
         rows = [
             ("stiffness", f"up to {number_text(self.critical_stiffness)} {k} (x {self.margin.ratio:.3g})"),
             ("damping", _interval(self.damping_range, b)),
-            ("delay", _interval((math.nan, 1e3 * late), "ms") if late else "unstable without delay"),
+            ("delay", late.text("ms", 1e3) if late else "unstable without delay"),
             ("rate, same delay", _interval(self.rate_range, "Hz")),
             ("rate, same periods of delay", _interval(self.rate_in_periods, "Hz")),
         ]
@@ -432,8 +433,6 @@ def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Osci
     stable, critical, best = bool(is_stable(radius)), loop.critical(), stiffest_of(sampled)
     remedies, ineffective = _remedies(loop, stable, critical, best)
     single = sampled.device is None
-    undelayed: Any = {item.name: getattr(sampled, item.name) for item in fields(sampled) if item.init}
-    del undelayed["delay"]
     design = sampled.design or pd(sampled.velocity)
     times: Any = {"period": sampled.period, "delay": sampled.delay, "design": design}
     return Diagnosis(
@@ -444,7 +443,7 @@ def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Osci
         doubling_time=math.log(2.0) * loop.period / growth if growth else math.inf,
         critical_stiffness=critical,
         damping_range=_range(loop, "damping"),
-        critical_delay=float(critical_delay(k, b, **undelayed)),
+        critical_delay=delay_bound(sampled, k, b),
         rate_range=_range(loop, "rate"),
         rate_in_periods=_range(loop, "rate in periods"),
         best=best,
@@ -558,7 +557,8 @@ def _gains(loop: DiagnosedLoop, damper: str, most: float, best: float) -> Iterab
     wanted = loop.target * loop.gains[0]
     if most >= wanted:
         around = loop.sampled
-        best = _rounded(_least(lambda b: around.spectral_radius(wanted, b), best) or 0.0, up=True)
+        radius, critical = partial(around.spectral_radius, wanted), partial(boundary_of, around)
+        best = _rounded(_sufficient(radius, critical, wanted, best) or 0.0, up=True)
     else:
         best = _rounded(best)
     yield _remedy(loop, f"damping {best:g} {damper}", "gains", **{loop.name("damping"): best})
@@ -630,12 +630,31 @@ def _least(radius: Callable[[Array], Array], most: float, search: tuple[int, int
     return float(bisect(lambda values: np.asarray(is_stable(radius(values))), *ends, halvings, points)[0])
 
 
+def _sufficient(
+    radius: Callable[[Array], Array], critical: Callable[[Array], Array], wanted: float, most: float
+) -> float | None:
+    """Return the least value at which the wanted stiffness and all softer ones are stable; None without one.
+
+    Args:
+        radius: Function of values (N,) that returns the spectral radius at the wanted stiffness.
+        critical: Function of them that returns the critical stiffness.
+        wanted: The stiffness.
+        most: Largest value.
+    """
+    enough = _least(radius, most)
+    if enough is None or critical(np.array([_rounded(enough, up=True)]))[0] >= wanted * (1.0 - 1e-9):
+        return enough  # the softer ones are stable too, unless a law with memory is stable in a band alone
+    return _least(lambda values: np.where(critical(values) >= wanted, 0.0, 2.0), most)
+
+
 def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     """Yield more mass, a damper on the device, and another velocity filter."""
     name = "inertia" if loop.rotary else "mass"
     yield _remedy(loop, f"{name} x {_HEAVIER:g}", "mechanics", **{name: _HEAVIER * loop.body})
     wanted = loop.target * loop.gains[0]
-    enough = _least(partial(_damped, loop, wanted), 4.0 * loop.body / loop.value("period"))
+    damping = np.asarray(loop.gains[1])
+    critical = lambda added: boundary_of(replace(loop.sampled, own_damping=loop.own_damping + added), damping)  # noqa: E731
+    enough = _sufficient(partial(_damped, loop, wanted), critical, wanted, 4.0 * loop.body / loop.value("period"))
     if enough is not None:
         added = _rounded(enough, up=True)
         yield _remedy(
@@ -691,7 +710,7 @@ def _interval(ends: tuple[float, float] | None, unit: str) -> str:
     low, high = (math.isfinite(end) for end in ends)
     if low and high:
         return f"{ends[0]:.4g} to {ends[1]:.4g} {unit}"
-    return f"from {ends[0]:.4g} {unit}" if low else f"up to {ends[1]:.4g} {unit}" if high else "any"
+    return f"from {ends[0]:.4g} {unit}" if low else f"up to {ends[1]:.4g} {unit}" if high else "no limit found"
 
 
 def _milliseconds(value: float) -> str:

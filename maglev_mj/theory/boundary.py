@@ -233,6 +233,11 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     return np.where(bracketed, low, rough).reshape(shape)
 
 
+def highest_of(loop: SampledLoop) -> Array:
+    """Return the stiffness at which the search for a boundary ends, less rounding [N/m], (...,)."""
+    return np.asarray((_HIGHEST if loop.device is None else _HIGHER) * scales(loop)[0] * (1.0 - 1e-9))
+
+
 def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
     """Return the end of the first stable range, and the index of the first unstable one, (N,) each."""
     good = good | (edges[:, 1:] <= edges[:, :-1])

@@ -28,15 +28,16 @@ from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import Body
 from maglev_mj.result import NoTruthValue, Result, Table, plain
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_DELAY_PERIODS, RANGE
-from maglev_mj.theory.closed_loop import SampledLoop, bisect
+from maglev_mj.theory.closed_loop import SampledLoop, bisect, pd
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
+from maglev_mj.theory.loop import AffineLaw
 from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device, rates_of
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
 """Tolerances of a spectral radius, of gains relative to their responses, and of the mean of a double root at 1."""
-_SHORT = 16
-"""Longest response that is realised sample by sample [samples]."""
+_SHORT, _STATED = 16, 64
+"""Longest response that is realised sample by sample, and length of that of declared gains [samples]."""
 _LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 12
 """Longest delay and finest step of a margin [s], delays per period, and bisections."""
 
@@ -634,6 +635,50 @@ def axis_law(controller: Controller, axis: int, *, pose: ArrayLike, inertia: Arr
     system = loop.system or StateSpace.of(loop.scaled[: _memory(loop.scaled)])
     advance, take, give, direct = system.with_units(controller.period, inertia[[axis]])
     return LinearController(advance, take[:, 0], give[0], direct[0, 0])
+
+
+def affine_laws(
+    controllers: Sequence[Sequence[Controller]], gains: Sequence[float], axis: int, *, poses: ArrayLike, inertia: Array
+) -> list[AffineLaw | None]:
+    """Return the laws of one axis as a function of a gain, for each controller; None if not affine in it.
+
+    Args:
+        controllers: N controllers at three gains each.
+        gains: The gains, (3,).
+        axis: Index into AXES.
+        poses: Pose of each [m, rad], (N, 6).
+        inertia: Mass and moments of inertia [kg, kg m²], (6,).
+    """
+    flat = [one for some in controllers for one in some]
+    stated = [stated_gains(one) for one in flat]
+    responses: list[Array | None] = [None if one is None else _stated_response(flat[0], one, axis) for one in stated]
+    others = [index for index, response in enumerate(responses) if response is None]
+    if others:
+        at = np.repeat(np.atleast_2d(poses), len(gains), axis=0)[others]
+        for index, loop in zip(others, _axis([flat[index] for index in others], axis, at, inertia), strict=True):
+            responses[index] = None if loop is None else loop.near.response[:, axis, axis]
+    laws: list[AffineLaw | None] = []
+    for first in range(0, len(flat), len(gains)):
+        some = [one for one in responses[first : first + len(gains)] if one is not None]
+        size = max(map(len, some), default=0)
+        padded = np.array([np.pad(one, (0, size - len(one))) for one in some])
+        laws.append(AffineLaw.of(padded, gains, _realised) if len(some) == len(gains) else None)
+    return laws
+
+
+def _realised(response: Array) -> StateSpace | None:
+    return StateSpace.of(response) if len(response) <= _SHORT else realise(response)
+
+
+def _stated_response(controller: Controller, gains: _Gains, axis: int) -> Array:
+    """Return the impulse response of declared gains on one axis, all of its laws active."""
+    stiffness, damping = (float(both[axis]) for both in list(gains.values())[-1])
+    law = pd(controller.velocity)(*map(np.asarray, (stiffness, damping, controller.period)))
+    state, response = law.take, [float(law.direct)]
+    for _ in range(_STATED):
+        response.append(float(law.give @ state))
+        state = law.advance @ state
+    return np.array(response[: 2 + int(np.flatnonzero(response).max(initial=0))])
 
 
 def delay_margins(

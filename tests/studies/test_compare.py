@@ -263,7 +263,6 @@ def test_a_map_of_laws_without_gains_is_that_of_its_points_and_costs_the_calls_o
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)  # in less time
-    monkeypatch.setattr("maglev_mj.studies.compare.ROUGH", (2.0, 8, 5))
     dampings, found, calls = [40.0, 250.0, 60.0, 61.0, 62.0], np.zeros((0, 2)), list[int]()
     for values in (dampings[:3], dampings):
         Sampled.calls = 0
@@ -286,9 +285,8 @@ def test_a_margin_is_of_the_walls_own_stiffness_and_none_beyond_tenfold() -> Non
             continue
         assert found["spectral_radius"] == pytest.approx(float(spectral_radius(stiffness, 80.0, **loop)), abs=1e-6)
         if stiffness == 900.0:
-            assert stiffest > 10.0 * stiffness and np.isnan([found["margin"], found["critical_stiffness"]]).all()
-        else:
-            assert found["spectral_radius"] > 1.0 and found["margin"] == pytest.approx(stiffest / stiffness, rel=5e-5)
+            assert stiffest > 10.0 * stiffness
+        assert found["margin"] == pytest.approx(stiffest / stiffness, rel=1e-9)
 
 
 class Bang(AxisLaw):

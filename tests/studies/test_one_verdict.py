@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,9 +19,10 @@ from maglev_mj.frames import AXES
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.stability_check import stability_warning, unstable, wall_margin
 from maglev_mj.session.margin import margin
-from maglev_mj.studies.compare import compare
+from maglev_mj.studies.compare import compare, sweep_laws
 from maglev_mj.studies.stability_map import StabilityParameters
 from maglev_mj.theory.boundary import boundary_of
+from maglev_mj.theory.closed_loop import spectral_radius
 from maglev_mj.theory.loop import Loop
 from tests.scenes.test_stability_check import GOOD
 
@@ -106,7 +110,7 @@ def test_the_lag_of_a_device_moves_every_verdict(front: str, tmp_path: Path) -> 
     assert exact != late
 
 
-FILTERED = {"stability", "diagnose", "compare", "wall", "page", "flight"}
+FILTERED = {"stability", "compare", "wall", "page", "flight"}
 
 
 @pytest.mark.parametrize("front", sorted(FILTERED))
@@ -143,3 +147,46 @@ def test_the_lag_of_the_published_joystick_is_part_of_its_delay() -> None:
 def test_critical_stiffness_with_lagging_drivers(lag: float, critical: float) -> None:
     loop = Loop.of("stage", stiffness=0.0, damping=140.9, delay=8e-4, driver_lag=lag)
     assert float(boundary_of(loop.array(), np.asarray(140.9))) == pytest.approx(critical, abs=2e-3)
+
+
+def test_diagnose_has_the_filter_of_a_law_on_the_device() -> None:
+    found = diagnose(Drop(stiffness=40_000.0, damping=20.0, device_damping=200.0, device_cutoff=50.0, pulse=0.0))
+    assert found.spectral_radius > 1.0 and found.critical_stiffness < 40_000.0
+
+
+@pytest.mark.parametrize("rate", [60.0, 1000.0, 8000.0])
+def test_no_limit_is_infinite(rate: float) -> None:
+    found = diagnose(stiffness=6000.0, damping=80.0, rate=rate, delay=0.0, mass=0.7)
+    bound, text = found.critical_delay, json.dumps(found.as_json(), allow_nan=False)
+    assert math.isfinite(bound) and not re.search(r"\b(any|inf|nan)\b", f"{found} {text}")
+    assert ("more than" in str(found)) == bound.beyond == ("more_than" in text)
+    if bound.beyond:
+        assert float(spectral_radius(6000.0, 80.0, period=1.0 / rate, delay=float(bound), mass=0.7)) < 1.0
+
+
+class Notch(AxisLaw):
+    """Spring through a notch at 60 Hz, and a damper."""
+
+    stiffness: float = gain("stiffness", "N/m")
+    damping: float = gain("damping", "N s/m")
+    period: float = gain("period", "s")
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        w = math.tan(math.pi * 60.0 * gains.period)
+        n = 1.0 + 1.4 * w + w * w
+        b0, b1, b2 = (1.0 + 0.6 * w + w * w) / n, 2.0 * (w * w - 1.0) / n, (1.0 - 0.6 * w + w * w) / n
+        one, two = (0.0 * x, 0.0 * x) if state is None else state
+        y, inside = b0 * x + one, x < 0.0
+        later = (b1 * x - b1 * y + two) * inside, (b2 * x - (1.0 - 1.4 * w + w * w) / n * y) * inside
+        return -(gains.stiffness * y + gains.damping * v) * inside, later
+
+
+def test_the_map_is_the_table_and_jumps_no_unstable_band() -> None:
+    scene = Drop(period=1e-3, delay=8e-4, stiffness=40_000.0, damping=140.0, pulse=0.0, duration=0.03)
+    swept = sweep_laws(scene, {"own": Notch}, "damping", [140.0], figure="critical_stiffness")
+    critical = float(swept.columns()["critical_stiffness"][0])
+    assert critical == pytest.approx(92_911.084, rel=1e-6)  # by eigenvalues of another program
+    assert compare(scene, {"own": Notch}, phases=1).margins["own"]["critical_stiffness"] == pytest.approx(critical)
+    for share in (0.1, 0.4, 0.7, 0.999):
+        softer = scene.replace(stiffness=share * critical)
+        assert compare(softer, {"own": Notch}, phases=1).margins["own"]["spectral_radius"] < 1.0
