@@ -22,6 +22,7 @@ from maglev_mj.result import Result, Table
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller, user_errors_rejected
 from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.theory.loop import Bound
 from maglev_mj.theory.verdict import delay_margins, judge, scene_lag, stated_gains
 
 _ANSWERS = 64
@@ -387,11 +388,11 @@ def judge_change(
     return None if problem else critical_delay, problem
 
 
-def _critical_delay(scene: Scene, inertia: Array) -> float:
+def _critical_delay(scene: Scene, inertia: Array) -> Bound:
     around: Any = {"inertia": inertia, "reach": scene.body.bounded.range, "device": scene.timing().device}
     around["driver_lag"] = scene_lag(scene)
     margins = delay_margins(device_controller(scene), list(HANDS), pose=scene.start().pose, **around)
-    return float(np.min([*margins.values()]))
+    return min(margins.values(), key=lambda delay: -math.inf if math.isnan(delay) else float(delay))
 
 
 def _problem(scene: Scene, report: LinkReport, critical_delay: float) -> str:

@@ -161,7 +161,7 @@ class RestingWall(Scene):
 @lru_cache(maxsize=1024)
 def stiffest_in(period: float, delay: float, mass: float, hand: str, driver_lag: float) -> theory.StiffestWall:
     """Return the stiffest wall, cached for all gains."""
-    around: LoopKeywords = {"period": period, "delay": delay, "mass": mass, "driver_lag": driver_lag}
+    around: Any = {"period": period, "delay": delay, "mass": mass, "driver_lag": driver_lag}
     return theory.stiffest_wall(hand=get_hand(hand), **around)
 
 

@@ -30,7 +30,7 @@ from maglev_mj.result import NoTruthValue, Result, Table, plain
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_DELAY_PERIODS, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop, bisect, pd
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
-from maglev_mj.theory.loop import AffineLaw
+from maglev_mj.theory.loop import AffineLaw, Bound
 from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device, rates_of
 
@@ -690,7 +690,7 @@ def delay_margins(
     reach: ArrayLike = RANGE,
     device: ArrayLike = (DEVICE_PERIOD, DEVICE_DELAY),
     driver_lag: float = 0.0,
-) -> dict[str, float]:
+) -> dict[str, Bound]:
     """Return the critical delay of a controller's loops, free and in each hand [s].
 
     The controller is linearised once. A hand acts on the translations only; translations coupled to rotations are free.
@@ -705,7 +705,7 @@ def delay_margins(
         driver_lag: See `judge`.
 
     Returns:
-        By hand: 0 if unstable without delay, infinity above the lesser of 30 ms and 10 periods, NaN if not computed.
+        By hand: 0 if unstable without delay, `beyond` at the lesser of 30 ms and 10 periods, NaN if not computed.
 
     Raises:
         MaglevError: If a law fails at a pose.
@@ -725,7 +725,7 @@ def delay_margins(
         with suppress(TooManyCallsError):
             linear = None if laws else _linearised(controller, start, body, reach)
         if linear is None or linear.missing:
-            return dict.fromkeys(hands, math.nan)
+            return dict.fromkeys(hands, Bound(math.nan))
         loops = [*_grouped(linear.loops)]
 
     def spectral_radius(delay: float, hand: Hand | None) -> float:
@@ -760,7 +760,7 @@ def stated_spectral_radii(
     return np.asarray(np.hstack(radii).max(axis=1))
 
 
-def _margin(spectral_radius: Callable[[float], float], period: float) -> float:
+def _margin(spectral_radius: Callable[[float], float], period: float) -> Bound:
     """Return the first delay at which a spectral radius reaches 1 [s]."""
 
     def stable(delay: Any) -> Mask:
@@ -769,8 +769,8 @@ def _margin(spectral_radius: Callable[[float], float], period: float) -> float:
     grid = np.arange(0.0, min(_LONGEST, MAX_DELAY_PERIODS * period) + 1e-12, max(period / _PER_PERIOD, _FINEST))
     first = next((index for index, delay in enumerate(grid) if not stable(delay)), None)
     if not first:
-        return math.inf if first is None else 0.0
-    return float(bisect(stable, grid[first], grid[first - 1], _HALVINGS))
+        return Bound(float(grid[-1]), True) if first is None else Bound(0.0)
+    return Bound(float(bisect(stable, grid[first], grid[first - 1], _HALVINGS)))
 
 
 def _memory(response: Array) -> int:

@@ -54,7 +54,7 @@ def studies(*cases: tuple[Any, ...]) -> list[Any]:
 def test_a_margin_is_where_the_verdict_turns(name: str, period: float) -> None:
     controller = device_controller(find_scene(name)().replace(period=period, delay=0.0015))
     margin = delay_margins(controller, ["none"])["none"]
-    if margin < math.inf:
+    if not margin.beyond:
         assert judge(controller, delay=margin * 0.999).stable and not judge(controller, delay=margin * 1.002).stable
     else:
         assert judge(controller, delay=min(0.03, 10 * period) * 0.999).stable
@@ -99,17 +99,18 @@ class Outside(Joystick):
         return [StiffOutside(axes="z")]
 
 
-@pytest.mark.parametrize(("name", "delay"), [("ubc", 0.0), ("stage", math.inf), ("arm", 0.0)])
+@pytest.mark.parametrize(("name", "delay"), [("ubc", 0.0), ("stage", 0.03), ("arm", 0.0)])
 def test_margins_are_those_within_the_range_of_the_device(name: str, delay: float) -> None:
     scene = Outside(device=name, period=0.02)
     assert _critical_delay(scene, scene.body.inertia) == delay
 
 
-def test_margins_may_be_zero_infinite_or_nan() -> None:
+def test_margins_may_be_zero_above_the_search_or_nan() -> None:
     shaky = Controller([Wall(axes="z", lower=0.0, stiffness=90_000.0, damping=10.0)], period=0.005)
     assert delay_margins(shaky, ["none"]) == {"none": 0.0}
     soft = Controller([Hold(axes="z", stiffness=1.0, damping=0.1)], period=0.005)
-    assert delay_margins(soft, ["none"]) == {"none": math.inf}
+    margin = delay_margins(soft, ["none"])["none"]
+    assert margin == 0.03 and margin.beyond
     jumping = Controller([Jumping(axes="z")], period=0.005)
     assert math.isnan(delay_margins(jumping, ["none"])["none"])
 

@@ -24,7 +24,7 @@ from maglev_mj.studies.stability_map import StabilityParameters
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.closed_loop import spectral_radius
 from maglev_mj.theory.loop import Loop
-from tests.scenes.test_stability_check import GOOD
+from tests.bridge.test_preflight import GOOD
 
 
 class Coulomb(AxisLaw):
@@ -116,7 +116,7 @@ FILTERED = {"stability", "compare", "wall", "page", "flight"}
 @pytest.mark.parametrize("front", sorted(FILTERED))
 def test_the_filter_of_a_law_on_the_device_moves_every_verdict(front: str) -> None:
     gains: Any = {**LOOP, "damping": 20.0, "device_damping": 200.0}
-    plain, filtered = (FRONTS[front](Drop(**gains, **more)) for more in ({}, {"device_cutoff": 50.0}))
+    plain, filtered = (FRONTS[front](Drop(**gains, device_cutoff=cutoff)) for cutoff in (None, 50.0))
     assert plain != filtered
 
 
