@@ -187,7 +187,8 @@ def test_heavy_packages_stay_in_their_rooms() -> None:
 
 
 def test_no_module_outgrows_its_room() -> None:
-    long = {path.name: count for path in PACKAGE.rglob("*.py") if (count := len(path.read_text().splitlines())) > 700}
+    """At most 1200 lines: a module is as long as its one idea needs; a limit of 700 split single ideas."""
+    long = {path.name: count for path in PACKAGE.rglob("*.py") if (count := len(path.read_text().splitlines())) > 1200}
     assert not long
 
 
