@@ -166,7 +166,7 @@ class Driver(Parameters):
     time_constant: float = param("time constant", "s", default=0.0, at_least=0.0, at_most=LAG["at_most"])
 
 
-class Loop(Parameters):
+class LoopSection(Parameters):
     """Sample rate, and delay from a sample's stamp to the effect of its command."""
 
     rate: float = param("sample rate", "Hz", default=None, at_least=1.0 / MAX_PERIOD, at_most=1.0 / MIN_PERIOD)
@@ -209,7 +209,7 @@ PUBLISHED_WALL = WallGains(6000.0, 80.0, 220.0)
 
 _SECTIONS: Mapping[str, type[Parameters]] = {
     **{"body": Body, "coils": Coils, "force": Force, "range": Range},
-    **{"sensor": Sensor, "driver": Driver, "loop": Loop, "knob": Knob},
+    **{"sensor": Sensor, "driver": Driver, "loop": LoopSection, "knob": Knob},
 }
 
 
@@ -259,7 +259,7 @@ class Device:
     range: Range
     sensor: Sensor
     driver: Driver
-    loop: Loop
+    loop: LoopSection
     knob: Knob
 
     def __post_init__(self) -> None:
