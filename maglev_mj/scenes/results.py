@@ -507,7 +507,10 @@ class Variants(Result):
             labels.setdefault(check(scene), []).append(label)
         several = len(labels) > 1
         unstable = [f"{', '.join(names)}: " * several + text for text, names in labels.items() if text]
-        return [*unstable, *self._excesses(), *self.chaotic]
+        traces = [result.trace for result in self.runs.values()]
+        still = traces and not any(trace.twist.any() or trace.wrench.any() for trace in traces)
+        idle = [f"{self.first.scene.name}: nothing moves, as no force acts: the device has no gravity"] if still else []
+        return [*idle, *unstable, *self._excesses(), *self.chaotic]
 
     def _excesses(self) -> Iterator[str]:
         """Yield a warning for each limit of the device that a run exceeds."""

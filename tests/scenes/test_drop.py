@@ -204,3 +204,9 @@ def test_hardness_is_that_of_the_first_contact_however_hard_later_ones_are() -> 
     )
     assert whole == first > 0.0
     assert later == pytest.approx(10.0 * first)
+
+
+@pytest.mark.parametrize(("device", "still"), [("arm", True), ("ubc", False), ("stage", False)])
+def test_a_device_without_gravity_is_said_not_to_fall(device: str, still: bool) -> None:
+    warnings = run(Drop(device=device), plant="exact").warnings
+    assert any("nothing moves" in text and "no gravity" in text for text in warnings) == still
