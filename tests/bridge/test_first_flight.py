@@ -50,7 +50,7 @@ def fly(words: list[str], address: str, landed: str, folder: Path) -> None:
     """Fly a line for 1 s with another address until it has landed five times in a row."""
     words = [address if "://" in word else word for word in words]
     device = words[words.index("--device") :][:2] if "--device" in words else []
-    count, others = 0, []
+    count, others = 0, list[str]()
     while count < FLIGHTS and len(others) < TRIES:
         ended = run(*COMMAND, *words, "--seconds", "1", cwd=folder)
         if ended.status == 0 and re.search(landed, ended.output):
