@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,10 +20,11 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import AXES, Array, Command, DeviceWall, Sample
+from maglev_mj.frames import AXES, ZERO, Array, Command, DeviceWall, Sample
 from maglev_mj.parameters import number
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingError, RecordingFile
+from maglev_mj.recording.sample import Setup
 from maglev_mj.scenes import Scene
 from maglev_mj.session import REPLACED, STEP_FORCE, ChangeRequest, Publisher, SampledMotion, Snapshot
 from maglev_mj.terminal import wrapped
@@ -152,6 +153,7 @@ class Flight:
 
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
         plant = self._plant
+        self._setup = self._describe(self._scene, self._controller)  # reads files: before the currents flow
         plant.takeoff(watch=self._watch, check_coils=True)
         self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
         self.reason = self._check_sensor(plant.coils.sensor_delay)
@@ -195,12 +197,19 @@ class Flight:
             request.reply("settings cannot be changed during takeoff and landing")
         return self.switch.landing
 
+    def _describe(self, scene: Scene, controller: Controller) -> Setup | None:
+        """Return the setup of a segment, without the force before it; None without a recording."""
+        if self._file is None:
+            return None
+        values: Any = {"inertia": self._inertia, "load": self._load, "before": ZERO, "name": self._name}
+        return session.describe_scene(self._file, scene, self._plant, controller, kind="device", **values)
+
     def _segment(self, last: int | None) -> None:
         """Fly one segment with unchanged parameters."""
-        plant, controller, scene, record = self._plant, self._controller, self._scene, None
-        if self._file is not None:
-            values = {"inertia": self._inertia, "load": self._load, "before": self._force}
-            record = session.begin_scene(self._file, scene, plant, controller, kind="device", name=self._name, **values)
+        plant, controller, record = self._plant, self._controller, None
+        if self._file is not None and self._setup is not None:
+            run = {**self._setup["run"], "before": list(self._force)}
+            record = self._file.begin(plant, controller, {**self._setup, "run": run})
         loop = ControlLoop(plant, controller, observe=self._observe(controller), record=record)
         while self._controller is controller and not self._is_over(last):
             loop.cycle()
@@ -277,7 +286,10 @@ class Flight:
                 raise ParameterError(note)
             limit = delay_limit(critical, self._plant.period, own=self._plant.delay)
         controller = session.device_controller(scene, self._weight)
-        yield  # creating it takes half a period at 1 kHz: check it one sample later
+        yield  # creating it takes half a period at 1 kHz: check it later
+        self._name = f"{scene.name} on a device"  # with the stiffness that was just set
+        setup = self._describe(scene, controller)
+        yield
         session.check_step(self._controller, controller, self._position, self._step_force)
         known = {(place, wall.axis, wall.side): wall.edge for place, wall in enumerate(self._controller.device_walls)}
         for place, wall in enumerate(self._plant.check_walls(controller.device_walls)):
@@ -289,7 +301,7 @@ class Flight:
         assert self._request is not None
         self._started, self._request = ChangeRequest(scene, self._request.reply), None
         self._scene, self._controller, self._note = scene, controller, note or _NOTE  # of the next segment
-        self._name, self._delay_guard.limit = f"{scene.name} on a device", limit  # with the stiffness that was just set
+        self._setup, self._delay_guard.limit = setup, limit
 
     def _snapshot(self, pose: Array, force: Array) -> Snapshot:
         """Return the current snapshot, with the median of the recent delays."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from statistics import median
 from typing import TypeAlias
 
 import numpy as np
@@ -372,8 +373,7 @@ class CoilEstimator:
             lost: True if the flotor does not follow: if no faulty gain is identified, name the most likely cause.
         """
         gains, self.sensor_delay = self.estimate()
-        finite = gains[np.isfinite(gains)]
-        changes = np.abs(gains - (np.median(finite) if finite.size else 1.0))
+        changes = np.abs(gains - median([gain for gain in gains.tolist() if math.isfinite(gain)] or [1.0]))
         bad = np.flatnonzero(changes > max(_FAULTY, _RELATIVE * np.nan_to_num(changes).max()))
         if bad.size:
             return ", ".join(_gain_text(int(coil), gains[coil]) for coil in bad)

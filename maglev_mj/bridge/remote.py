@@ -118,7 +118,10 @@ class RemotePlant(GuardedPlant):
         self.rest, self.guided, self._hand.check_coils = rest, True, True
         try:
             ended = self._lead(loop, times[-1], watch)
-            fault = self.coils.fault() if check_coils and not ended else ""
+            fault = ""
+            if check_coils and not ended:
+                fault = self.coils.fault()
+                loop.cycle()  # this took time, and what follows does
         finally:
             self.guided = self._hand.check_coils = False
         if fault:

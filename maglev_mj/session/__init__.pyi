@@ -18,6 +18,7 @@ from maglev_mj.session.pacing import next_scale as next_scale
 from maglev_mj.session.pacing import real_time as real_time
 from maglev_mj.session.segment import MAX_REWIND as MAX_REWIND
 from maglev_mj.session.segment import begin_scene as begin_scene
+from maglev_mj.session.segment import describe_scene as describe_scene
 from maglev_mj.session.segment import live_plant as live_plant
 from maglev_mj.session.session import Session as Session
 from maglev_mj.session.session import device_controller as device_controller

@@ -19,6 +19,7 @@ from maglev_mj.plants.base import restore, states_of
 from maglev_mj.plants.hand import HandForce, State
 from maglev_mj.plants.trace import EnergyAccount
 from maglev_mj.recording import RecordingFile, setup_of
+from maglev_mj.recording.sample import Setup
 from maglev_mj.recording.setup import attach_model, attach_source
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of, source_of
@@ -36,7 +37,12 @@ _ROUNDING = 1e-9
 
 
 def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **details: Any) -> Record:
-    """Start a segment of a recording with a scene's metadata.
+    """Start a segment of a recording with a scene's metadata; arguments as for `describe_scene`."""
+    return file.begin(plant, controller, describe_scene(file, scene, plant, controller, **details))
+
+
+def describe_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **details: Any) -> Setup:
+    """Return the setup of a scene's segment, and attach its files to the recording.
 
     Args:
         file: The file.
@@ -54,7 +60,7 @@ def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Contr
         "parameters": scene.as_json() | {"device": scene.hardware.reference},
         "axis": scene.axis,
     }
-    return file.begin(plant, controller, setup_of(plant, controller, **details))
+    return setup_of(plant, controller, **details)
 
 
 class LiveSegment:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
@@ -258,3 +261,63 @@ def test_no_slow_work_between_arming_and_the_first_command(monkeypatch: pytest.M
     rig.plant.takeoff()
     assert sent[0] - armed[0] <= 1
     assert rig.twin.firmware.counts["inactive"] >= 2  # after warm-up cycles
+
+
+FLIGHTS = """
+import sys
+import maglev_mj.cli.bridge
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
+from maglev_mj.recording import open_recording
+from maglev_mj.scenes import find_scene
+from maglev_mj.session import ChangeRequest
+
+class Watched(RemotePlant):
+    armed = False
+
+    def arm(self):
+        super().arm()
+        Watched.armed = True
+
+    def disarm(self):
+        Watched.armed = False
+        super().disarm()
+
+class Wish:
+    def __init__(self, scene):
+        self.scene, self.looks = scene, 0
+
+    def take(self):
+        self.looks += 1
+        return ChangeRequest(self.scene, changed.append) if self.looks == 400 else None
+
+    def show(self, snapshot):
+        pass
+
+def audit(event, arguments):
+    if Watched.armed and event in ("import", "open", "os.listdir", "os.scandir"):
+        print(event, arguments[0])
+
+changed = []
+file = open_recording(sys.argv[1])
+sys.addaudithook(audit)
+for scene, critical_delay in (("joystick", 0.01), ("stick-slip", 0.01), ("table", 0.001)):
+    with Watched(VirtualLink(Twin(TwinParameters(), draw=lambda: 7))) as plant:
+        scene = find_scene(scene)().replace(period=plant.period, delay=plant.delay)
+        options = {"critical_delay": critical_delay, "file": file, "warn": print}
+        if scene.name == "joystick":
+            options["publishers"] = [Wish(scene.replace(stiffness=0.95 * scene.stiffness))]
+        flight = Flight(plant, scene, **options)
+        assert flight.run(1.0).landing.at_rest
+        assert bool(flight.reason) == (critical_delay == 0.001), flight.reason
+file.close()
+print(len(changed), "changed")
+"""
+
+
+def test_no_file_is_read_and_nothing_imported_while_currents_flow(tmp_path: Path) -> None:
+    # an import or a scene's files take 40 ms, on a busy machine as long as the watchdog
+    done = subprocess.run([sys.executable, "-c", FLIGHTS, tmp_path / "a.maglev"], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("1 changed\n", "")
