@@ -208,7 +208,7 @@ class Flight:
         """Fly one segment with unchanged parameters."""
         plant, controller, record = self._plant, self._controller, None
         if self._file is not None and self._setup is not None:
-            run = {**self._setup["run"], "before": list(self._force)}
+            run = {**self._setup["run"], "before": dict(zip(AXES, self._force, strict=True))}
             record = self._file.begin(plant, controller, {**self._setup, "run": run})
         loop = ControlLoop(plant, controller, observe=self._observe(controller), record=record)
         while self._controller is controller and not self._is_over(last):

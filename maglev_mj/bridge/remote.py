@@ -117,11 +117,10 @@ class RemotePlant(GuardedPlant):
         self.arm()
         self.rest, self.guided, self._hand.check_coils = rest, True, True
         try:
-            ended = self._lead(loop, times[-1], watch)
-            fault = ""
+            ended, fault = self._lead(loop, times[-1] - check_coils * self.period, watch), ""
             if check_coils and not ended:
-                fault = self.coils.fault()
-                loop.cycle()  # this took time, and what follows does
+                fault = self.coils.fault()  # takes up to 30 ms, as does what follows: a sample is answered between
+                loop.cycle()
         finally:
             self.guided = self._hand.check_coils = False
         if fault:
