@@ -22,8 +22,9 @@ from maglev_mj.result import Result, Table
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller, user_errors_rejected
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.theory.loop import Bound
-from maglev_mj.theory.verdict import delay_margins, judge, scene_lag, stated_gains
+from maglev_mj.theory.loop import Bound, Loop
+from maglev_mj.theory.read import scene_lag, stated_gains
+from maglev_mj.theory.verdict import judge
 
 _ANSWERS = 64
 _WINDOW = 2_000_000_000  # [ns] of the minimum transport time: clocks drift by up to 100 µs/s
@@ -389,10 +390,12 @@ def judge_change(
 
 
 def _critical_delay(scene: Scene, inertia: Array) -> Bound:
+    """Return the shortest critical delay, free and in each hand; NaN if a loop cannot be judged."""
     around: Any = {"inertia": inertia, "reach": scene.body.bounded.range, "device": scene.timing().device}
-    around["driver_lag"] = scene_lag(scene)
-    margins = delay_margins(device_controller(scene), list(HANDS), pose=scene.start().pose, **around)
-    return min(margins.values(), key=lambda delay: -math.inf if math.isnan(delay) else float(delay))
+    around |= {"driver_lag": scene_lag(scene), "delay": 0.0, "pose": scene.start().pose}
+    loops = Loop.of(device_controller(scene), **around)  # linearised once
+    bounds = [judge(loops, hand=hand).critical_delay for hand in HANDS]
+    return min(bounds, key=lambda delay: -math.inf if math.isnan(delay) else float(delay))
 
 
 def _problem(scene: Scene, report: LinkReport, critical_delay: float) -> str:

@@ -52,7 +52,7 @@ from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICE_PARAMETERS, UNKNOWN, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
-from maglev_mj.theory.verdict import scene_lag
+from maglev_mj.theory.read import scene_lag
 from maglev_mj.views.viewer_process import RemoteViewer, ViewerFunction
 
 _IDENTIFYING, _ANSWER = 10.0, 10.0

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj import theory
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
-from maglev_mj.frames import AXES, ZERO, Array, Mask, Sample, Six, components
+from maglev_mj.frames import AXES, ZERO, Sample, Six, components
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
-from maglev_mj.theory.closed_loop import bisect
+from maglev_mj.theory.loop import Loop, Loops
 from maglev_mj.theory.margin import Margin
-from maglev_mj.theory.verdict import axis_loops, scene_lag, stability, stated_gains, stated_spectral_radii
+from maglev_mj.theory.read import loops_at, scene_lag, stated_gains
+from maglev_mj.theory.verdict import judge, stability, verdicts
 
 STEP_FORCE = 2.0
 """Default limit of force steps caused by other programs [N].
@@ -36,9 +35,6 @@ UNKNOWN = "stability not computed"
 _LAWS = {"contact": "walls", "stuck": "friction"}
 _ARM = 0.05
 """Lever arm that converts a torque to a force [m], about the radius of the flotor."""
-
-FINE, ROUGH = (1.2, 14, 13), (2.0, 8, 10)
-"""Searches of a critical gain: factor per step, steps, bisections."""
 
 
 @contextmanager
@@ -112,66 +108,49 @@ def wall_margin(
         >>> print(wall_margin(find_scene("drop")()))
         stable: 59 % of critical stiffness, spectral radius 0.8771
     """
-    body = scene.body.inertia if inertia is None else numbers("inertia", inertia)
-    delay, gain = scene.delay if delay is None else delay, getattr(scene, "stiffness", 0.0)
-    faces = scene.controller().faces or ([(2, 1.0, 0.0)] if isinstance(scene, WallScene) else [])
-    if not (faces and gain):
+    loops = wall_loops(scene, inertia=inertia, delay=delay, held=held)
+    if not len(loops):
         return None
-    hand = getattr(scene.scripted_hand(), "hand", None) if held else None
-
-    around: Any = {"delay": delay, "inertia": body, "hand": hand, "device": scene.timing().device}
-    around["driver_lag"] = scene_lag(scene)
-
-    def loop(factor: float, axis: int, normal: float, edge: float) -> tuple[float, float]:
-        controller = (scene if factor == 1.0 else scene.replace(stiffness=factor * gain)).controller()
-        pose = along(AXES[axis], edge - normal * float(body[0]) * GRAVITY / gain)
-        ((stiffness, spectral_radius),) = axis_loops([controller], axis, poses=[pose], **around)
-        return stiffness, spectral_radius
-
-    loops = {face: loop(1.0, *face) for face in faces}
-    worst = max(faces, key=lambda face: loops[face][1])
-    stiffness, spectral_radius = loops[worst]
-    factor = critical_ratios(lambda _, ratios: [loop(ratios[0], *worst)[1]], [spectral_radius], FINE)[0]
-    factor = factor if 0.0 < factor < math.inf else math.nan
-    return Margin(stiffness, math.nan, spectral_radius, factor, AXES[worst[0]], "walls", scene.period, delay)
+    verdict = judge(loops)
+    ratio, (stiffness, _) = verdict.ratio, verdict.gains
+    ratio = math.nan if ratio.beyond else float(ratio)
+    around: Any = {"axis": verdict.axes[0] if verdict.axes else "", "acting": "walls", "period": scene.period}
+    return Margin(stiffness, math.nan, verdict.spectral_radius, ratio, **around, delay=loops[0].delay)
 
 
-def critical_ratios(
-    radii: Callable[[Sequence[int], Sequence[float]], Sequence[float]],
-    present: Sequence[float],
-    search: tuple[float, int, int],
-) -> list[float]:
-    """Return the ratio of critical to present gain of N loops, by steps of a factor and bisection.
+def wall_loops(
+    scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None, held: bool = False
+) -> Loops:
+    """Return the loop of each wall of a scene at rest in it; none without a wall.
 
-    Infinite if stiffer walls are stable up to the last step, 0 if softer ones are unstable, NaN if not computed.
+    Laws that declare no gains are linearised at the depth at which the wall carries the weight.
 
     Args:
-        radii: Function of indices and ratios of some loops that returns their spectral radii; NaN if not computed.
-        present: Spectral radius of each loop at its present gain, N.
-        search: FINE or ROUGH.
+        scene: See `unstable_loop`.
+        inertia: See `unstable_loop`.
+        delay: See `stability`.
+        held: True for the scripted hand on the flotor; False for a free flotor.
+
+    Raises:
+        MaglevError: If a law fails.
     """
-    factor, most, halvings = search
-    stable, valid = np.array(present) < 1.0, ~np.isnan(present)
+    body = scene.body.inertia if inertia is None else numbers("inertia", inertia)
+    gain, controller = getattr(scene, "stiffness", 0.0), scene.controller()
+    faces = controller.faces or ([(2, 1.0, 0.0)] if isinstance(scene, WallScene) else [])
+    if not (faces and gain):
+        return Loops(())
+    around: Any = {"delay": scene.delay if delay is None else delay, "inertia": body, "driver_lag": scene_lag(scene)}
+    around |= {"hand": getattr(scene.scripted_hand(), "hand", None) if held else None, "device": scene.timing().device}
 
-    def changed(ratios: Array) -> Mask:
-        """Return True where stability at a ratio above 0 differs from the present; not valid if not computed."""
-        asked = np.flatnonzero((ratios > 0.0) & valid)
-        found, result = np.full(asked.shape, math.nan), np.zeros(ratios.shape, dtype=bool)
-        if asked.size:
-            with suppress(ParameterError):  # out of bounds
-                found[:] = radii(asked.tolist(), ratios[asked].tolist())
-        valid[asked] = ~np.isnan(found)
-        result[asked] = valid[asked] & ((found < 1.0) != stable[asked])
-        return result
+    def at(controller: Controller, axis: int, pose: Sequence[float]) -> Loop:
+        return loops_at([controller], axis, poses=[pose], **around)[0]
 
-    before, after = np.ones(len(present)), np.full(len(present), math.inf)
-    for step in range(1, most):
-        ratios = np.where(np.isinf(after), np.where(stable, factor**step, (1.0 / factor) ** step), 0.0)
-        crossed = changed(ratios)
-        before, after = np.where(np.isinf(after) & ~crossed, ratios, before), np.where(crossed, ratios, after)
-    critical = bisect(changed, before, after, halvings)
-    critical = np.where(np.isinf(critical) & ~stable, 0.0, critical)
-    return [*map(float, np.where(valid, critical, math.nan))]
+    def grown(loop: Loop, ratio: float) -> Loop:
+        return at(scene.replace(stiffness=ratio * gain).controller(), AXES.index(loop.axis), loop.pose or ZERO)
+
+    weight = float(body[0]) * GRAVITY / gain
+    items = [at(controller, axis, along(AXES[axis], edge - normal * weight)) for axis, normal, edge in faces]
+    return Loops(tuple(items), all(loop.pose is None and not loop.reason for loop in items), grown=grown)
 
 
 def check_step(present: Controller, new: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:
@@ -236,19 +215,11 @@ def stability_warning(scene: Scene) -> str | None:
 
 def unstable(scenes: Sequence[Scene]) -> list[bool]:
     """Return True for each scene with an unstable loop, by declared gains alone."""
-    loops, result = defaultdict[Any, list[Any]](list), [False] * len(scenes)
+    loops, result = dict[int, Loops](), [False] * len(scenes)
     for index, scene in enumerate(scenes):
         with suppress(Exception):  # the run reports errors of a user's scene
-            controller = scene.controller()
-            if controller.on_device:
-                result[index] = stability(scene).stable is False
-                continue
-            kind = scene.period, scene.delay, scene_lag(scene), *scene.body.inertia.tolist(), repr(controller.velocity)
-            for pair in (stated_gains(controller) or {}).values():
-                loops[kind].append((index, controller, pair))
-    for (_, delay, lag, *body, _), group in loops.items():
-        indices, (controller, *_), pairs = zip(*group)
-        radii = stated_spectral_radii(pairs, controller, delay, np.array(body), None, lag)
-        for index, spectral_radius in zip(indices, radii.tolist(), strict=True):
-            result[index] |= spectral_radius >= 1.0
+            if stated_gains(scene.controller()) is not None:
+                loops[index] = Loop.of(scene)
+    for index, verdict in zip(loops, verdicts([*loops.values()]), strict=True):
+        result[index] = verdict.stable is False
     return result

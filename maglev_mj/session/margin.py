@@ -18,7 +18,7 @@ from maglev_mj.scenes.stability_check import UNKNOWN, wall_margin
 from maglev_mj.session.snapshot import Snapshot
 from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
 from maglev_mj.theory.margin import worst_axis
-from maglev_mj.theory.verdict import scene_lag
+from maglev_mj.theory.read import scene_lag
 
 _DAMPINGS = 32  # points of a stability boundary
 _EMPTY = np.zeros(0)

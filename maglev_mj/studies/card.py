@@ -27,8 +27,8 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, rigid_note, stiffest_of
 from maglev_mj.theory.closed_loop import Design, SampledLoop, bisect, is_stable
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.read import scene_lag
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters
-from maglev_mj.theory.verdict import scene_lag
 
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
 _WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10

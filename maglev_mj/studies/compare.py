@@ -26,7 +26,6 @@ from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.results import Figure, Variants, figure_head
 from maglev_mj.scenes.run import run_phases, run_variants
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stability_check import FINE, critical_ratios
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.cells import Study, local_workers
@@ -36,18 +35,17 @@ from maglev_mj.studies.stability_map import stiffest_in
 from maglev_mj.studies.sweep import Grid, Sweep
 from maglev_mj.studies.wall_laws import LAWS, LawMaker, WallLaw, laws_of, wall_law
 from maglev_mj.theory import stated_gains
-from maglev_mj.theory.boundary import boundary_of, highest_of
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.linearise import linearise
-from maglev_mj.theory.verdict import affine_laws, axis_loops, scene_lag
+from maglev_mj.theory.loop import Loop, Loops
+from maglev_mj.theory.read import loops_at, scene_lag
+from maglev_mj.theory.verdict import Verdict, verdicts
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
 """Figures not compared: they depend on hand, weight or sensor more than on the law."""
 _PICTURES = "maglev_mj.scenes.pictures"
 _TOGETHER = 120  # points of a map
-_GAINS = 1.0, 2.0, 3.0
-"""Gains at which a law is checked to be affine in its stiffness, as ratios."""
 _TICKS = 800
 """Samples of a noise measurement."""
 _UNITS = {"stiffness": "N/m", "noise": "N", "limit_cycle": "µm", "critical_stiffness": "N/m"}
@@ -301,10 +299,9 @@ def sweep_laws(
             each = [chosen.replace(**{name: some[index][name] for name in vary}) for index in indices]
             variants = [_with_law(one, label, named[label], plant) for one in each]
             at_rest = _AtRest(variants)
-            radii = [radius for _, radius in at_rest.loops(range(len(each)), [1.0] * len(each))]
+            radii = [*map(_radius, at_rest.present())]
             if shown == _MAPPED:
-                ratios = at_rest.critical(radii)
-                values = [ratio * one.stiffness for ratio, one in zip(ratios, variants, strict=True)]
+                values = [ratio * one.stiffness for ratio, one in zip(at_rest.critical(), variants, strict=True)]
             else:
                 values = [*map(value_of, variants)]
             for index, value, radius in zip(indices, values, radii, strict=True):
@@ -366,73 +363,39 @@ class _AtRest:
             for index, near in zip(some, linearise([*some.values()], free, axes=first.axis) if some else ()):
                 self._poses[index] += [-self._poses[index][0]] * bool(near.response.any() or not near.settled.all())
 
-    def loops(self, indices: Sequence[int], ratios: Sequence[float]) -> list[tuple[float, float]]:
-        """Return static stiffness and spectral radius of the worst of the poses, at ratios of a scene's stiffness.
-
-        NaN if not computed, or outside the scene's bounds.
-        """
-        first, result = self.scenes[0], [(math.nan, math.nan)] * len(ratios)
+    def loops(self, indices: Sequence[int], ratios: Sequence[float]) -> list[Loops]:
+        """Return the loops of some scenes at ratios of their stiffness, in the wall first; none out of its bounds."""
         rows: list[tuple[int, Controller, Array]] = []
         for row, (index, ratio) in enumerate(zip(indices, ratios, strict=True)):
             scene = self.scenes[index]
             with suppress(ParameterError):
                 controller = scene.replace(stiffness=ratio * scene.stiffness).controller()
                 rows += [(row, controller, pose) for pose in self._poses[index]]
+        each, stated = [list[Loop]() for _ in indices], True
         if rows:
             order, controllers, poses = zip(*rows)
-            found = axis_loops(controllers, first.axis_index, poses=poses, **self._around)
-            for row in dict.fromkeys(order):
-                each = [loop for at, loop in zip(order, found) if at == row]
-                result[row] = each[0][0], float(np.max([radius for _, radius in each]))
-        return result
+            found = loops_at(controllers, self.scenes[0].axis_index, poses=poses, **self._around)
+            for row, loop in zip(order, found, strict=True):
+                each[row].append(loop)
+            stated = found.stated
+        return [Loops(tuple(some), stated) for some in each]
 
-    def loop(self) -> tuple[float, float]:
-        """Return static stiffness and spectral radius of the first scene."""
-        return self.loops([0], [1.0])[0]
+    def present(self) -> list[Verdict]:
+        """Return the verdict on each scene."""
+        return verdicts(self.loops(range(len(self.scenes)), [1.0] * len(self.scenes)))
 
-    def critical(self, present: Sequence[float]) -> list[float]:
+    def critical(self) -> list[float]:
         """Return the ratio of critical to present stiffness of each scene: all softer walls are stable.
 
-        Exact for a law that is affine in its stiffness; others by `critical_ratios`.
+        NaN if nothing changes up to the end of the search, or if not computed.
         """
-        exact = self._exact([index for index, radius in enumerate(present) if radius == radius])
-        rest = [index for index, ratio in exact.items() if ratio is None]
-        if rest:
-            radii = lambda some, ratios: [r for _, r in self.loops([rest[one] for one in some], ratios)]  # noqa: E731
-            exact |= dict(zip(rest, critical_ratios(radii, [present[one] for one in rest], FINE), strict=True))
-        ratios = [exact.get(index) for index in range(len(present))]
-        return [math.nan if ratio is None else ratio for ratio in ratios]
+        ratios = critical_ratios(self.loops, len(self.scenes))
+        return [math.nan if ratio.beyond else float(ratio) for ratio in ratios]
 
-    def _exact(self, indices: Sequence[int]) -> dict[int, float | None]:
-        """Return that ratio of scenes by the characteristic polynomial; None if a law is not affine in its stiffness.
 
-        Infinite if nothing changes up to 8 m/T².
-        """
-        found: dict[int, float | None] = dict.fromkeys(indices)
-        rows: list[tuple[int, list[Controller], Array]] = []
-        for index in indices:
-            with suppress(ParameterError):
-                k = self.scenes[index].stiffness
-                some = [self.scenes[index].replace(stiffness=gain * k).controller() for gain in _GAINS]
-                if not some[0].on_device:
-                    rows += [(index, some, pose) for pose in self._poses[index]]
-        if not rows:
-            return found
-        first = self.scenes[0]
-        axis, body = first.axis_index, first.body.inertia
-        around: Any = {"period": first.period, "delay": first.delay, "mass": float(body[axis])}
-        around["hand"] = self.hand if self.hand is not None and axis in self.hand.indices else None
-        around["driver_lag"] = scene_lag(first)
-        order, controllers, poses = zip(*rows)
-        laws = affine_laws(controllers, _GAINS, axis, poses=poses, inertia=body)
-        refused = {index for index, law in zip(order, laws, strict=True) if law is None}
-        for index, law in zip(order, laws, strict=True):
-            if law is not None and index not in refused:
-                loop = SampledLoop(design=law.__call__, **around)
-                limit = float(boundary_of(loop, np.asarray(0.0)))
-                limit = math.inf if limit >= highest_of(loop) else limit
-                found[index] = limit if (known := found[index]) is None else min(limit, known)
-        return found
+def _radius(verdict: Verdict) -> float:
+    """Return the spectral radius; NaN if not judged in one of the places."""
+    return math.nan if verdict.stable is None else verdict.spectral_radius
 
 
 def _margins(scene: WallScene) -> dict[str, float]:
@@ -441,9 +404,9 @@ def _margins(scene: WallScene) -> dict[str, float]:
     Laws that state no gains rest at the depth at which the scene's own wall carries the weight.
     """
     at_rest = _AtRest([scene])
-    stiffness, radius = at_rest.loop()
-    margin = at_rest.critical([radius])[0]
-    margin = margin if 0.0 < margin < math.inf else math.nan
+    (verdict,), (margin,) = at_rest.present(), at_rest.critical()
+    stiffness, radius = verdict.loops[0].total[0], _radius(verdict)
+    margin = margin if margin > 0.0 else math.nan
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
     around |= {"hand": at_rest.hand, "quantum": scene.quantize or scene.hardware.sensor.resolution[2]}

@@ -14,8 +14,9 @@ from maglev_mj.parameters import Parameters
 from maglev_mj.scenes.find import get_scene
 from maglev_mj.theory.closed_loop import LinearisedLaw, pd
 from maglev_mj.theory.margin import worst_axis
+from maglev_mj.theory.read import scene_lag, stated_gains
 from maglev_mj.theory.two_rates import laws_on_device
-from maglev_mj.theory.verdict import axis_law, scene_lag, stability, stated_gains
+from maglev_mj.theory.verdict import stability
 
 
 def scene_values(
@@ -54,7 +55,7 @@ def scene_values(
         index, acting = AXES.index(verdict.axes[0]) if verdict.axes else found.axis_index, verdict.acting
         k, b = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
         if len(verdict.axes) == 1:
-            law = axis_law(controller, index, pose=verdict.pose, inertia=body)
+            law = None if verdict.loop is None else verdict.loop.controller()
         memory = "coupling to other axes and memory left out"
         if law is not None:
             memory = "with its memory, which scales with the stiffness and keeps its length in samples"

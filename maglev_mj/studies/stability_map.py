@@ -31,8 +31,8 @@ from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory.boundary import rigid_note
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
+from maglev_mj.theory.read import scene_lag
 from maglev_mj.theory.two_rates import DeviceParameters
-from maglev_mj.theory.verdict import scene_lag
 
 _MOVED = 1e-6
 _DECIDED = 1e4

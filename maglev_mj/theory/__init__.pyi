@@ -17,8 +17,8 @@ from maglev_mj.theory.ideal import analog_wall as analog_wall
 from maglev_mj.theory.ideal import karnopp as karnopp
 from maglev_mj.theory.linearise import ClosedLoop as ClosedLoop
 from maglev_mj.theory.linearise import Linearised as Linearised
+from maglev_mj.theory.read import stated_gains as stated_gains
 from maglev_mj.theory.two_rates import DeviceLaw as DeviceLaw
 from maglev_mj.theory.verdict import Verdict as Verdict
 from maglev_mj.theory.verdict import judge as judge
 from maglev_mj.theory.verdict import stability as stability
-from maglev_mj.theory.verdict import stated_gains as stated_gains

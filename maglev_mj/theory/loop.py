@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, NamedTuple, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maglev_mj.control import LinearController, VelocityEstimator
-from maglev_mj.device import Device, lag_of
 from maglev_mj.frames import AXES, Array
+from maglev_mj.lazy import loaded
 from maglev_mj.plants.hand import Hand, Mode
 from maglev_mj.spec import MAX_DELAY_PERIODS
-from maglev_mj.theory.closed_loop import SampledLoop, critical_delay
-from maglev_mj.theory.two_rates import DeviceLaw
+from maglev_mj.theory.closed_loop import SampledLoop, critical_delay, pd
+from maglev_mj.theory.linearise import Linearised, StateSpace
+from maglev_mj.theory.two_rates import DeviceLaw, rates_of
 
 _AFFINE = 1e-6
 """Largest error of an affine law, relative to its largest response."""
+_STATED = 64
+"""Length of the impulse response of declared gains [samples]."""
+FREE, _PAIR = 1e-6, 1e-8
+"""Tolerances of gains relative to their responses, and of the mean of a double root at 1."""
 
 
 class Bound(float):
@@ -43,14 +52,61 @@ class Bound(float):
         return f"{'more than' if self.beyond else 'up to'} {scale * self:.4g} {unit}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Loop:
-    """Loop of one axis in one state of its laws.
+class AtPose(NamedTuple):
+    """Laws linearised at a pose, on coupled axes.
 
     Attributes:
-        stiffness: Stiffness of the host's law [N/m, N m/rad].
-        damping: Its damping [N s/m, N m s/rad].
-        period: Its sample period [s].
+        near: The linearisation.
+        axes: Indices of the axes.
+        scaled: Its dimensionless impulse response, (M, n, n).
+        settles: True if the response decays.
+        system: Dimensionless state space; None without a low-order realisation of a long response.
+        still: Number of directions without stiffness.
+        moments: Sums of the response and of age times response, dimensionless.
+    """
+
+    near: Linearised
+    axes: tuple[int, ...]
+    scaled: Array
+    settles: bool
+    system: StateSpace | None
+    still: int
+    moments: tuple[Array, Array]
+
+    @property
+    def unstable_equilibrium(self) -> bool:
+        """True for an unstable equilibrium."""
+        static = self.moments[0]
+        own = np.linalg.eigvals(-static).real if np.isfinite(static).all() else np.zeros(1)
+        return bool(own.min() < -FREE * np.abs(self.scaled).max())
+
+    def gains(self, body: Array) -> tuple[Array, Array]:
+        """Return stiffness and damping, (6, 6) each, from mass and moments of inertia (6,)."""
+        block, root = np.ix_(self.axes, self.axes), np.sqrt(body[list(self.axes)])
+        stiffness, damping = self.near.stiffness.copy(), self.near.damping.copy()
+        size = np.outer(root, root) / self.near.period**2
+        stiffness[block], damping[block] = -size * self.moments[0], self.near.period * size * self.moments[1]
+        return stiffness, damping
+
+    @property
+    def states(self) -> StateSpace:
+        """Dimensionless state space, of the response itself without a realisation."""
+        return self.system or StateSpace.of(self.scaled[: memory_of(self.scaled)])
+
+
+def memory_of(response: Array) -> int:
+    """Return the length of a response without trailing zeros."""
+    return 1 + int(np.flatnonzero(response.any(axis=(1, 2))).max(initial=0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loop:
+    """Loop of one axis in one state of its laws, or of coupled axes at a pose.
+
+    Attributes:
+        stiffness: Static stiffness of the host's laws [N/m, N m/rad].
+        damping: Their damping [N s/m, N m s/rad].
+        period: Sample period of the host [s].
         delay: Time from its sample to the effect of its command [s].
         inertia: Mass or moment of inertia [kg, kg m²].
         own_damping: Viscous damping of the device itself [N s/m, N m s/rad].
@@ -60,7 +116,13 @@ class Loop:
         velocity: Linear velocity estimator; None for the finite difference.
         law: Linear law with memory in place of PD; it must answer to gains as a `Design`.
         device: Law on the device; None for none.
-        axis: Name of the axis.
+        axis: Name of the axis; of coupled axes all names, with commas.
+        state: Active law states, such as "contact"; () for none.
+        others: Inactive states of the laws on the axis.
+        pose: Pose at which the laws were linearised [m, rad], six; None for declared gains.
+        linear: Laws linearised there; None for declared gains.
+        body: Mass and moments of inertia that scale `linear` [kg, kg m²], six.
+        reason: Why the loop cannot be judged; empty if it can.
     """
 
     stiffness: float
@@ -76,37 +138,245 @@ class Loop:
     law: Any = None
     device: DeviceLaw | None = None
     axis: str = "z"
+    state: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+    pose: tuple[float, ...] | None = None
+    linear: AtPose | None = field(default=None, compare=False, repr=False)
+    body: tuple[float, ...] = field(default=(), compare=False, repr=False)
+    reason: str = ""
 
     @classmethod
-    def of(cls, device: Device | str, *, axis: str = "z", **values: Any) -> Loop:
-        """Return the loop of a law on one axis of a device.
+    def of(cls, what: Any = None, **changes: Any) -> Loops:
+        """Return the loops of a scene, controller, device or of numbers; nothing is left out.
 
         Args:
-            device: The device, its name or its file.
-            axis: Name of the axis.
-            values: Fields; those of the device in place of the file's.
+            what: Scene or its name, controller, `Device`, its name or file, recording, loop or loops; None for fields.
+            changes: Of a scene, `delay`, `inertia`, `driver_lag`, `hand` and its parameters; of a controller, the
+                keywords of `judge`; else fields of `Loop`, which replace those of the device. `rate` [Hz] for `period`.
+
+        Returns:
+            Every axis in every state of its laws, or at every pose of laws that declare no gains. A loop that cannot be
+            judged has its `reason`.
+
+        Raises:
+            ParameterError: If there is no such scene or device, or a value is missing or outside its bounds.
 
         Example:
             >>> from maglev_mj.theory.loop import Loop
-            >>> stage = Loop.of("stage", stiffness=6000.0, damping=80.0)
+            >>> (stage,) = Loop.of("stage", stiffness=6000.0, damping=80.0)
             >>> stage.inertia, stage.driver_lag, round(stage.spectral_radius, 4)
             (0.3, 0.0001, 0.9011)
+            >>> [loop.state for loop in Loop.of("drop") if loop.axis == "z"]
+            [(), ('contact',)]
         """
-        found = Device.load(device) if isinstance(device, str) else device
-        own = {"period": found.period, "delay": found.delay, "driver_lag": lag_of(found)}
-        own["inertia"] = float(found.inertia[AXES.index(axis)])
-        return cls(axis=axis, **own | values)
+        found: Loops = loaded("maglev_mj.theory.read:loops_of")(what, **changes)
+        return found
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of its axes."""
+        return tuple(self.axis.split(", "))
+
+    @property
+    def total(self) -> tuple[float, float]:
+        """Stiffness and damping of host and device together [N/m, N m/rad; N s/m, N m s/rad]."""
+        own = (self.device.stiffness, self.device.damping) if self.device is not None else (0.0, 0.0)
+        return self.stiffness + own[0], self.damping + own[1]
+
+    @property
+    def free(self) -> int:
+        """Number of poles of free motion of declared gains, at exactly 1."""
+        stiffness, damping = self.total
+        if stiffness > 0.0 or self.hand is not None or self.law is not None:
+            return 0
+        return 1 if damping + self.own_damping > 0.0 else 2
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles per period of the host."""
+        return poles_of([self])[0]
 
     @property
     def spectral_radius(self) -> float:
-        """Spectral radius; below 1 for a stable loop."""
-        return float(self.array().spectral_radius(self.stiffness, self.damping))
+        """Spectral radius without the poles of free motion; below 1 for a stable loop, NaN if not judged."""
+        return radius_of(self, self.poles)
 
     def array(self, **values: Any) -> SampledLoop:
         """Return the loop without its gains, for arrays of them and of any other field."""
         names = "period", "delay", "hand", "driver_lag", "velocity", "own_damping", "mode", "device"
         own = {name: getattr(self, name) for name in names}
         return SampledLoop(**own | {"mass": self.inertia, "design": self.law} | values)
+
+    def controller(self) -> LinearController:
+        """Return the linear controller of the host's law on one axis, with its gains."""
+        if self.linear is None:
+            gains = map(np.asarray, (self.stiffness, self.damping, self.period))
+            return (self.law or pd(self.velocity))(*gains)
+        (axis,) = self.linear.axes
+        advance, take, give, direct = self.linear.states.with_units(self.period, np.array([self.body[axis]]))
+        return LinearController(advance, take[:, 0], give[0], direct[0, 0])
+
+    def response(self) -> Array:
+        """Return the impulse response of the host's law: force at each sample after a unit displacement at one, (M,)."""
+        if self.linear is not None:
+            (axis,) = self.linear.axes
+            return np.asarray(self.linear.near.response[:, axis, axis])
+        law = self.controller()
+        state, response = law.take, [float(law.direct)]
+        for _ in range(_STATED):
+            response.append(float(law.give @ state))
+            state = law.advance @ state
+        return np.array(response[: 2 + int(np.flatnonzero(response).max(initial=0))])
+
+
+@dataclass(frozen=True, eq=False)
+class Loops(Sequence[Loop]):
+    """Loops of one controller, and what was skipped.
+
+    Attributes:
+        items: The loops; of equal ones at several poses the first.
+        stated: True if all laws declare their gains.
+        start: Pose at release [m, rad], (6,).
+        jumps: Skipped poses with a discontinuous wrench, (J, 6).
+        unknown: Skipped poses with a response of more than 512 samples without a low-order realisation, (U, 6).
+        away: Skipped poses at unstable equilibria, (A, 6).
+        grown: Function of one of the loops and a ratio of the scene's declared gain `stiffness` that returns the loop
+            with that gain; it raises `ParameterError` out of its bounds. None without such a gain.
+    """
+
+    items: tuple[Loop, ...]
+    stated: bool = True
+    start: Array = field(default_factory=lambda: np.zeros(6))
+    jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    unknown: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    away: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    grown: Callable[[Loop, float], Loop] | None = field(default=None, repr=False)
+
+    @overload
+    def __getitem__(self, index: int) -> Loop: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Loop, ...]: ...
+    def __getitem__(self, index: Any) -> Any:
+        """Return a loop, or a tuple of them."""
+        return self.items[index]
+
+    def __len__(self) -> int:
+        """Return the number of loops."""
+        return len(self.items)
+
+    def __iter__(self) -> Iterator[Loop]:
+        """Iterate over the loops."""
+        return iter(self.items)
+
+    @property
+    def unjudged(self) -> tuple[str, ...]:
+        """Names of axes with a loop that cannot be judged."""
+        names = {axis for loop in self.items if loop.reason for axis in loop.axes}
+        return tuple(axis for axis in AXES if axis in names)
+
+    def replace(self, **changes: Any) -> Loops:
+        """Return the loops with other fields, such as `delay`; a hand acts on its axes only."""
+        hand = changes.pop("hand", None)
+        held = {} if hand is None else {"hand": hand}
+        items = (replace(one, **changes, **(held if hand is None or holds(hand, one) else {})) for one in self.items)
+        return replace(self, items=tuple(items))
+
+    def only(self, loops: Iterable[Loop]) -> Loops:
+        """Return these loops of them."""
+        return replace(self, items=tuple(loops))
+
+    def spectral_radii(self) -> Array:
+        """Return the spectral radius of each, without the poles of free motion; NaN if it cannot be judged, (N,)."""
+        return np.array([radius_of(*pair) for pair in zip(self.items, poles_of(self.items), strict=True)])
+
+
+def holds(hand: Hand, loop: Loop) -> bool:
+    """Return True if a hand acts on all axes of a loop."""
+    return {*map(AXES.index, loop.axes)} <= set(hand.indices)
+
+
+def radius_of(loop: Loop, poles: NDArray[np.complex128]) -> float:
+    """Return the spectral radius without the poles of free motion; NaN if the loop cannot be judged.
+
+    Each direction without stiffness has a pole at exactly 1, and a double one without damping or with a virtual mass.
+    A double pole is accurate to half of the digits, its mean to nearly all.
+    """
+    if loop.reason:
+        return math.nan
+    bound = np.argsort(np.abs(poles - 1.0))
+    free = loop.free
+    if loop.linear is not None:
+        still, near = loop.linear.still, poles[bound[: 2 * loop.linear.still]]
+        counts = range(still, 2 * still + 1) if still else ()
+        free = max((count for count in counts if abs(near[:count].mean() - 1.0) < _PAIR), default=still)
+    return float(np.abs(poles[bound[free:]]).max(initial=0.0))
+
+
+def poles_of(loops: Sequence[Loop]) -> list[NDArray[np.complex128]]:
+    """Return the poles per host period of each loop; those of equal structure are computed together."""
+    result: list[NDArray[np.complex128]] = [np.empty(0, dtype=np.complex128)] * len(loops)
+    groups: dict[Any, list[int]] = defaultdict(list)
+    for index, loop in enumerate(loops):
+        if not loop.reason:
+            groups[_structure(loop)].append(index)
+    for indices in groups.values():
+        some = [loops[index] for index in indices]
+        for index, poles in zip(indices, _poles(some), strict=True):
+            result[index] = poles
+    return result
+
+
+def _structure(loop: Loop) -> Any:
+    """Return what loops must share to be computed together."""
+    around = loop.period, loop.delay, loop.driver_lag, loop.hand, loop.mode, loop.own_damping
+    if loop.linear is not None:
+        return around, loop.linear.axes, len(loop.linear.states.advance)
+    return around, loop.velocity, loop.device, id(loop.law)
+
+
+def _poles(loops: Sequence[Loop]) -> list[NDArray[np.complex128]]:
+    first = loops[0]
+    names = "period", "delay", "hand", "driver_lag"
+    around = {name: getattr(first, name) for name in names}
+    if first.linear is not None:
+        own = [one.linear for one in loops if one.linear is not None]
+        inertia = np.array(first.body)[list(first.linear.axes)]
+        system = StateSpace(*map(np.array, zip(*(one.states for one in own)))).with_units(first.period, inertia)
+        matrices = system.closed_loop(inertia=inertia, **around)
+        return [*np.linalg.eigvals(matrices).astype(np.complex128)]
+    more = {name: getattr(first, name) for name in ("velocity", "mode", "own_damping")}
+    if first.device is not None:
+        return [_two_rate_poles(one.stiffness, one.damping, one.inertia, one.device, **around | more) for one in loops]
+    gains = tuple((one.stiffness, one.damping, one.inertia) for one in loops)
+    distinct = tuple(dict.fromkeys(gains))
+    found = _pd_poles(distinct, **around | more) if first.law is None else _law_poles(distinct, first)
+    poles = dict(zip(distinct, found, strict=True))
+    return [poles[one] for one in gains]
+
+
+@lru_cache(maxsize=512)  # rotations are the same in every hand
+def _pd_poles(gains: tuple[tuple[float, float, float], ...], **around: Any) -> NDArray[np.complex128]:
+    stiffness, damping, inertia = np.array(gains).T
+    return np.linalg.eigvals(SampledLoop(mass=inertia, **around).matrix(stiffness, damping)).astype(np.complex128)
+
+
+def _law_poles(gains: tuple[tuple[float, float, float], ...], loop: Loop) -> NDArray[np.complex128]:
+    stiffness, damping, inertia = np.array(gains).T
+    return np.linalg.eigvals(loop.array(mass=inertia).matrix(stiffness, damping)).astype(np.complex128)
+
+
+@lru_cache(maxsize=512)
+def _two_rate_poles(
+    stiffness: float, damping: float, inertia: float, law: DeviceLaw, **around: Any
+) -> NDArray[np.complex128]:
+    """Return the poles per host period of gains beside a law on the device, at the worst phase between their clocks."""
+    if not (stiffness or damping):
+        around["delay"] = 0.0  # without gains on the host its delay does not matter
+    loop, rates = SampledLoop(mass=inertia, device=law, **around), rates_of(around["period"], law)
+    controller = loop.law(np.asarray(stiffness), np.asarray(damping))
+    each = [np.linalg.eigvals(loop.two_rates(phase).matrix(controller)[:-1, :-1]) for phase in rates.phases]
+    worst = max(each, key=lambda poles: float(np.abs(poles).max()))
+    return np.asarray(worst.astype(np.complex128) ** (1.0 / rates.host))
 
 
 def delay_bound(loop: SampledLoop, stiffness: float, damping: float) -> Bound:

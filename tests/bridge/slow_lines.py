@@ -23,7 +23,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller
-from maglev_mj.theory.verdict import delay_margins
+from maglev_mj.theory.verdict import judge
 
 _NEVER = 1 << 62
 _STOP = 0.0044
@@ -195,7 +195,7 @@ class Flown(NamedTuple):
 def margin(name: str, rate: int, delay: float) -> float:
     """Return the critical delay of a scene of the package, without a hand [s]."""
     scene = find_scene(name)().replace(period=1.0 / rate, delay=delay)
-    return delay_margins(device_controller(scene), ["none"], pose=scene.start().pose)["none"]
+    return judge(device_controller(scene), delay=0.0, pose=scene.start().pose).critical_delay
 
 
 def fly(

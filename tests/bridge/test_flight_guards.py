@@ -29,7 +29,6 @@ from maglev_mj.frames import Command
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import device_controller
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory.verdict import delay_margins
 from tests.bridge.slow_lines import SHAPES, ChangedLaw, fly
 from tests.sweeps import sweep
 
@@ -53,7 +52,7 @@ def studies(*cases: tuple[Any, ...]) -> list[Any]:
 @pytest.mark.parametrize(("name", "period"), sweep(FLOWN, [0.005, 0.001], every=5))
 def test_a_margin_is_where_the_verdict_turns(name: str, period: float) -> None:
     controller = device_controller(find_scene(name)().replace(period=period, delay=0.0015))
-    margin = delay_margins(controller, ["none"])["none"]
+    margin = judge(controller, delay=0.0).critical_delay
     if not margin.beyond:
         assert judge(controller, delay=margin * 0.999).stable and not judge(controller, delay=margin * 1.002).stable
     else:
@@ -73,9 +72,9 @@ def test_a_law_that_states_no_gains_has_the_margin_of_one_that_does(hand: str) -
         Controller([law(axes=["x", "y", "z"], stiffness=3000.0, damping=60.0)], period=0.005)
         for law in (Hold, Unstated)
     )
-    expected = delay_margins(stated, [hand])[hand]
+    expected = judge(stated, delay=0.0, hand=hand).critical_delay
     assert math.isfinite(expected)
-    assert delay_margins(unstated, [hand])[hand] == pytest.approx(expected, rel=1e-3)
+    assert judge(unstated, delay=0.0, hand=hand).critical_delay == pytest.approx(expected, rel=1e-3)
 
 
 class Jumping(AxisLaw):
@@ -107,12 +106,12 @@ def test_margins_are_those_within_the_range_of_the_device(name: str, delay: floa
 
 def test_margins_may_be_zero_above_the_search_or_nan() -> None:
     shaky = Controller([Wall(axes="z", lower=0.0, stiffness=90_000.0, damping=10.0)], period=0.005)
-    assert delay_margins(shaky, ["none"]) == {"none": 0.0}
+    assert judge(shaky, delay=0.0).critical_delay == 0.0
     soft = Controller([Hold(axes="z", stiffness=1.0, damping=0.1)], period=0.005)
-    margin = delay_margins(soft, ["none"])["none"]
+    margin = judge(soft, delay=0.0).critical_delay
     assert margin == 0.03 and margin.beyond
     jumping = Controller([Jumping(axes="z")], period=0.005)
-    assert math.isnan(delay_margins(jumping, ["none"])["none"])
+    assert math.isnan(judge(jumping, delay=0.0).critical_delay)
 
 
 # guards alone

@@ -31,7 +31,7 @@ from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, Timing
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.stability_check import check_step
 from maglev_mj.scenes.wall_scene import others
-from maglev_mj.theory.verdict import delay_margins
+from maglev_mj.theory.verdict import judge
 from tests.bridge.firmware_core import CoreFirmware
 from tests.bridge.slow_lines import Flown, fly, residual
 from tests.bridge.test_preflight import GOOD
@@ -279,7 +279,7 @@ def test_the_check_before_takeoff_judges_two_rates() -> None:
     # the host's spring is stable by the damper on the device alone
     beside = Drop(stiffness=2e4, damping=20.0, pulse=0.0)
     margins = [
-        delay_margins(each.controller(), ["none"])["none"] for each in (beside, beside.replace(device_damping=100.0))
+        judge(each.controller(), delay=0.0).critical_delay for each in (beside, beside.replace(device_damping=100.0))
     ]
     assert margins[0] == 0.0 and margins[1] > 0.0015
 

@@ -9,7 +9,7 @@ import pytest
 from maglev_mj.control import Bias, Hold, Law, Wall, drive
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError
-from maglev_mj.frames import Array, Command, DeviceWall
+from maglev_mj.frames import AXES, Array, Command, DeviceWall
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant, Sensor, Timing
 from maglev_mj.plants.device_walls import DeviceWalls
 from maglev_mj.recording.verify import verify
@@ -215,7 +215,6 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: Wall(**WALL, pulse=1.0, pulse_width=1e-3, on="device"), "pulse must be 0"),
     (lambda: Wall(**WALL, on="device", cutoff=0.0), "cutoff must be above 0"),
     (lambda: Drop(wall_on="device", device_damping=1.0), "device_damping must be None"),
-    (lambda: judge(Controller([Moving()], period=0.005), delay=0.0015), "needs declared gains"),
     (lambda: written(DeviceWall(6)), "axis from 0 to 5"),
     (lambda: written(DeviceWall(2, stiffness=-1.0)), "stiffness must be at least 0"),
     (lambda: written(DeviceWall(2, edge=np.zeros(3))), r"edge must have shape \(\)"),
@@ -227,6 +226,11 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
 def test_refused(make: Callable[[], object], message: str) -> None:
     with pytest.raises(MaglevError, match=message):
         make()
+
+
+def test_a_wall_on_the_device_beside_a_law_without_gains_is_not_judged() -> None:
+    verdict = judge(Controller([Moving()], period=0.005), delay=0.0015)
+    assert verdict.stable is None and verdict.unjudged == AXES and "needs declared gains" in str(verdict)
 
 
 def written(wall: DeviceWall, timing: Timing | None = None) -> None:

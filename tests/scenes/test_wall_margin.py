@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 from maglev_mj import analyse, rebuild, record_run, run
@@ -19,12 +20,15 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
-from maglev_mj.scenes.stability_check import ROUGH, critical_ratios, wall_margin
+from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.session import Snapshot
 from maglev_mj.session import margin as session_margin
 from maglev_mj.session.margin import StabilityMap, margin
-from maglev_mj.theory import stability
+from maglev_mj.theory import DeviceLaw, stability
+from maglev_mj.theory.boundary import boundary_of
+from maglev_mj.theory.critical import critical_ratios
+from maglev_mj.theory.loop import Loop, Loops
 from maglev_mj.views.page import panel
 from maglev_mj.views.readings import Charts, readings
 from maglev_mj.views.window.screen import status_rows
@@ -66,11 +70,11 @@ def test_the_margin_is_where_the_walls_own_root_passes_one(name: str, stiffness:
     [
         (Drop(), "stable: 59 % of critical stiffness, spectral radius 0.8771"),
         (Drop(stiffness=15_000.0), "unstable: 148 % of critical stiffness, spectral radius 1.1049"),
-        (Drop(stiffness=400.0), "stable, spectral radius 0.9745"),  # up to tenfold it is stable
+        (Drop(stiffness=400.0), "stable: 4 % of critical stiffness, spectral radius 0.9745"),
         (
             Joystick(period=1e-4, delay=0.0, stiffness=5e5),
-            "stable, spectral radius 0.9952",
-        ),  # up to the largest stiffness that it takes
+            "stable: 28 % of critical stiffness, spectral radius 0.9952",
+        ),
     ],
 )
 def test_it_is_said_in_a_line(scene: Scene, says: str) -> None:
@@ -84,14 +88,19 @@ def test_what_remembers_too_long_is_not_known(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_critical_ratios_are_searched_together() -> None:
-    limits = [1.7, 0.3, math.nan, 1e9, 1e-9]  # of the ratio
+    """Of laws that are not affine in their gain, such as one on the device."""
+    device = DeviceLaw(0.0, 60.0)
+    wall = Loop(stiffness=6000.0, damping=80.0, period=5e-3, delay=1.5e-3, inertia=0.7, device=device)
+    limit = float(boundary_of(wall.array(), np.asarray(80.0)))
+    stiffnesses = [limit / 1.7, limit / 0.3, math.nan, 1e-3]
 
-    def radii(indices: Sequence[int], ratios: Sequence[float]) -> list[float]:
-        return [ratio / limits[index] for index, ratio in zip(indices, ratios, strict=True)]
+    def at(indices: Sequence[int], ratios: Sequence[float]) -> list[Loops]:
+        gains = [ratio * stiffnesses[index] for index, ratio in zip(indices, ratios, strict=True)]
+        return [Loops((replace(wall, stiffness=gain, reason="unknown" * math.isnan(gain)),)) for gain in gains]
 
-    present = radii(range(5), [1.0] * 5)
-    found = critical_ratios(radii, present, ROUGH)
-    assert found == pytest.approx([1.7, 0.3, math.nan, math.inf, 0.0], rel=1e-3, nan_ok=True)
+    found = critical_ratios(at, 4)
+    assert found[:3] == pytest.approx([1.7, 0.3, math.nan], rel=1e-4, nan_ok=True)
+    assert [one.beyond for one in found] == [False, False, False, True] and found[3] == pytest.approx(10.7, rel=1e-2)
 
 
 def test_without_a_stiff_wall_there_is_none() -> None:

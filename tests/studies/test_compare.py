@@ -29,7 +29,7 @@ from maglev_mj.studies.wall_laws import LAWS
 from maglev_mj.theory import largest_stable_stiffness, least_passive_damping
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.closed_loop import SampledLoop, spectral_radius
-from maglev_mj.theory.verdict import axis_loops
+from maglev_mj.theory.read import loops_at
 from tests.studies.test_charts import details
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -161,7 +161,9 @@ KNOWN: dict[str, tuple[dict[str, Any], float]] = {
 @pytest.mark.parametrize("law", [name for name in LAWS if name != "colgate"])
 def test_each_law_has_the_spectral_radius_of_its_equation(law: str) -> None:
     options, radius = KNOWN[law]
-    assert loop_of(law, **options).loop()[1] == pytest.approx(radius, abs=3e-5 if law == "half-sample" else 1e-6)
+    assert loop_of(law, **options).present()[0].spectral_radius == pytest.approx(
+        radius, abs=3e-5 if law == "half-sample" else 1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -178,13 +180,13 @@ def test_a_virtual_coupling_in_free_air_is_linearised_with_its_virtual_mass(
 ) -> None:
     law = VirtualCoupling(axes="z", stiffness=stiffness, damping=damping, inertia=inertia, period=1e-3)
     free, body = [0.0, 0.0, 1e-3, 0.0, 0.0, 0.0], np.array([0.7, 0.7, 0.7, 1.0, 1.0, 1.0])
-    found = axis_loops([Controller([law], period=1e-3)], 2, poses=[free], delay=5e-4, inertia=body)[0][1]
-    assert found == pytest.approx(radius, abs=1e-5)
+    (found,) = loops_at([Controller([law], period=1e-3)], 2, poses=[free], delay=5e-4, inertia=body)
+    assert found.spectral_radius == pytest.approx(radius, abs=1e-5)
 
 
 def test_a_law_that_is_stable_in_the_wall_alone_is_not_stable() -> None:
     unstable = _AtRest([_with_law(Drop(), "light", LAWS["virtual-coupling"]._replace(make=light), "exact")])
-    assert not unstable.loop()[1] < 1.0  # in free air, where the light mass is dragged
+    assert unstable.present()[0].stable is not True  # in free air, where the light mass is dragged
 
 
 def light(stiffness: float, damping: float, axes: str, period: float) -> VirtualCoupling:

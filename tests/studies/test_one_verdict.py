@@ -128,7 +128,7 @@ def test_front_ends_agree_on_random_devices(tmp_path: Path) -> None:
         scene = Drop(**values)
         contact = FRONTS["stability"](scene)
         found, wall = diagnose(scene), wall_margin(scene)
-        loop = Loop.of(scene.device, **{name: getattr(scene, name) for name in ("stiffness", "damping", "delay")})
+        (loop,) = Loop.of(scene.device, **{name: getattr(scene, name) for name in ("stiffness", "damping", "delay")})
         assert wall is not None
         for other in (found.spectral_radius, wall.spectral_radius, FRONTS["compare"](scene), loop.spectral_radius):
             assert other == pytest.approx(contact, abs=1e-9)
@@ -136,7 +136,7 @@ def test_front_ends_agree_on_random_devices(tmp_path: Path) -> None:
 
 
 def test_the_lag_of_the_published_joystick_is_part_of_its_delay() -> None:
-    assert Loop.of("ubc", stiffness=1.0, damping=1.0).driver_lag == 0.0
+    assert Loop.of("ubc", stiffness=1.0, damping=1.0)[0].driver_lag == 0.0
     assert Device.load("ubc").driver.time_constant == pytest.approx(8e-5, rel=0.01)
     assert float(device_card(Drop()).walls[0].stiffness) == pytest.approx(10_173.0, abs=1.0)
 
@@ -145,7 +145,7 @@ def test_the_lag_of_the_published_joystick_is_part_of_its_delay() -> None:
     ("lag", "critical"), [(0.0, 54_339.185), (1e-4, 48_340.252), (1e-3, 21_503.423)]
 )  # by events and eigenvalues of another program
 def test_critical_stiffness_with_lagging_drivers(lag: float, critical: float) -> None:
-    loop = Loop.of("stage", stiffness=0.0, damping=140.9, delay=8e-4, driver_lag=lag)
+    (loop,) = Loop.of("stage", stiffness=0.0, damping=140.9, delay=8e-4, driver_lag=lag)
     assert float(boundary_of(loop.array(), np.asarray(140.9))) == pytest.approx(critical, abs=2e-3)
 
 

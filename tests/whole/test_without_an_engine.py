@@ -24,7 +24,7 @@ import io, json, shlex
 from contextlib import redirect_stderr, redirect_stdout
 from maglev_mj import find_scene, record_run, sweep
 from maglev_mj.cli import main
-from maglev_mj.theory.verdict import delay_margins
+from maglev_mj.theory.verdict import judge
 
 answers = []
 for line in sys.argv[1:]:
@@ -40,7 +40,7 @@ print(json.dumps(answers))
 DONE = [
     "find_scene('drop')().controller()",
     "record_run(find_scene('drop')(duration=0.1), plant='exact')",
-    "assert 0.002 < min(delay_margins(find_scene('joystick')().controller(), ['arm']).values()) < 0.004",
+    "assert 0.002 < judge(find_scene('joystick')().controller(), delay=0.0, hand='arm').critical_delay < 0.004",
     "sweep(find_scene('drop'), {'height': [0.001, 0.002]}, plant='exact')",
     "maglev-mj drop --plant exact",
     "maglev-mj stick-slip --plant exact --json -",

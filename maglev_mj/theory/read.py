@@ -1,0 +1,428 @@
+"""Loops of a scene, a controller, a device or of numbers: nothing is left out."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
+from itertools import compress, product
+from os import PathLike
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.control.controller import Controller
+from maglev_mj.device import Device, devices, lag_of
+from maglev_mj.errors import KeywordError, ParameterError, TooManyCallsError, choice_message
+from maglev_mj.frames import AXES, ZERO, Array
+from maglev_mj.keywords import with_period
+from maglev_mj.lazy import loaded
+from maglev_mj.parameters import number, numbers, transport_delay
+from maglev_mj.plants.hand import Hand, get_hand, get_mode
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
+from maglev_mj.theory.linearise import Linearised, linearise, realise
+from maglev_mj.theory.loop import FREE, AtPose, Loop, Loops, memory_of
+from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, poses_of
+from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
+
+_ROUNDING = 1e-9
+"""Tolerance of responses."""
+_SHORT = 16
+"""Longest response that is realised sample by sample [samples]."""
+JUMPS, UNKNOWN = "discontinuous force", "controller memory exceeds 512 samples"
+_UNDECLARED = "a law with walls on the device needs declared gains: define gains()"
+"""Reasons why a loop cannot be judged."""
+
+_FIELDS = tuple(item.name for item in fields(Loop))
+
+
+def loops_of(what: Any = None, **changes: Any) -> Loops:
+    """Return the loops of a scene, controller, device or of fields; see `Loop.of`."""
+    if isinstance(what, Loops | Loop):
+        around = _fields_of(changes)
+        return (Loops((what,)) if isinstance(what, Loop) else what).replace(**around) if around else _loops(what)
+    if isinstance(what, Controller):
+        return of_controller(what, **changes)
+    if isinstance(what, str | PathLike):
+        what = _named(what, changes)
+        if isinstance(what, Loops):
+            return what
+    if isinstance(what, type):
+        what = what()
+    if hasattr(what, "controller"):
+        return of_scene(what, **changes)
+    if isinstance(what, Device) or what is None:
+        return _of_numbers(what, **changes)
+    raise ParameterError(f"loop must be of a scene, controller, device, recording or numbers (got {what!r})")
+
+
+def _loops(what: Loop | Loops) -> Loops:
+    return Loops((what,)) if isinstance(what, Loop) else what
+
+
+def _named(what: Any, changes: dict[str, Any]) -> Any:
+    """Return the scene, or device, of a name or file, or the loop that explains a recording."""
+    text = str(what)
+    if text.endswith((".maglev", ".csv", ".txt", ".tsv")):
+        found = loaded("maglev_mj.studies.diagnosis:diagnose")(what, **changes)
+        return Loops((found.loop.loop_in_question,))
+    if text.endswith(".toml") or text in devices():
+        return Device.load(text)
+    return loaded("maglev_mj.scenes.find:get_scene")(text)
+
+
+def _fields_of(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields of a loop with texts replaced."""
+    found = with_period(_FIELDS, changes)
+    if wrong := [name for name in found if name not in _FIELDS]:
+        raise KeywordError(choice_message("field of a loop", _FIELDS, wrong[0]))
+    if "hand" in found:
+        found["hand"] = get_hand(found["hand"])
+    return found | ({"mode": get_mode(found["mode"])} if "mode" in found else {})
+
+
+def _of_numbers(what: Device | None, *, device: Any = None, axis: str = "z", **values: Any) -> Loops:
+    """Return the loop of fields, those of a device in place of missing ones."""
+    if isinstance(device, str | PathLike | Device):
+        what, device = device if isinstance(device, Device) else Device.load(str(device)), None
+    own: dict[str, Any] = {"axis": axis, "device": device}
+    if what is not None:
+        own |= {"period": what.period, "delay": what.delay, "driver_lag": lag_of(what)}
+        own["inertia"] = float(what.inertia[AXES.index(axis)])
+    given = _fields_of(values)
+    missing = [name for name in ("stiffness", "damping", "period", "delay", "inertia") if name not in own | given]
+    if missing:
+        raise ParameterError(f"{' and '.join(missing)} of the loop must be given, or a device")
+    return Loops((Loop(**own | given),))
+
+
+def of_scene(
+    scene: Any,
+    *,
+    inertia: ArrayLike | None = None,
+    delay: float | None = None,
+    driver_lag: float | None = None,
+    hand: Hand | str | None = None,
+    **changes: Any,
+) -> Loops:
+    """Return the loops of a scene; see `Loop.of`.
+
+    Args:
+        scene: The scene.
+        inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
+        delay: Transport delay in place of the scene's own [s]; gains derived from the delay do not change.
+        driver_lag: Time constant of the drivers in place of the device's [s].
+        hand: Hand on the flotor; None for a free flotor.
+        changes: Parameters of the scene.
+    """
+    scene = scene.replace(**changes) if changes else scene
+    controller, body = scene.controller(), scene.body.bounded
+    own: Any = {
+        "delay": scene.delay if delay is None else delay,
+        "inertia": body.inertia if inertia is None else inertia,
+    }
+    own["device"] = scene.timing().device if controller.on_device else (DEVICE_PERIOD, DEVICE_DELAY)
+    own |= {"driver_lag": scene_lag(scene) if driver_lag is None else driver_lag, "hand": get_hand(hand)}
+    found = of_controller(controller, pose=scene.start().pose, reach=body.range, **own)
+    return replace(found, grown=grown_of(scene, own))
+
+
+def grown_of(scene: Any, around: Mapping[str, Any]) -> Callable[[Loop, float], Loop] | None:
+    """Return the function from a loop of a scene and a ratio to the loop with that ratio of the scene's stiffness.
+
+    Args:
+        scene: The scene.
+        around: Other keywords of `of_controller`.
+    """
+    if not getattr(scene, "stiffness", 0.0):
+        return None
+
+    def grown(loop: Loop, ratio: float) -> Loop:
+        controller = scene.replace(stiffness=ratio * scene.stiffness).controller()
+        if loop.linear is None:
+            same = [
+                one for one in of_controller(controller, **around) if (one.axis, one.state) == (loop.axis, loop.state)
+            ]
+            return same[0] if same else loop
+        own: Any = {**around, "inertia": numbers("inertia", around["inertia"])}
+        return loops_at([controller], AXES.index(loop.axes[0]), poses=[loop.pose], **own)[0]
+
+    return grown
+
+
+def scene_lag(scene: Any) -> float:
+    """Return the time constant of the drivers of a scene's device [s]; 0 without a device."""
+    hardware = getattr(scene, "hardware", None)
+    return 0.0 if hardware is None else lag_of(hardware)
+
+
+def of_controller(
+    controller: Controller,
+    *,
+    delay: float,
+    pose: ArrayLike = ZERO,
+    inertia: ArrayLike = INERTIA,
+    reach: ArrayLike = RANGE,
+    device: ArrayLike = (DEVICE_PERIOD, DEVICE_DELAY),
+    driver_lag: float = 0.0,
+    hand: Hand | str | None = None,
+) -> Loops:
+    """Return the loops of a controller on all axes; see `judge`."""
+    start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
+    transport_delay(number("delay", delay), controller.period)
+    clock: Any = numbers("device", device, shape="(2,)").tolist()
+    around: Any = {"period": controller.period, "delay": float(delay), "driver_lag": driver_lag}
+    gains = stated_gains(controller)
+    if gains is None and controller.on_device:
+        found = _nothing(_UNDECLARED, start, body, around)
+    elif gains is None:
+        far = numbers("reach", reach, shape="(6,)", above=0.0)
+        try:
+            found = _linearised(controller, start, body, far, around)
+        except TooManyCallsError as error:
+            found = _nothing(str(error).removeprefix("stability not computed: "), start, body, around)
+    else:
+        found = _stated(gains, controller, body, laws_on_device(controller, tuple(clock)), start, around)
+    return found if hand is None else found.replace(hand=get_hand(hand))
+
+
+_Gains: TypeAlias = dict[tuple[str, ...], tuple[Array, Array]]
+
+
+def stated_gains(controller: Controller) -> _Gains | None:
+    """Return total stiffness and damping of the six axes for each combination of law states.
+
+    None if a law declares no gains, a gain is negative, or the velocity estimator is not linear.
+    """
+    sums: dict[str, Array] = {state: np.zeros((2, len(AXES))) for state in ("always", "contact")}
+    for law in controller.laws:
+        stated = law.gains()
+        if stated is None or law.batch:
+            return None
+        for near in stated:
+            sums[near.state] = sums.get(near.state, 0.0) + np.array([near.stiffness, near.damping])
+    if not hasattr(controller.velocity, "linear"):
+        return None
+    always = sums.pop("always")
+    states = sorted({*["contact"] * controller.on_device, *(state for state, gains in sums.items() if gains.any())})
+    totals = {}
+    for active in product((False, True), repeat=len(states)):
+        acting = tuple(compress(states, active))
+        stiffness, damping = sum((sums[state] for state in acting), always)
+        totals[acting] = stiffness, damping
+    return None if any((gains < 0.0).any() for both in totals.values() for gains in both) else totals
+
+
+def _stated(
+    gains: _Gains,
+    controller: Controller,
+    body: Array,
+    laws: Mapping[int, DeviceLaw],
+    start: Array,
+    around: Mapping[str, Any],
+) -> Loops:
+    """Return the loop of each axis in each combination of the states of its laws, from declared gains."""
+    loops = []
+    for index, axis in enumerate(AXES):
+        own = {
+            acting: (float(k[index]), float(b[index]), laws.get(index) if "contact" in acting else None)
+            for acting, (k, b) in gains.items()
+        }
+        states = [acting[0] for acting in gains if len(acting) == 1 and own[acting] != own[()]]
+        for acting, (stiffness, damping, law) in own.items():
+            if set(acting) <= set(states):
+                loop: Any = {"stiffness": stiffness, "damping": damping, "device": law, "inertia": float(body[index])}
+                loop |= {"axis": axis, "state": acting, "others": tuple(one for one in states if one not in acting)}
+                loops.append(Loop(**loop, velocity=controller.velocity, **around))
+    return Loops(tuple(loops), start=start)
+
+
+def _linearised(controller: Controller, pose: Array, body: Array, reach: Array, around: Mapping[str, Any]) -> Loops:
+    """Return the loop of coupled axes at each pose at which they differ, and those that cannot be judged."""
+    loops: list[AtPose] = []
+    away: list[AtPose] = []
+    previous: list[AtPose] = []
+    bent: list[tuple[Array, int]] = []
+    judged = set[int]()
+    jumps: list[Array] = []
+    unknown: list[Array] = []
+    reasons: dict[int, str] = {}
+    grid = linearise(controller, poses_of(controller, pose, reach))
+    edges = [*edges_of(controller, grid[2 : 2 + len(AXES) * POINTS])]
+    for near in [*grid, *(linearise(controller, edges) if edges else ())]:
+        scaled = near.scaled(body)
+        for axes in _coupled(scaled):
+            chosen = list(axes)
+            if near.jumps[chosen].any():
+                jumps.append(near.pose)
+                bent += [(near.pose, axis) for axis in chosen if near.jumps[axis]]
+                continue
+            loop = _at_pose(near, axes, scaled[:, chosen][:, :, chosen], previous)
+            if loop.system is None and not loop.settles:
+                unknown.append(near.pose)
+                reasons |= dict.fromkeys(axes, UNKNOWN)
+            elif loop.unstable_equilibrium:
+                away.append(loop)
+            else:
+                loops.append(loop)
+                judged |= set(axes)
+    # an axis without a stable equilibrium is judged at the unstable ones
+    unstable = [loop for loop in away if not judged.issuperset(loop.axes)]
+    without = set(range(len(AXES))) - judged - {axis for loop in unstable for axis in loop.axes}
+    for axis in sorted(without | _regions(controller, bent)):
+        reasons.setdefault(axis, JUMPS)
+    items = [_loop(one, body, around) for one in _distinct_loops(loops + unstable)]
+    items += [_not_judged(axis, reason, body, around) for axis, reason in sorted(reasons.items())]
+    poses = _distinct(jumps), _distinct(unknown), _distinct([loop.near.pose for loop in away])
+    return Loops(tuple(items), False, pose, *poses)
+
+
+def _loop(at: AtPose, body: Array, around: Mapping[str, Any]) -> Loop:
+    """Return the loop of laws linearised at a pose; its gains are those of the first axis."""
+    stiffness, damping = at.gains(body)
+    first = at.axes[0]
+    gains: Any = {"stiffness": float(stiffness[first, first]), "damping": float(damping[first, first])}
+    axis, pose = ", ".join(AXES[axis] for axis in at.axes), tuple(at.near.pose.tolist())
+    return Loop(**gains, axis=axis, inertia=float(body[first]), pose=pose, linear=at, body=tuple(body), **around)
+
+
+def _not_judged(axis: int, reason: str, body: Array, around: Mapping[str, Any]) -> Loop:
+    gains: Any = {"stiffness": np.nan, "damping": np.nan}
+    return Loop(**gains, axis=AXES[axis], inertia=float(body[axis]), reason=reason, **around)
+
+
+def _at_pose(near: Linearised, axes: tuple[int, ...], own: Array, previous: list[AtPose]) -> AtPose:
+    """Return the laws of some axes; laws equal to previous ones reuse their realisation."""
+    settles = bool(near.settled[list(axes)].all())
+    for other in previous:
+        if other.axes == axes and other.settles == settles and _alike(other.scaled, own):
+            return other._replace(near=near)
+    memory = memory_of(own)
+    # truncating a long response would add the poles of the truncation
+    system = realise(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
+    moments = (own.sum(axis=0), np.tensordot(np.arange(len(own)), own, 1)) if system is None else system.moments()
+    sizes = np.linalg.svd(np.nan_to_num(moments[0], neginf=1.0), compute_uv=False)
+    still = int((sizes <= FREE * max(np.abs(own).sum(axis=0).max(), FREE)).sum())
+    previous.append(AtPose(near, axes, own, settles, system, still, moments))
+    return previous[-1]
+
+
+def _alike(first: Array, second: Array) -> bool:
+    return len(first) == len(second) and bool(np.abs(first - second).max() <= _ROUNDING * np.abs(second).max())
+
+
+def _distinct_loops(loops: Sequence[AtPose]) -> list[AtPose]:
+    """Return the first of those with equal axes and responses."""
+    kept: dict[tuple[int, ...], list[AtPose]] = defaultdict(list)
+    for loop in loops:
+        if not any(_alike(other.scaled, loop.scaled) for other in kept[loop.axes]):
+            kept[loop.axes].append(loop)
+    return [loop for some in kept.values() for loop in some]
+
+
+def _regions(controller: Controller, bent: Sequence[tuple[Array, int]]) -> set[int]:
+    """Return the axes with a region of discontinuous force; the force is smooth to both sides of an edge alone.
+
+    Args:
+        controller: The controller.
+        bent: Poses and axes with a discontinuous force.
+    """
+    regions: set[int] = set()
+    for axis in sorted({axis for _, axis in bent}):
+        poses = _distinct([pose for pose, other in bent if other == axis])
+        beside = np.repeat(poses, 2, axis=0)
+        beside[:, axis] += np.tile([-EDGE, EDGE], len(poses)) * SCALE[axis]
+        if any(near.jumps[axis] for near in linearise(controller, beside, axes=AXES[axis])):
+            regions.add(axis)
+    return regions
+
+
+def _coupled(scaled: Array) -> list[tuple[int, ...]]:
+    """Return groups of coupled axes."""
+    size = np.abs(scaled).max(axis=0)
+    linked = (size > _ROUNDING * size.max(initial=0.0)) | np.eye(len(AXES), dtype=bool)
+    linked = np.linalg.matrix_power(linked.astype(float), len(AXES)) > 0.0
+    return list(dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in linked))
+
+
+def _distinct(poses: Sequence[Array]) -> Array:
+    return np.unique(np.array(poses).reshape(-1, 6), axis=0)
+
+
+def loops_at(
+    controllers: Sequence[Controller],
+    axis: int,
+    *,
+    poses: ArrayLike,
+    delay: float,
+    inertia: Array,
+    hand: Hand | None = None,
+    device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
+    driver_lag: float = 0.0,
+) -> Loops:
+    """Return the loop of one axis with all of its laws active, for each controller.
+
+    From the declared gains, or linearised at its pose, all together, if a law declares none.
+
+    Args:
+        controllers: Controllers of equal laws with other gains, for one device each; none is changed.
+        axis: Index into AXES; coupling to the other axes is ignored.
+        poses: Pose of each [m, rad], (N, 6).
+        delay: Transport delay [s], up to 10 periods.
+        inertia: Mass and moments of inertia [kg, kg m²], (6,).
+        hand: The hand on the axis; None for a free flotor.
+        device: See `judge`.
+        driver_lag: See `judge`.
+
+    Raises:
+        MaglevError: If a law fails at a pose.
+
+    Example:
+        >>> import numpy as np
+        >>> from maglev_mj import Controller, Wall
+        >>> from maglev_mj.spec import INERTIA
+        >>> wall = Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=0.005)
+        >>> inside, body = (0, 0, -1e-3, 0, 0, 0), np.array(INERTIA)
+        >>> (loop,) = loops_at([wall], 2, poses=[inside], delay=0.0015, inertia=body)
+        >>> round(loop.stiffness), round(loop.spectral_radius, 3)
+        (6000, 0.877)
+    """
+    around: Any = {"delay": delay, "driver_lag": driver_lag}
+    each = [stated_gains(controller) for controller in controllers]
+    if all(gains is not None for gains in each):
+        items = []
+        for controller, gains in zip(controllers, each, strict=True):
+            stiffness, damping = (float(both[axis]) for both in list((gains or {}).values())[-1])
+            law = laws_on_device(controller, device).get(axis)
+            own: Any = {"period": controller.period, "velocity": controller.velocity, "device": law}
+            own |= {"stiffness": stiffness, "damping": damping, "inertia": float(inertia[axis]), "axis": AXES[axis]}
+            items.append(Loop(**own, **around))
+        found = Loops(tuple(items))
+    else:
+        found = Loops(tuple(_along(controllers, axis, poses, inertia, around)), False)
+    return found if hand is None else found.replace(hand=hand)
+
+
+def _nothing(reason: str, start: Array, body: Array, around: Mapping[str, Any]) -> Loops:
+    """Return the loops of a controller that cannot be judged on any axis."""
+    return Loops(tuple(_not_judged(axis, reason, body, around) for axis in range(len(AXES))), False, start)
+
+
+def _along(
+    controllers: Sequence[Controller], axis: int, poses: ArrayLike, inertia: Array, around: Mapping[str, Any]
+) -> list[Loop]:
+    """Return the loop of one axis for each controller, by linearisation at its pose."""
+    clocks: list[Any] = [{"period": controller.period, **around} for controller in controllers]
+    try:
+        linear = linearise(controllers, poses, axes=AXES[axis])
+    except TooManyCallsError as error:
+        return [_not_judged(axis, str(error), inertia, clock) for clock in clocks]
+    one, previous = slice(axis, axis + 1), list[AtPose]()
+    result = []
+    for near, clock in zip(linear, clocks, strict=True):
+        at = _at_pose(near, (axis,), near.scaled(inertia)[:, one, one], previous)
+        reason = JUMPS if near.jumps[axis] else "" if at.system or at.settles else UNKNOWN
+        loop = _not_judged(axis, reason, inertia, clock) if reason else _loop(at, inertia, clock)
+        result.append(loop)
+    return result
