@@ -22,7 +22,7 @@ from maglev_mj.parameters import flag, number, numbers, six
 from maglev_mj.plants.device_walls import DeviceWalls, Held
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
-from maglev_mj.plants.trace import HandWork, Trace, TraceRecorder
+from maglev_mj.plants.trace import HandWork, Trace, TraceRecorder, lagging_parts
 from maglev_mj.spec import ESCAPE
 
 _NO_EFFORT: Six = (0.0,) * 6
@@ -71,6 +71,7 @@ class SampledPlant(ABC):
     __slots__ = (
         "__dict__",
         "__weakref__",
+        "_lag",
         "_longest_step",
         "_walls",
         "batch",
@@ -81,6 +82,8 @@ class SampledPlant(ABC):
         "start",
     )
 
+    _lag: float  # time constant of the drivers [s]; 0 for none
+
     renders_walls: ClassVar[bool] = True
     """True: the plant renders the walls of a command on the device."""
     hand: Hand | None = None
@@ -90,6 +93,7 @@ class SampledPlant(ABC):
     def __new__(cls, *timing: Any, **options: Any) -> Self:
         """Store the constructor arguments in the new plant."""
         plant = super().__new__(cls)
+        plant._lag = 0.0
         plant.given = {**dict(zip(("timing",), timing)), **options}
         check_instance("timing", plant.given.get("timing"), Timing | None, "a Timing, such as Timing(period=0.005)")
         check_instance("hand", plant.given.get("hand"), Hand | None, "a Hand, such as get_hand('arm')")
@@ -376,6 +380,13 @@ class SampledPlant(ABC):
 
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
         """Advance over one interval, with recording and step limit."""
+        if self._lag and self._recorder is not None:
+            for part in lagging_parts(duration, self._lag):
+                self._run_in_equal_pieces(part, drive)
+        else:
+            self._run_in_equal_pieces(duration, drive)
+
+    def _run_in_equal_pieces(self, duration: Component, drive: Any) -> None:
         pieces = 1
         if self._longest_step is not None:
             longest = duration if duration.__class__ is float else float(np.max(duration))

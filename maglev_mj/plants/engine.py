@@ -40,6 +40,8 @@ _PASSIVE = (
     "body_gravcomp",
 )
 
+_LAG_CACHE = 64
+
 NOTHING = 1e-12
 """Rounding tolerance of angles [rad]."""
 
@@ -184,25 +186,17 @@ def hand_addresses(device: CompiledModel, hand: Hand | None) -> list[int]:
 
 
 def longest_step(
-    device: CompiledModel,
-    driver_lag: bool = False,
-    hand: Hand | None = None,
-    stops: bool = False,
-    force_falloff: float = 0.0,
-    flexible: bool = False,
+    hand: Hand | None = None, stops: bool = False, force_falloff: float = 0.0, flexible: bool = False
 ) -> float | None:
     """Return the largest integrator step [s]; None if steps at force switches are enough.
 
     Args:
-        device: CompiledModel, for its driver time constant.
-        driver_lag: Driver lag enabled.
         hand: Hand on the flotor.
         stops: Metal stops enabled.
         force_falloff: Fraction of the force lost at the ends of the range.
         flexible: Flexible handle.
     """
     limits = (
-        (driver_lag, 0.25 * device.driver_time_constant),
         (hand is not None, _HAND_STEP),
         (stops, _STOP_STEP),
         (force_falloff > 0.0, _FALLOFF_STEP),
@@ -274,8 +268,8 @@ class CorrectedSteps(Steps):
 
     A semi-implicit step h moves the flotor by h v[k+1]; under a constant force the exact displacement is
     h (v[k] + v[k+1]) / 2. The excess (h/2) (v[k+1] - v[k]) is subtracted at each sample. Translation is exact to
-    rounding, as with RK4, at a third of the cost per step. Forces that vary within a step (hand, driver lag, rotation
-    about several axes) leave an error of first order in h.
+    rounding, as with RK4, at a third of the cost per step. Forces that vary within a step (hand, rotation about several
+    axes) leave an error of first order in h.
     """
 
     def __init__(
@@ -327,6 +321,72 @@ class CorrectedSteps(Steps):
         self._excess.clear()
         self._put(*pose)
         return pose
+
+
+class LagFactors:
+    """Steps of constant controls in place of controls that follow a command u by a first-order lag.
+
+    From controls f they are u + (f - u) exp(-t / lag). Two halves of a step with the constant controls u + a (f - u)
+    and u + b (f - u) give a free mass the same velocity and displacement; in one step, for an integrator of first
+    order, a gives it the velocity.
+
+    Args:
+        lag: Time constant of the drivers [s].
+        integrator: One of `INTEGRATORS`.
+    """
+
+    def __init__(self, lag: float, integrator: str) -> None:
+        self._lag, self._halves = lag, integrator in ("rk4", "corrected")
+        self._cache: dict[float, tuple[tuple[Component, ...], Component]] = {}
+
+    def of(self, step: Component) -> tuple[tuple[Component, ...], Component]:
+        """Return the factors of f - u, (a, b) or (a,), and of what is left of it after a step [s]."""
+        if step.__class__ is float and step in self._cache:
+            return self._cache[step]
+        gone = -np.expm1(-step / self._lag)
+        mean = self._lag * gone / step  # over the step
+        twice = 4.0 * self._lag * (1.0 - mean) / step
+        found = (twice - mean, 3.0 * mean - twice) if self._halves else (mean,)
+        if step.__class__ is not float:
+            return found, 1.0 - gone
+        if len(self._cache) > _LAG_CACHE:  # jittered durations do not recur
+            self._cache.clear()
+        result = tuple(map(float, found)), float(1.0 - gone)
+        self._cache[step] = result
+        return result
+
+
+class LaggingSteps:
+    """Engine steps of one device whose controls lag behind their command; otherwise as `Steps`.
+
+    Exact for translations under RK4 and "corrected", however long a step is; see `LagFactors`.
+
+    Args:
+        steps: Steps under constant controls.
+        factors: Those of the lag.
+        actual: Controls at release.
+
+    Attributes:
+        commanded: Commanded controls of the last step.
+        actual: Controls at present.
+    """
+
+    def __init__(self, steps: Steps, factors: LagFactors, actual: Sequence[float]) -> None:
+        self.inner, self._factors = steps, factors
+        self.stops, self.falloff, self.look, self.settle = steps.stops, steps.falloff, steps.look, steps.settle
+        self.commanded = self.actual = list(actual)
+
+    def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
+        """Advance the state; see `Steps`."""
+        self.commanded = commanded = list(drive[1])
+        step = duration / pieces
+        parts, left = self._factors.of(step)
+        step /= len(parts)
+        for _ in range(pieces):
+            error = [actual - u for actual, u in zip(self.actual, commanded)]
+            for part in parts:
+                self.inner.advance(step, ((None,), [u + part * e for u, e in zip(commanded, error)], None))
+            self.actual = [u + left * e for u, e in zip(commanded, error)]
 
 
 def turned_back(
@@ -419,7 +479,7 @@ class _Falloff:
 
 
 def one_step(
-    integrator: str, mass: float, step: float, hand: Hand | None = None, driver_lag: bool = False
+    integrator: str, mass: float, step: float, hand: Hand | None = None, driver_lag: float = 0.0
 ) -> tuple[Array, Array]:
     """Return the state transition of one engine step along z, one column per unit initial state.
 
@@ -431,7 +491,7 @@ def one_step(
         mass: Moving mass [kg].
         step: Integrator step [s].
         hand: Hand on the flotor.
-        driver_lag: Enable the first-order lag of the current drivers.
+        driver_lag: Time constant of the drivers [s]; 0 for no lag.
 
     Returns:
         Transition matrix, (n, n), and input vector of the commanded force, (n,).
@@ -439,27 +499,33 @@ def one_step(
     Raises:
         ParameterError: If the integrator is unknown.
     """
-    device = prepared(gravity=0.0, coils=driver_lag, integrator=integrator, mass=mass, hand=hand, driver_lag=driver_lag)
-    model, coils = device.model, device.coils
+    if driver_lag:
+        factors, left = LagFactors(driver_lag, integrator).of(step)
+        one, push = one_step(integrator, mass, step / len(factors), hand)
+        still = len(push)
+        matrix = np.eye(still + 1, still + 2)  # columns: state, force, command
+        for part in factors:
+            force = np.zeros(still + 2)
+            force[still:] = part, 1.0 - part
+            matrix[:still] = one @ matrix[:still] + np.outer(push, force)
+        matrix[still, still:] = left, 1.0 - left
+        return matrix[:, :-1], matrix[:, -1]
+    device = prepared(gravity=0.0, coils=False, integrator=integrator, mass=mass, hand=hand)
+    model = device.model
     model.opt.timestep = step
     positions, speeds = [device.position_address + 2], [device.velocity_address + 2]
     if hand is not None and hand.soft and 2 in hand.indices:
         joint = model.joint("hand_z")
         positions, speeds = [*positions, int(joint.qposadr[0])], [*speeds, int(joint.dofadr[0])]
-    size = 2 * len(positions) + driver_lag
+    size = 2 * len(positions)
     columns = []
     for start in np.eye(size + 1):
         data = mujoco.MjData(model)
-        data.qpos[positions], data.qvel[speeds] = start[: size - driver_lag : 2], start[1 : size - driver_lag : 2]
+        data.qpos[positions], data.qvel[speeds] = start[:size:2], start[1:size:2]
         state = np.empty(size)
-        if coils is None:
-            data.xfrc_applied[device.flotor, 2] = start[-1]
-            mujoco.mj_step(model, data)
-        else:
-            data.act[:], data.ctrl[:] = np.outer(start[-2:], coils.current_per_wrench[:, 2])
-            mujoco.mj_step(model, data)
-            state[-1] = coils.wrench_per_current[2] @ data.act
-        state[: size - driver_lag : 2], state[1 : size - driver_lag : 2] = data.qpos[positions], data.qvel[speeds]
+        data.xfrc_applied[device.flotor, 2] = start[-1]
+        mujoco.mj_step(model, data)
+        state[::2], state[1::2] = data.qpos[positions], data.qvel[speeds]
         columns.append(state)
     matrix = np.array(columns).T
     return matrix[:, :size], matrix[:, size]

@@ -15,10 +15,10 @@ from maglev_mj.device import Device
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, Six, components, join
 from maglev_mj.keywords import checked
-from maglev_mj.parameters import LAG, flag, number, numbers, six
+from maglev_mj.parameters import LAG, number, numbers, six
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.hand import Hand, motion, transition
-from maglev_mj.plants.model import Model, acceleration, load_model
+from maglev_mj.plants.model import Model, acceleration, drivers_lag, load_model
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 
 Drive: TypeAlias = tuple[Six, Six]
@@ -47,7 +47,7 @@ class ExactPlant(SampledPlant):
         twist: Velocity at release [m/s, rad/s], (..., 6).
         gravity: Gravitational acceleration along -z, or in stator axes (3,) for a tilted base [m/s²], instead of the
             model's.
-        driver_lag: Enable the first-order lag of the current drivers.
+        driver_lag: First-order lag of the drivers; None for that of a device file.
         driver_time_constant: Time constant of that lag [s], instead of the model's.
         hand: Hand on the flotor.
         dry_friction: Coulomb friction of the device itself [N, N m], (..., 6) or a number; not with driver lag, and
@@ -82,7 +82,7 @@ class ExactPlant(SampledPlant):
         pose: ArrayLike = (0.0,) * 6,
         twist: ArrayLike = (0.0,) * 6,
         gravity: ArrayLike | None = None,
-        driver_lag: bool = False,
+        driver_lag: bool | None = None,
         driver_time_constant: float | None = None,
         hand: Hand | None = None,
         dry_friction: ArrayLike | None = None,
@@ -94,7 +94,7 @@ class ExactPlant(SampledPlant):
             moving, moments, lag = model.mass, model.inertia[3:], model.driver.time_constant
             fall = np.array(model.body.gravity)
         elif model is not None:
-            device = load_model(model, driver_lag=driver_lag, driver_time_constant=driver_time_constant)
+            device = load_model(model, driver_time_constant=driver_time_constant)
             moving, moments, lag = device.mass, device.inertia, device.driver_time_constant
             fall = device.gravity
         if driver_time_constant is not None:
@@ -109,15 +109,12 @@ class ExactPlant(SampledPlant):
         self._weight = gx * body[0], gy * body[1], gz * body[2], 0.0, 0.0, 0.0
         self.load = join(self._weight) + 0.0
         self._pose, self._velocity = _shared(components(start)), _shared(components(motion))
-        self._lag = lag if flag("driver_lag", driver_lag) else 0.0
-        if keywords.get("record") and self._lag:
-            # for the recorded curve only: the state is exact over any duration
-            keywords["longest_step"] = 0.25 * self._lag
-        special = driver_lag or hand is not None or dry_friction is not None
-        self._uses_force = special or bool(keywords.get("record") or keywords.get("metered"))
+        self._lag = drivers_lag(model, driver_lag, lag)
+        special = self._lag or hand is not None or dry_friction is not None
+        self._uses_force = bool(special or keywords.get("record") or keywords.get("metered"))
         super().__init__(timing, batch=start.shape[:-1], **keywords)
         self._pull: tuple[Component, ...] | None = None
-        self._actual = list(self._timeline.acting[1]) if special else []
+        self._actual = components(self.before) if special else []
         self._amendments = tuple(self._amended(body, hand, dry_friction)) if special else ()
 
     def _amended(
@@ -129,7 +126,9 @@ class ExactPlant(SampledPlant):
         if hand is not None and hand.shape not in ((), self.batch):
             raise ParameterError(f"hand must be scalar or of batch shape {self.batch} (got {hand.shape})")
         if rub is not None and self._lag:
-            raise ParameterError("dry_friction and driver_lag cannot be combined: no closed form")
+            raise ParameterError(
+                "dry_friction and driver_lag cannot be combined: no closed form (driver_lag=False leaves out the lag)"
+            )
         if self._lag:
             yield Lag(body, self._lag)
         if rub is not None:

@@ -40,6 +40,7 @@ class ExactCoilPlant(ExactPlant):
         pose: Pose at release [m, rad], (6,).
         hand_force: Force of a hand on the flotor; see `SampledPlant`.
         reach: Range of motion to either side [m, rad], (6,).
+        lag: Time constant of the drivers [s]; 0 for none.
 
     Attributes:
         stop_wrench: Mean wrench of the stops over the last interval [N, N m], (6,).
@@ -59,11 +60,15 @@ class ExactCoilPlant(ExactPlant):
         pose: ArrayLike,
         hand_force: HandForce | None = None,
         reach: ArrayLike = RANGE,
+        lag: float = 0.0,
     ) -> None:
         self._reach = np.array(reach)
         self._coils, self._constants = coils, coils.force_constants.copy()
-        super().__init__(timing, mass=mass, inertia=inertia, gravity=0.0, pose=pose, hand_force=hand_force)
+        lags: Any = {"driver_lag": True, "driver_time_constant": lag} if lag else {}
+        super().__init__(timing, mass=mass, inertia=inertia, gravity=0.0, pose=pose, hand_force=hand_force, **lags)
         self.load, self.stop_wrench = np.append(mass * acceleration(gravity), np.zeros(3)), np.zeros(6)
+        if lag:  # the weight does not lag
+            self._actual = self.load.tolist()
         self._timeline.compares = False  # drives are currents: one equal entry does not make them equal
 
     def drive(

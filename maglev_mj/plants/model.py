@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.device import Device, coil_names, published_device
+from maglev_mj.device import Device, coil_names, lag_of, published_device
 from maglev_mj.errors import ModelError, ParameterError, check_instance, choice_message
 from maglev_mj.files import read_text
 from maglev_mj.frames import AXES, Array
@@ -99,6 +99,26 @@ def written(folder: Path) -> tuple[tuple[str, int], ...]:
     return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in folder.glob("*.xml")))
 
 
+def drivers_lag(model: Model | None, driver_lag: bool | None, constant: float) -> float:
+    """Return the time constant of the drivers that a plant simulates [s]; 0 for none.
+
+    Args:
+        model: Device of the plant.
+        driver_lag: True for a lag, False for none; None for that of a device file, see `lag_of`.
+        constant: Time constant of the model, or in its place [s].
+
+    Raises:
+        ModelError: If a lag has no time constant.
+    """
+    if driver_lag is None:
+        lags = isinstance(model, Device) and lag_of(model) > 0.0
+    else:
+        lags = flag("driver_lag", driver_lag)
+    if lags and not constant > 0.0:
+        raise ModelError("driver_lag needs a numeric 'driver_time_constant' above 0 in the model")
+    return constant if lags else 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class CompiledModel:
     """Compiled model with resolved names.
@@ -167,7 +187,6 @@ def load_model(
     model: Model = "drop",
     *,
     lean: bool = True,
-    driver_lag: bool = False,
     driver_time_constant: float | None = None,
     coils: bool = True,
     coil_map: CoilMap | None = None,
@@ -184,8 +203,7 @@ def load_model(
         model: Device with the bodies `flotor` and, on it, `handle`; the flotor's joints `x`, `y`, `z` (slides) and
             `rotation` (ball), in this order; coils as its first actuators, see `maglev_mj.device.coil_names`.
         lean: Remove sensors, and sites without an actuator, which the equations of motion do not use.
-        driver_lag: Add the first-order lag of its driver to every coil.
-        driver_time_constant: Time constant of the lag [s], instead of the model's.
+        driver_time_constant: Time constant of the drivers [s], instead of the model's; the plants simulate their lag.
         coils: False removes the coils, for an ideal wrench.
         coil_map: Coils instead of the model's.
         mass: Moving mass [kg], instead of the model's, in the same proportions; moments of inertia stay.
@@ -195,8 +213,7 @@ def load_model(
             is the paper's, shape and damping are assumed.
 
     Raises:
-        ModelError: If the file is missing, does not compile, or lacks the flotor, its joints, its coils, or a required
-            time constant.
+        ModelError: If the file is missing, does not compile, or lacks the flotor, its joints or its coils.
         ParameterError: If a number is not above 0, the moments of inertia are impossible for the flotor, or the hand
             has a batch shape or acts on a rotation.
 
@@ -208,7 +225,6 @@ def load_model(
     """
     options = _Options(
         lean=flag("lean", lean),
-        driver_lag=flag("driver_lag", driver_lag),
         coils=flag("coils", coils),
         flexible=flag("flexible", flexible),
         lag=None
@@ -340,7 +356,6 @@ class _Options(NamedTuple):
     """Options of `load_model` that affect the compiled model."""
 
     lean: bool
-    driver_lag: bool
     coils: bool
     flexible: bool
     lag: float | None
@@ -378,16 +393,10 @@ def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> CompiledModel
     numeric = spec.numeric("driver_time_constant")
     constant = math.nan if numeric is None else float(numeric.data[0])
     constant = constant if options.lag is None else options.lag
-    if options.driver_lag and not constant > 0.0:
-        raise invalid_model(name, "driver_lag needs a numeric 'driver_time_constant' above 0")
     try:
         if not options.coils:
             for actuator in list(spec.actuators):
                 spec.delete(actuator)
-        if options.driver_lag:
-            for actuator in spec.actuators:
-                actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
-                actuator.dynprm[0] = constant
         for key in list(spec.keys):  # keyframes lack the coordinates of a hand or flexible handle
             spec.delete(key)
         if options.lean:

@@ -21,7 +21,7 @@ from maglev_mj.plants import engine
 from maglev_mj.plants.base import PlantKeywords, SampledPlant, restore, states_of
 from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap, wrench_of
 from maglev_mj.plants.hand import Hand
-from maglev_mj.plants.model import Model, load_model
+from maglev_mj.plants.model import Model, drivers_lag, load_model
 from maglev_mj.plants.sensor import Measure
 
 _Snapshot: TypeAlias = tuple[Sequence[float], Sequence[float], engine.Drive]
@@ -50,11 +50,12 @@ class MuJoCoPlant(SampledPlant):
         gravity: Gravitational acceleration along -z, or in stator axes (3,) for a tilted base [m/s²], instead of the
             model's.
         coils: True applies each wrench by the coils, with the coil map at the flotor's angle at the sample (as
-            measured, if there is a sensor); False applies it to the flotor directly, as an ideal actuator.
+            measured, if there is a sensor); False applies it to the flotor directly.
         coil_map: Coils instead of the model's, such as calibrated ones.
         current_limit: Largest current in any coil [A]; None for no limit. Without coils, the wrench is limited as by
             coils at angle zero.
-        driver_lag: Enable the first-order lag of the current drivers.
+        driver_lag: First-order lag of the drivers, of the currents or of an ideal wrench; None for that of a device
+            file.
         driver_time_constant: Time constant of that lag [s], instead of the model's.
         hand: Hand on the flotor, along x, y or z.
         integrator: One of `INTEGRATORS`.
@@ -65,8 +66,8 @@ class MuJoCoPlant(SampledPlant):
             square of the distance from the magnets' centre (assumed).
         flexible: Handle that swings against the flotor along z; see `load_model`.
         keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, hand_force, longest_step,
-            metered. By default an integrator step lasts as long as the wrench is constant, at most a quarter of the
-            drivers' time constant with driver lag, and 0.5 ms with a hand.
+            metered. By default an integrator step lasts as long as the command is constant, and at most 0.5 ms with a
+            hand. Driver lag needs no shorter one: translation stays exact.
 
     Attributes:
         start: Pose and twist at release [m, rad; m/s, rad/s], (6,) each.
@@ -120,7 +121,7 @@ class MuJoCoPlant(SampledPlant):
         coils: bool = True,
         coil_map: CoilMap | None = None,
         current_limit: float | None = None,
-        driver_lag: bool = False,
+        driver_lag: bool | None = None,
         driver_time_constant: float | None = None,
         hand: Hand | None = None,
         integrator: str = "rk4",
@@ -144,13 +145,13 @@ class MuJoCoPlant(SampledPlant):
             inertia=inertia,
             coils=coils,
             coil_map=coil_map if coils else None,
-            driver_lag=driver_lag,
             driver_time_constant=driver_time_constant,
             hand=hand,
             flexible=flexible,
         )
-        if not coils and (driver_lag or force_falloff):
-            raise ParameterError("driver_lag and force_falloff need coils=True")
+        if not coils and force_falloff:
+            raise ParameterError("force_falloff needs coils=True")
+        self._lag = lag = drivers_lag(model, driver_lag, self.device.driver_time_constant)
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
         self._coils = self.device.coils
         limiting = self._coils
@@ -161,17 +162,18 @@ class MuJoCoPlant(SampledPlant):
         self._data.qpos[:], self._data.qvel[:] = engine.start_state(self.device, start, motion, hand)
         free = False
         if keywords.get("longest_step") is None:
-            free = not (driver_lag or hand is not None or force_falloff or flexible)
-            keywords["longest_step"] = engine.longest_step(
-                self.device, driver_lag, hand, stops, force_falloff, flexible
-            )
+            free = not (hand is not None or force_falloff or flexible)
+            keywords["longest_step"] = engine.longest_step(hand, stops, force_falloff, flexible)
         super().__init__(timing, batch=(), **keywords)
         # if only the stops need short steps, take them only near a stop
         self._reach = None
         if stops and free and self._recorder is None:
             self._reach = float(self.device.range[:3].min()), float(self.device.range[3])
-        if driver_lag:
-            self._data.act[:] = self._timeline.acting[1]
+        if lag:
+            factors = engine.LagFactors(lag, integrator)
+            self._steps = engine.LaggingSteps(self._steps, factors, self._timeline.acting[1])
+            if self._run != self._run_in_pieces:
+                self._run = self._carry
         self._limits |= current_limit is not None
         self._sensor = self._measure
         if self._measure is not None and self._coils is not None:
@@ -271,6 +273,8 @@ class MuJoCoPlant(SampledPlant):
         """
         if self._coils is None:
             raise PlantError("no currents: the plant was created with coils=False")
+        if isinstance(self._steps, engine.LaggingSteps):
+            return np.array(self._steps.commanded)
         return np.array(self._data.ctrl[: len(self._coils)])
 
     def saved(self) -> tuple[Any, ...]:
@@ -281,7 +285,9 @@ class MuJoCoPlant(SampledPlant):
         kind = mujoco.mjtState.mjSTATE_INTEGRATION
         state = np.empty(mujoco.mj_stateSize(self._model, kind))
         mujoco.mj_getState(self._model, self._data, state, kind)
-        parts = (self, self._timeline, self._steps, self._steps.stops, self._coil_drive, self._walls)
+        steps = self._steps
+        inner = steps.inner if isinstance(steps, engine.LaggingSteps) else None
+        parts = (self, self._timeline, steps, inner, steps.stops, self._coil_drive, self._walls)
         states = states_of(*(part for part in parts if part is not None))
         own = None if self._walls is None else _copy_of(self._walls.measure)
         return states, state, self._angle, _copy_of(self._sensor), self._walls, own
@@ -400,10 +406,14 @@ class MuJoCoPlant(SampledPlant):
     def _acting(self, drive: engine.Drive) -> engine.Drive:
         """Return a drive with the actual coil currents, and without its wrench if they produce a different one."""
         _, controls, inverse = drive
-        falloff = self._steps.falloff
-        if self._coils is None or (inverse is not None and not self._model.na and falloff is None):
+        steps, falloff = self._steps, self._steps.falloff
+        if isinstance(steps, engine.LaggingSteps):
+            controls = steps.actual
+            if self._coils is None:
+                return controls, controls, None
+        elif self._coils is None or (inverse is not None and falloff is None):
             return drive
-        currents = np.array(self._data.act if self._model.na else controls)
+        currents = np.array(controls)
         return (None,), (currents if falloff is None else currents * falloff.share()).tolist(), inverse
 
     def _wrench(self, acting: engine.Drive, position: Sequence[float]) -> Sequence[float]:
@@ -462,7 +472,7 @@ class MuJoCoBatchPlant(SampledPlant):
         gravity: Gravitational acceleration [m/s²], instead of the model's.
         coils: True applies each wrench by the coils.
         coil_map: Coils instead of the model's.
-        driver_lag: Enable the first-order lag of the current drivers.
+        driver_lag: First-order lag of the drivers; None for that of a device file.
         driver_time_constant: Time constant of that lag [s], instead of the model's.
         hand: Hand on each flotor, equal for all.
         integrator: One of `INTEGRATORS`.
@@ -486,7 +496,7 @@ class MuJoCoBatchPlant(SampledPlant):
         gravity: ArrayLike | None = None,
         coils: bool = True,
         coil_map: CoilMap | None = None,
-        driver_lag: bool = False,
+        driver_lag: bool | None = None,
         driver_time_constant: float | None = None,
         hand: Hand | None = None,
         integrator: str = "rk4",
@@ -498,8 +508,6 @@ class MuJoCoBatchPlant(SampledPlant):
         motion = numbers("twist", twist, shape=f"(6,) or {start.shape}")
         numbers("phase", timing.phase, shape=f"() or {start.shape[:1]}")
         count = int(number("threads", threads, at_least=0))
-        if driver_lag and not coils:
-            raise ParameterError("driver_lag needs coils=True")
         self.device = engine.prepared(
             model,
             gravity=gravity,
@@ -508,10 +516,10 @@ class MuJoCoBatchPlant(SampledPlant):
             inertia=inertia,
             coils=coils,
             coil_map=coil_map if coils else None,
-            driver_lag=driver_lag,
             driver_time_constant=driver_time_constant,
             hand=hand,
         )
+        self._lag = lag = drivers_lag(model, driver_lag, self.device.driver_time_constant)
         from mujoco.batch import Batch  # imported late, to load MuJoCo on demand
 
         self._engine = Batch(self.device.model, len(start), count)
@@ -530,11 +538,10 @@ class MuJoCoBatchPlant(SampledPlant):
         # inverse coil maps, one each while any flotor is rotated; None without coils
         self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
-            keywords["longest_step"] = engine.longest_step(self.device, driver_lag, hand)
+            keywords["longest_step"] = engine.longest_step(hand)
         self._corrects, self._excess = integrator == "corrected", np.zeros((len(start), 6))
         super().__init__(timing, batch=start.shape[:1], **keywords)
-        if driver_lag:
-            self._engine.bind("act")[:] = self._timeline.acting[1]
+        self._factors, self._actual = engine.LagFactors(lag, integrator) if lag else None, self._timeline.acting[1]
 
     inertia = MuJoCoPlant.inertia
 
@@ -546,7 +553,18 @@ class MuJoCoBatchPlant(SampledPlant):
 
     def _advance(self, duration: Component, drive: _BatchDrive, pieces: int = 1) -> None:
         engine.check_callbacks()
-        self._controls[:] = drive[1]
+        if self._factors is None:
+            return self._step(duration, drive[1], pieces)
+        step = duration / pieces
+        parts, left = self._factors.of(step)
+        for _ in range(pieces):
+            error = self._actual - drive[1]
+            for part in parts:
+                self._step(step / len(parts), drive[1] + np.reshape(part, (-1, 1)) * error)
+            self._actual = drive[1] + np.reshape(left, (-1, 1)) * error
+
+    def _step(self, duration: Component, controls: Array, pieces: int = 1) -> None:
+        self._controls[:] = controls
         self._timestep[:] = np.reshape(duration, (-1, *(1,) * (self._timestep.ndim - 1))) / pieces
         if not self._corrects:
             self._engine.step(nstep=pieces)
@@ -595,10 +613,10 @@ class MuJoCoBatchPlant(SampledPlant):
         return position
 
     def _snapshot(self, drive: _BatchDrive) -> _BatchSnapshot:
-        currents = None
-        if self.device.model.na:  # driver lag: actual currents, not the commanded ones
-            currents = self._engine.bind("act").copy()
-        return self._where(), self._qpos[:, 3:].copy(), self._qvel.copy(), drive[0], currents, self._inverse_map
+        wrench, currents = drive[0], None
+        if self._factors is not None:  # actual controls, not the commanded ones
+            wrench, currents = (self._actual, None) if self._inverse_map is None else (wrench, self._actual)
+        return self._where(), self._qpos[:, 3:].copy(), self._qvel.copy(), wrench, currents, self._inverse_map
 
     def _arrays(self, snapshots: Sequence[_BatchSnapshot]) -> tuple[Array, Array, Array]:
         pose, twist, wrench = (np.stack(part) for part in zip(*map(self._parts, snapshots)))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,6 +20,16 @@ from maglev_mj.frames import AXES, Array, Command, Component, Sample, distances,
 from maglev_mj.parameters import numbers
 from maglev_mj.pictures import save
 from maglev_mj.result import Result
+
+_KNOTS = 0.5, 1.0, 2.0, 3.5, 6.0
+"""Times after a switch at which a lagging force is recorded, in time constants."""
+
+
+def lagging_parts(duration: Component, lag: float) -> list[Component]:
+    """Return the parts of an interval by which a recorded curve shows the lag of the drivers [s]."""
+    shortest = duration if duration.__class__ is float else float(np.min(duration))
+    ends = [0.0, *(lag * knot for knot in _KNOTS if lag * knot < 0.95 * shortest)]
+    return [*(end - start for start, end in pairwise(ends)), duration - ends[-1]]
 
 
 class TraceRecorder:

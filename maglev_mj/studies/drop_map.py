@@ -242,6 +242,8 @@ def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters)
         escape=_FAR,
         wrench_limit=limit,
         sensor=stepped("z", p.quantize),
+        driver_lag=p.lag > 0.0,
+        driver_time_constant=p.lag or None,
     )
     controller = wall_controller(
         stiffness=stiffness,

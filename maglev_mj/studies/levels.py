@@ -38,7 +38,7 @@ from maglev_mj.plants import (
 )
 from maglev_mj.plants.engine import longest_step as step_needed
 from maglev_mj.plants.hand import Hand
-from maglev_mj.plants.model import body_of, load_model
+from maglev_mj.plants.model import body_of
 from maglev_mj.scenes.batch import stacked_scenes
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
@@ -47,7 +47,7 @@ from maglev_mj.theory.closed_loop import SampledLoop
 
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT
-_SHORTEN = ("driver_lag", "stops", "force_falloff", "flexible")  # options that need shorter steps
+_SHORTEN = ("stops", "force_falloff", "flexible")  # options that need shorter steps
 _SPOTS = SpotSensor(quantum=Spec.spot_resolution.value)
 _SHORT, _LONG = 2e-3, 0.1
 _MOST_PHASES = 1000
@@ -79,7 +79,7 @@ class Level(NamedTuple):
 
 
 LEVELS: tuple[Level, ...] = (
-    Level("axes", "six decoupled axes, in closed form"),
+    Level("axes", "six decoupled axes, in closed form", {"driver_lag": False}),
     Level("body", "rigid body with an ideal wrench", {"coils": False}),
     Level("coils", "six coils of fixed orientation, 10 A each", {"current_limit": Spec.peak_current.value}),
     Level("turning", "coils that turn with the flotor", {"coils": True}),
@@ -139,7 +139,7 @@ def options_of(level: str, device: Device) -> dict[str, Any]:
     if coils is not None:
         own |= {"current_limit": coils.current_limit, "force_falloff": options.get("force_falloff")}
     own |= {"coils": options.get("coils") if coils is not None else False}
-    own |= {"driver_lag": True} if device.driver.time_constant else {}
+    own |= {"driver_lag": options["driver_lag"] and device.driver.time_constant > 0.0}
     own |= {"stops": True} if device.range.stops else {}
     return {name: own[name] for name in options if name in own}
 
@@ -162,8 +162,7 @@ def exact_options(level: str, device: Device) -> dict[str, Any]:
         near["wrench_limit"] = [math.inf, math.inf, body_of(device.keywords).force_limit] + [math.inf] * 3
     if "sensor" in options:
         near["sensor"] = _sensor(device)
-    if "driver_lag" in options:
-        near["driver_lag"] = True
+    near["driver_lag"] = options["driver_lag"]
     return near
 
 
@@ -175,7 +174,7 @@ def step_of(scene: Scene, level: str) -> float:
     option = scene.plant_options().get("longest_step")
     limit = option("mujoco") if callable(option) else option
     needs = {name: value for name, value in options_of(level, scene.hardware).items() if name in _SHORTEN}
-    needed = step_needed(load_model(scene.hardware.keywords.get("model", "drop")), hand=_hand_of(scene), **needs)
+    needed = step_needed(hand=_hand_of(scene), **needs)
     return min(bound for bound in (needed, limit, scene.period) if bound is not None)
 
 
@@ -200,7 +199,7 @@ def loop_of(scene: Scene, level: str) -> SampledLoop:
         delay=scene.delay + _more_delay(LEVELS[level_index(level)], device),
         mass=float(scene.body.inertia[2]),
         hand=_hand_of(scene),
-        driver_lag=device.driver.time_constant if "driver_lag" in options_of(level, device) else 0.0,
+        driver_lag=device.driver.time_constant if options_of(level, device)["driver_lag"] else 0.0,
     )
 
 
@@ -329,11 +328,12 @@ class SteppedLoop(SampledLoop):
         late, new = self._steps(second, after)
         phi, old = late @ early, late @ held
         if self.integrator == "corrected":  # the position is corrected by half a step of the speed change
-            new = new - 0.5 * second * new[1] * _PLACE[: len(new)]
-            old = old - 0.5 * (first * held[1] + second * (old[1] - held[1])) * _PLACE[: len(old)]
+            half = 0.25 if self.driver_lag else 0.5  # a lagging step has two halves
+            new = new - half * second * new[1] * _PLACE[: len(new)]
+            old = old - half * (first * held[1] + second * (old[1] - held[1])) * _PLACE[: len(old)]
             before_it = np.eye(len(phi))[1]
             gained = first * (early[1] - before_it) + second * (phi[1] - early[1])
-            phi = phi - 0.5 * np.outer(_PLACE[: len(phi)], gained)
+            phi = phi - half * np.outer(_PLACE[: len(phi)], gained)
         return phi, old, new, np.asarray(whole), int(whole) + int(before > 0)
 
     def _steps(self, step: float, count: int) -> tuple[Array, Array]:
@@ -341,16 +341,15 @@ class SteppedLoop(SampledLoop):
 
         The force acts throughout the steps.
         """
-        lags = self.driver_lag > 0.0
-        return _steps(self.integrator, float(np.asarray(self.mass)), step, count, self.hand, lags)
+        return _steps(self.integrator, float(np.asarray(self.mass)), step, count, self.hand, self.driver_lag)
 
 
 _PLACE = np.eye(5)[0]
 
 
 @lru_cache(maxsize=256)
-def _steps(integrator: str, mass: float, step: float, count: int, hand: Hand | None, lags: bool) -> tuple[Array, Array]:
-    one, push = one_step(integrator, mass, step, hand, lags)
+def _steps(integrator: str, mass: float, step: float, count: int, hand: Hand | None, lag: float) -> tuple[Array, Array]:
+    one, push = one_step(integrator, mass, step, hand, lag)
     total, share = np.eye(len(push)), np.zeros(len(push))
     for _ in range(count):
         total, share = one @ total, one @ share + push

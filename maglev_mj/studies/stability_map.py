@@ -200,7 +200,7 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
             some = [walls[index] for index in undecided.tolist()]
             starts = [wall.start() for wall in some]
             pose, wrench = (np.array(parts) for parts in zip(*((start.pose, start.wrench) for start in starts)))
-            options = {**_engine(some, keywords), **keywords} if plant == "mujoco" else keywords
+            options = {**_engine(some), **keywords} if plant == "mujoco" else keywords
             device = some[0].plant(_BATCHES[plant], pose=pose, wrench=wrench, **options)
             sizes = _sizes(device, _controller(some), np.array([wall.rest for wall in some]), ticks)
             growth, decided = _judge(sizes, last=ticks == _PATIENCE[-1])
@@ -210,13 +210,12 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
     return Growth(stable, rate, spent)
 
 
-def _engine(walls: Sequence[RestingWall], keywords: Mapping[str, Any]) -> dict[str, Any]:
+def _engine(walls: Sequence[RestingWall]) -> dict[str, Any]:
     """Return the cheapest exact engine options for some walls.
 
     Threads are used for many walls.
     """
-    # the force of a hand, and that of lagging drivers, changes within a step
-    changes = keywords.get("driver_lag", False) or any(wall.impedance for wall in walls)
+    changes = any(wall.impedance for wall in walls)  # the force of a hand, within a step
     return {"integrator": "rk4" if changes else "corrected", "threads": int(len(walls) < _FEW)}
 
 

@@ -225,7 +225,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
         ),
         (MuJoCoPlant, {"timing": Timing(delay=[0.001, 0.002])}, "delay must be a number .got"),
         (MuJoCoPlant, {"longest_step": 0.0}, r"longest_step must be above 0.* \(got 0"),
-        (MuJoCoPlant, {"coils": False, "driver_lag": True}, "driver_lag and force_falloff need coils=True"),
+        (MuJoCoPlant, {"coils": False, "force_falloff": 0.1}, "force_falloff needs coils=True"),
         (MuJoCoPlant, {"force_falloff": 2.0}, r"force_falloff must be between 0 and 1.* \(got 2"),
         (MuJoCoPlant, {"model": "moon"}, r"model must be one of drop, .* \(got 'moon'\)"),
         (Sensor, {"quantum": np.ones((3, 6))}, "quantum must be"),
@@ -331,8 +331,11 @@ def test_recorded_force_under_driver_lag_is_the_actual_one(delay: float) -> None
     inside = trace.time < delay + T - 1e-12
     since = np.maximum(trace.time[inside] - delay, 0.0)
     np.testing.assert_allclose(trace.wrench[inside, 2], -10.0 * np.expm1(-since / LAG), rtol=1e-12, atol=1e-12)
-    # the curve between knots takes the force for constant: off by the step's square over the lag's
-    assert np.diff(trace.time).max() <= 0.25 * LAG * (1.0 + 1e-9)
+    # the curve between knots takes the force for constant
+    times = np.linspace(delay, T, 500)
+    t, most = times - delay, 10.0 / plant.inertia[2]
+    curve = most * (0.5 * t * t - LAG * t - LAG * LAG * np.expm1(-t / LAG))
+    np.testing.assert_allclose(trace.at(times)[0][:, 2], curve, rtol=0.0, atol=0.02 * most * LAG**2)
 
 
 @pytest.mark.parametrize("options", [{}, {"integrator": "corrected"}])

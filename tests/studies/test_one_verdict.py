@@ -93,7 +93,7 @@ def lagging(lag: float, folder: Path) -> str:
 FRONTS: dict[str, Callable[[Drop], Any]] = {
     "stability": lambda scene: max(one.spectral_radius for one in stability(scene).states if "contact" in one.acting),
     "diagnose": lambda scene: diagnose(scene).critical_stiffness,
-    "compare": lambda scene: compare(scene, ["pd"], phases=1).margins["pd"]["spectral_radius"],
+    "compare": lambda scene: compare(scene.replace(duration=0.1), ["pd"], phases=1).margins["pd"]["spectral_radius"],
     "wall": lambda scene: wall_margin(scene).spectral_radius,  # type: ignore[union-attr]
     "sweep": lambda scene: unstable([scene]),
     "page": lambda scene: (margin(scene).words, margin(scene).stiffnesses.tolist()),

@@ -22,6 +22,7 @@ from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, Effect, Injec
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.wire import WRAP, Codec, Fault, State, StateReport, fault_names
 from maglev_mj.control.timeline import Interval
+from maglev_mj.device import lag_of
 from maglev_mj.errors import check_instance, check_one_of
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.keywords import checked, explained, rate_of
@@ -418,7 +419,7 @@ def _plant(
     start: Any = {"pose": parameters.pose, "hand_force": hand_force}
     own: dict[str, Any] = {"mass": truth.mass, "inertia": truth.inertia, "gravity": truth.gravity}
     if parameters.plant == "exact":
-        return ExactCoilPlant(timing, coils=truth.coils, reach=truth.base.reach, **own, **start)
+        return ExactCoilPlant(timing, coils=truth.coils, reach=truth.base.reach, lag=lag_of(truth.base), **own, **start)
     if not truth.base.published:
         stops = truth.base.range.stops
         return MuJoCoPlant(timing, model=truth.device, stops=stops, stop_damping=stops, **start)
