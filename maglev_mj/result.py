@@ -238,9 +238,11 @@ class Result:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value for JSON; a number that is not finite becomes None."""
+    """Convert a value for JSON; a number that is not finite becomes None, a complex one its parts."""
     if value is None or isinstance(value, bool | int | str):
         return value
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
     if isinstance(value, float) and not hasattr(value, "as_json"):
         return float(value) if math.isfinite(value) else None
     if hasattr(value, "tolist"):

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import sys
+from collections.abc import Iterator
+from copy import copy
+from dataclasses import fields
 from functools import cache
 from html import escape
-from typing import Any
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from maglev_mj import Range, find_scene, linearise, measure_fidelity, run, run_phases, stability, sweep
 from maglev_mj.bridge.fault import _NAMES, FaultRecord
@@ -30,6 +36,7 @@ from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.diagnosis import diagnose
 from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import MARGIN
+from maglev_mj.studies.oscillation import Oscillation
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, run_stability
 from maglev_mj.terminal import WIDTH
 from maglev_mj.theory import WallRequirements, design_wall
@@ -121,7 +128,9 @@ def test_every_result_has_a_frame_with_units_a_picture_and_a_table(name: str) ->
 UNIT = re.compile(r"\d (m|N|Hz|µ|s\b|kN|%|deg)|spectral radius \d")
 
 
-def test_every_kind_of_result_has_a_headline() -> None:
+@cache
+def of_each_kind() -> dict[type[Result], Result]:
+    """Return one result of each class."""
     numbers: Any = {
         "delay": np.array([1e-3]),
         "answer": np.array([1e-4]),
@@ -133,7 +142,44 @@ def test_every_kind_of_result_has_a_headline() -> None:
     link = LinkReport(device_delay=1e-4, clock=1.0, lockstep=False, **numbers)
     laws = sweep_laws(Drop(duration=0.05), ["pd"], "stiffness", [2000.0, 4000.0], phases=2)
     own = DeviceFigures(Device.load("stage"))
-    found = {type(one): one for one in [*results().values(), link, device_report(), laws, own]}
+    return {type(one): one for one in [*results().values(), link, device_report(), laws, own]}
+
+
+def values_of(hint: Any) -> Iterator[Any]:
+    """Yield values of each alternative of a type, with NaN and complex numbers in them."""
+    parts = get_args(hint)
+    if hint in (None, type(None), int, str, bool, float, complex):
+        yield {int: 1, str: "a", bool: True, float: math.nan, complex: 1.0 + 2.0j}.get(hint)
+    elif isinstance(hint, UnionType) or get_origin(hint) is Union:
+        yield from (value for part in parts for value in values_of(part))
+    elif isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields"):
+        known = get_type_hints(hint)
+        yield hint(*(next(values_of(known[name]), None) for name in hint._fields))
+    elif get_origin(hint) is tuple:
+        yield tuple(next(values_of(part), None) for part in parts if part is not ...)
+    elif get_origin(hint) is np.ndarray:
+        yield np.array([math.nan, 1.0 + 2.0j])
+
+
+def test_every_result_in_every_state_becomes_json() -> None:
+    states, named = 0, {"Oscillation": Oscillation, "NDArray": NDArray}
+    for kind, found in of_each_kind().items():
+        json.dumps(found.as_json(), allow_nan=False)
+        if kind.as_json.__wrapped__ is not Result.as_json.__wrapped__:  # type: ignore[attr-defined]
+            continue  # of its own: not of any values
+        for item in fields(found):  # type: ignore[arg-type]
+            hints = get_type_hints(kind, localns=named)
+            for value in values_of(hints[item.name]) if item.repr else ():
+                changed = copy(found)
+                object.__setattr__(changed, item.name, value)
+                plain = Result.as_json.__wrapped__(changed)  # type: ignore[attr-defined]
+                json.dumps(plain, allow_nan=False)
+                states += 1
+    assert states > 60
+
+
+def test_every_kind_of_result_has_a_headline() -> None:
+    found = of_each_kind()
     kinds = [Result]
     for kind in kinds:
         kinds += kind.__subclasses__()
