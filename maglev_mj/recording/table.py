@@ -204,7 +204,8 @@ def import_table(
         arrays |= {name: np.full_like(arrays[name], np.nan) for name in ("hand", "arrival")}
         arrays |= {"tick": tick, "time": tick * period, **parts, "applied": parts.get("command", arrays["command"])}
         check_rows(arrays)
-        setup: dict[str, Any] = {"kind": MEASURED, "scene": None, "source": None, "parameters": {"resampled": off_grid}}
+        setup: dict[str, Any] = {"kind": MEASURED, "scene": None, "source": None}
+        setup |= {"parameters": {"resampled": off_grid, "delay_assumed": delay is None}}
         setup |= {"samples": len(tick), "controller": {}, "plant": {}, "versions": versions()}
         setup["run"] = replace(metadata, faces=[*faces]).as_json()
         note = f"import: {len(tick)} samples at {1.0 / period:.6g} Hz, {int(tick[-1]) + 1 - len(tick)} missing"

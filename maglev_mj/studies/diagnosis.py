@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from maglev_mj.control import LowPass
 from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
-from maglev_mj.frames import Array, Mask
+from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.keywords import checked, rate_of, with_period
 from maglev_mj.parameters import param, transport_delay
 from maglev_mj.plants.hand import HANDS, get_hand
@@ -51,6 +52,7 @@ _MODEST = 0.05
 """Relative gain in critical stiffness below which a change of a stable loop counts as without effect."""
 
 _SAMPLES = 4096
+_APART = 0.02  # largest distance of measured and judged frequency, relative
 MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
 
 
@@ -88,6 +90,12 @@ class DiagnosedLoop(DeviceParameters):
             raise ParameterError(f"mass and inertia must not both be given (got {self.mass:g}, {self.inertia:g})")
         transport_delay(self.delay, self.period)
         get_hand(self.hand)
+
+    def trial(self, **changes: Any) -> DiagnosedLoop:
+        """Return a copy with changes that the user did not state: their bounds are not checked."""
+        copy = object.__new__(type(self))
+        vars(copy).update(vars(self) | changes)
+        return copy
 
     @property
     def rotary(self) -> bool:
@@ -203,6 +211,7 @@ class Diagnosis(NoTruthValue, Result):
         hum: Largest steady error by the sensor's resolution while contact lasts [m, rad]; NaN if unknown.
         assumptions: What was assumed.
         measured: Oscillation of the recording; None without one.
+        remarks: What the recording shows, what was given, and what was fitted; empty without one.
     """
 
     loop: DiagnosedLoop
@@ -223,6 +232,7 @@ class Diagnosis(NoTruthValue, Result):
     hum: float
     assumptions: tuple[str, ...]
     measured: Oscillation | None = None
+    remarks: tuple[str, ...] = ()
     picture: ClassVar = "maglev_mj.studies.diagnosis_picture:diagnosis"
 
     @property
@@ -253,6 +263,7 @@ class Diagnosis(NoTruthValue, Result):
         text = f"spectral radius {self.spectral_radius:.4f}"
         if self.frequency:
             text += f", rings at {self.frequency:.3g} Hz"
+            text += f" (measured {self.measured.frequency:.3g} Hz)" if self.measured else ""
         word = "halves" if self.doubling_time < 0.0 else "doubles"
         if math.isfinite(self.doubling_time):
             span = abs(self.doubling_time)
@@ -317,6 +328,7 @@ class Diagnosis(NoTruthValue, Result):
             yield f"sensor resolution: rests within {1e6 * self.hum:.3g} µ{self.unit('m')} while contact lasts"
         if math.isfinite(self.passive_damping):
             yield f"passive only with {self.passive_damping:.4g} {self.unit('N s/m')} of damping of the device's own"
+        yield from self.remarks
         yield from (f"assumed: {text}" for text in self.assumptions)
         if self.loop.mode:
             yield rigid_note(self.loop.sampled)
@@ -327,8 +339,8 @@ class Diagnosis(NoTruthValue, Result):
 def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     """Return verdict, margins and ranked remedies of a wall's closed loop, in contact.
 
-    From a recording of a shaking device, the frequency and growth of its oscillation give mass and delay, if stiffness
-    and damping are known.
+    For a recording of a shaking device, the loop as stated must have its oscillation; of mass, delay and own damping,
+    what is not stated is fitted to its frequency and growth.
 
     Args:
         scene: Scene, or name of one, for its worst axis; or path of a recording or CSV file; None for the values.
@@ -354,24 +366,35 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
         values = scene_values(scene, values, DiagnosedLoop, assumptions)
     if wrong := [name for name in values if name not in accepted]:
         raise KeywordError(choice_message("argument of diagnose", ("scene", *accepted), wrong[0]))
-    if "device" in values and scene is None:
-        hardware = Device.load(values["device"])
-        own = {"period": hardware.period, "delay": hardware.delay, "mass": hardware.mass}
-        values = {name: own[name] for name in own if name != "mass" or not values.get("inertia")} | values
     measured: Oscillation | None = None
+    remarks, stated = tuple[str, ...](), values
     if recorded:
-        measured, values = _of_recording(Path(scene), values, assumptions)
+        measured, values = _of_recording(Path(scene), values)
+    if "device" in stated and (scene is None or recorded):
+        hardware = Device.load(stated["device"])
+        own = {"period": hardware.period, "delay": hardware.delay, "mass": hardware.mass}
+        rotary = "inertia" in values if recorded else bool(values.get("inertia"))
+        values = {name: own[name] for name in own if name != "mass" or not rotary} | values
+    if measured is not None and "period" not in values:
+        values = values | {"period": 1.0 / measured.rate}
+        assumptions.append(f"the rate of the loop is that of the log, {measured.rate:.4g} Hz")
     if values.get("device_stiffness"):  # alone, or beside that of the host
         values = {"stiffness": 0.0, "damping": 0.0} | values
+    given = {name for name, value in values.items() if value is not None}
+    if recorded and not {"mass", "inertia"} & given:
+        values = values | {"inertia" if "inertia" in values else "mass": 1.0}  # fitted below
     for names in (("stiffness",), ("damping",), ("period", "rate"), ("mass", "inertia")):
         if all(values.get(name) is None for name in names):
             raise ParameterError(f"{' or '.join(names)} must be given, or a scene")
-    stated: dict[str, Any] = {"delay": values["period"]}
-    loop = DiagnosedLoop(**stated | {name: value for name, value in values.items() if value is not None})
+    late: dict[str, Any] = {"delay": values["period"]}
+    loop = DiagnosedLoop(**late | {name: value for name, value in values.items() if value is not None})
     if not loop.gains[0]:
         raise ParameterError(f"stiffness must be above 0 (got {loop.stiffness:g})")
-    if values.get("delay") is None:
-        others = [loop.replace(delay=share * loop.period) for share in (0.0, 0.5, 1.0, 2.0)]
+    if measured is not None:
+        loop, measured, how = _explained(loop, measured, given, assumptions)
+        remarks = (_seen(Path(scene), measured), *how)
+    elif values.get("delay") is None:
+        others = [loop.trial(delay=share * loop.period) for share in (0.0, 0.5, 1.0, 2.0)]
         verdicts = ["stable" if is_stable(x.sampled.spectral_radius(*x.gains)) else "unstable" for x in others]
         assumptions.append(
             f"a delay of one period, {_milliseconds(loop.period)}; state the true one: with a delay of 0, 1/2, 1 and 2 "
@@ -379,56 +402,58 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
         )
     if loop.device_law is not None and len(rates_of(loop.period, loop.device_law).phases) > 1:
         assumptions.append("clocks of host and device are not commensurate: the worst of ten phases between them")
-    return _diagnosed(loop, tuple(assumptions), measured)
+    return _diagnosed(loop, tuple(assumptions), measured, remarks)
 
 
-def _of_recording(path: Path, values: dict[str, Any], assumptions: list[str]) -> tuple[Oscillation, dict[str, Any]]:
-    """Return the oscillation of a recording, and the values of the loop that explains it."""
-    from maglev_mj.recording import Recording  # slow
-    from maglev_mj.studies.oscillation import find_oscillation, matched, read_motion, recorded_motion
+def _of_recording(path: Path, values: dict[str, Any]) -> tuple[Oscillation, dict[str, Any]]:
+    """Return the oscillation of a recording, and the values that its file states, or those in their place."""
+    from maglev_mj.studies.oscillation import read_oscillation  # slow
 
-    usable, velocity, known = None, None, dict(values)
-    if path.suffix == ".maglev":
-        motion = recorded_motion(Recording.load(path))
-        (time, position, period, usable), velocity = motion[:4], motion.velocity
-        stated = {"stiffness": motion.stiffness, "damping": motion.damping, "delay": motion.delay}
-        stated["inertia" if motion.axis.startswith("r") else "mass"] = motion.mass
-        known = {name: value for name, value in stated.items() if value is not None} | known
-    else:
-        time, position, period = read_motion(path)
-    found = find_oscillation(time, position, period=period, usable=usable)
-    period = known.setdefault("period", period)
-    text = f"{path.name}: rings at {found.frequency:.4g} Hz, {'grows' if found.growth > 0.0 else 'decays'} by a factor "
-    assumptions.append(
-        f"{text}{math.exp(abs(found.growth) / found.frequency):.3g} in a cycle, over {found.samples} samples"
-    )
+    seen, known = read_oscillation(path)
+    if values.get("mass") is not None or values.get("inertia") is not None:
+        known = {name: value for name, value in known.items() if name not in ("mass", "inertia")}
+    if values.get("cutoff") is not None:
+        known.pop("law", None)
+    known |= {name: value for name, value in values.items() if value is not None}
     if known.get("stiffness") is None or known.get("damping") is None:
-        raise ParameterError(
-            f"stiffness and damping of the law must be given to explain the oscillation ({assumptions[0]})"
-        )
-    mass = "inertia" if known.get("inertia") is not None else "mass"
-    if known.get("cutoff") is not None:
-        velocity = LowPass(cutoff=known["cutoff"])
-    matches = matched(
-        found,
-        known["stiffness"],
-        known["damping"],
-        period,
-        mass=known.get(mass),
-        delay=known.get("delay"),
-        velocity=velocity,
+        if not known.get("device_stiffness"):
+            raise ParameterError(f"stiffness and damping of the law must be given to explain {_seen(path, seen)}")
+    return seen, known
+
+
+def _seen(path: Path, seen: Oscillation) -> str:
+    """Return what a recording shows, in words."""
+    factor = math.exp(abs(seen.growth) / seen.frequency)
+    word = "grows" if seen.growth > 0.0 else "decays"
+    return (
+        f"{path.name}: {seen.frequency:.4g} Hz, {word} by a factor {factor:.3g} in a cycle, over {seen.samples} samples"
     )
-    if not matches:
-        raise ParameterError(f"no mass and delay explain the oscillation with these gains ({assumptions[0]})")
-    assumptions += [match.text for match in matches]
-    best = matches[0]
-    return found, known | {mass: best.mass, "delay": best.delay, "own_damping": best.own_damping}
 
 
-def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Oscillation | None) -> Diagnosis:
+def _explained(loop: DiagnosedLoop, seen: Oscillation, given: set[str], assumptions: list[str]) -> tuple[Any, ...]:
+    """Return the loop that explains an oscillation, the oscillation, and how, in words."""
+    from maglev_mj.studies.recorded_loop import explain  # slow
+
+    names = {"inertia": "inertia" if loop.rotary else "mass", "delay": loop.name("delay"), "own_damping": "own_damping"}
+    stated = {name for name, word in names.items() if word in given}
+    axis = AXES[3] if loop.rotary else "z"
+    found = explain(seen, replace(loop.loop_in_question, axis=axis), stated, tuple(assumptions))
+    assumptions[:] = found.assumptions
+    fitted = {word: getattr(found.loop, name) for name, word in names.items() if name not in stated}
+    return loop.trial(**fitted), found.oscillation, found.remarks
+
+
+def _diagnosed(
+    loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Oscillation | None, remarks: tuple[str, ...]
+) -> Diagnosis:
     (k, b), sampled = loop.gains, loop.sampled
     own, frequency = sampled.pole(k, b)
     radius = own ** (loop.period / loop.value("period"))
+    if measured is not None and not abs(frequency / measured.frequency - 1.0) <= _APART:
+        raise ParameterError(
+            f"the loop must have the measured frequency, within {_APART:.0%} (got {frequency:.4g} Hz, measured "
+            f"{measured.frequency:.4g} Hz): correct or leave out what is uncertain"
+        )
     growth = math.log(radius) if radius > 0.0 else -math.inf
     stable, critical, best = bool(is_stable(radius)), loop.critical(), stiffest_of(sampled)
     remedies, ineffective = _remedies(loop, stable, critical, best)
@@ -454,6 +479,7 @@ def _diagnosed(loop: DiagnosedLoop, assumptions: tuple[str, ...], measured: Osci
         hum=_hum(loop) if stable and loop.quantum and single else math.nan,
         assumptions=assumptions,
         measured=measured,
+        remarks=remarks,
     )
 
 
@@ -514,9 +540,17 @@ def _rounded(value: float, *, up: bool = False) -> float:
 
 def _remedy(loop: DiagnosedLoop, words: str, cost: str, **change: float) -> Remedy:
     """Return a remedy, evaluated as printed."""
-    changed = loop.replace(**change)
+    changed = loop.trial(**change)
     critical = changed.critical()
     return Remedy(words, change, critical, critical / changed.gains[0], changed.step / (loop.step or math.nan), cost)
+
+
+def _allowed(loop: DiagnosedLoop, change: Mapping[str, float]) -> bool:
+    """Return False for a change to a value that would be refused."""
+    with suppress(ParameterError):
+        loop.replace(**change)
+        return True
+    return False
 
 
 def _remedies(
@@ -534,18 +568,20 @@ def _remedies(
         *(_firmware(loop, damper) if loop.on_host else ()),
         *_mechanics(loop, damper),
     ]
+    tried = [one for one in tried if _allowed(loop, one.change)]
     present = critical / k
     enough = present * (1.0 + _MODEST) if stable else 1.0
     better = [one for one in tried if one.ratio > enough]
     if most and not any(one.ratio >= loop.target for one in better):
         softer, at = _rounded(most / loop.target), _rounded(at)
         change = {loop.name("stiffness"): softer, loop.name("damping"): at}
-        better.append(_remedy(loop, f"stiffness {softer:g} {spring} at {at:g} {damper}", "feel", **change))
+        if _allowed(loop, change):
+            better.append(_remedy(loop, f"stiffness {softer:g} {spring} at {at:g} {damper}", "feel", **change))
     reached = loop.target * (1.0 - 1e-9)
     better.sort(key=lambda one: (one.ratio < reached, COSTS.index(one.cost) * (one.ratio >= reached), -one.ratio))
     useless = [f"{one.words}, ratio {short(one.ratio)}" for one in tried if one not in better]
     half = b + 0.5 * k * loop.value("period")
-    if (ratio := loop.replace(**{loop.name("damping"): half}).critical() / k) < enough:
+    if (ratio := loop.trial(**{loop.name("damping"): half}).critical() / k) < enough:
         useless.append(f"half-sample prediction, as {half - b:.3g} {damper} more: ratio {ratio:.2g}")
     return tuple(better), tuple(useless)
 
@@ -579,7 +615,7 @@ def _timings(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     for words, change in cases.items():
         if change.get(loop.name("delay"), delay) > MAX_DELAY_PERIODS * change.get(loop.name("period"), period):
             continue
-        damping = _rounded(_rough_damping(loop.replace(**change)))
+        damping = _rounded(_rough_damping(loop.trial(**change)))
         change = change | {loop.name("damping"): damping}
         yield _remedy(loop, f"{words}, damping {damping:g} {damper}", "timing", **change)
 
@@ -590,7 +626,7 @@ def _firmware(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     times["device_delay"] = _DEVICE_DELAY if loop.delay > _DEVICE_DELAY else loop.delay
     where = f"on the device ({1.0 / times['device_period']:.4g} Hz, {_milliseconds(times['device_delay'])})"
     moved = times | {"stiffness": 0.0, "damping": 0.0, "device_stiffness": loop.stiffness + loop.device_stiffness}
-    damping = _rounded(_rough_damping(loop.replace(**moved)))
+    damping = _rounded(_rough_damping(loop.trial(**moved)))
     moved |= {"device_damping": damping}
     yield _remedy(loop, f"whole wall {where}, damping {damping:g} {damper}", "firmware", **moved)
     wanted, around = loop.target * loop.stiffness, loop.sampled
@@ -681,7 +717,7 @@ def _hidden(loop: DiagnosedLoop) -> float:
     needed = _least(partial(_damped, loop, loop.gains[0]), 4.0 * loop.body / loop.value("period"))
     if not needed:
         return math.nan
-    _, frequency = loop.replace(own_damping=loop.own_damping + needed).sampled.pole(*loop.gains)
+    _, frequency = loop.trial(own_damping=loop.own_damping + needed).sampled.pole(*loop.gains)
     return 4.0 * loop.friction / (math.pi * 2.0 * math.pi * frequency * needed) if frequency else math.nan
 
 

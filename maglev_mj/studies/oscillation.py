@@ -1,27 +1,29 @@
-"""Oscillation of a wall from measured positions: its pole, and the inertia and delay that explain it."""
+"""Oscillation of a wall in a recording: its pole, and what the file states of its loop."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from maglev_mj.control import VelocityEstimator
+from maglev_mj.control import Controller, FiniteDifference, LowPass
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import AXES, Array, Mask
+from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers, read_file
-from maglev_mj.plants.hand import transition
+from maglev_mj.plants.hand import Hand
 from maglev_mj.recording import Recording
-from maglev_mj.recording.setup import rebuild_controller
-from maglev_mj.recording.table import read_table, uniform_ticks
-from maglev_mj.spec import MAX_DELAY_PERIODS
+from maglev_mj.recording.setup import MEASURED, rebuild_controller, rebuild_plant
+from maglev_mj.recording.table import UNITS, read_table, uniform_ticks
 from maglev_mj.theory import stated_gains
-from maglev_mj.theory.closed_loop import pd, rendered_stiffness
+from maglev_mj.theory.closed_loop import LinearisedLaw, pd
+from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
 _HALF_CYCLES, _LONGEST = 5, 100
 _ORDER, _COLUMNS = 3, 24
@@ -29,9 +31,8 @@ _BAND = 0.02  # least reversal, as a share of the travel
 _MISFIT = 0.03  # largest residual, as a share of the wave
 _STEADY = 0.02  # least change of the amplitude in the window
 _LOSS, _ERRORS = 0.01, 4.0  # least amplitude lost to friction in half a cycle: share of the mean, standard errors
-_AGREES = 0.05  # largest change of a stated value that is put down to noise
-_NEWTON_STEPS, _SHIFT = 20, 1e-6
-_LEAST_DAMPING = -1e-3  # own damping that is put down to noise, in mass over period
+_NAMED = 3  # gaps named in a message
+_LAGS, _WHITE = 8, 0.5  # largest correlation of noise at the first lags
 _NOISE = 3.0  # largest residual over the least of five half cycles, and growth over its standard error
 
 
@@ -39,7 +40,7 @@ class Oscillation(NamedTuple):
     """Oscillation with the pole z: duration of a cycle [s], frequency [Hz], growth of the amplitude [1/s], and more.
 
     The doubling time [s] is minus the halving time if it decays. The amplitude [m, rad] is the largest of the samples
-    used.
+    used, rate the sample rate [Hz], error the standard error of growth and angular frequency [1/s].
     """
 
     pole: complex
@@ -49,30 +50,8 @@ class Oscillation(NamedTuple):
     doubling_time: float
     samples: int
     amplitude: float
-
-
-class Match(NamedTuple):
-    """Mass [kg, kg m²], delay [s] and own damping [N s/m, N m s/rad] that explain a pole, and a sentence about them."""
-
-    mass: float
-    delay: float
-    own_damping: float
-    text: str
-
-
-class RecordedMotion(NamedTuple):
-    """Motion of one axis as recorded, (N,) each, and what the recording states; None for gains that it does not."""
-
-    time: Array
-    position: Array
-    period: float
-    usable: Mask
-    axis: str
-    mass: float
-    delay: float
-    stiffness: float | None
-    damping: float | None
-    velocity: VelocityEstimator | None
+    rate: float
+    error: float
 
 
 class _Fit(NamedTuple):
@@ -81,6 +60,7 @@ class _Fit(NamedTuple):
     residual: float
     misfit: float
     error: float
+    noisy: bool
 
 
 def find_oscillation(
@@ -109,7 +89,8 @@ def find_oscillation(
     runs = [(run, _reversals(run)) for run in np.split(x, ends)]
     if (most := max(len(turns) for _, turns in runs) - 1) < _HALF_CYCLES:
         where = "" if usable is None else " in one contact state without saturation"
-        remedy = "record a longer oscillation, or a larger one"
+        gaps = _gaps(times, step)
+        remedy = f"record without gaps: {gaps}" if gaps else "record a longer oscillation, or a larger one"
         raise ParameterError(f"position must have at least 5 half cycles{where} (got {max(most, 0)}): {remedy}")
     noise = min(_fit(*window).residual for run in runs for window in _windows(*run, _HALF_CYCLES))
     limit = max(_NOISE * noise, 1e-9 * float(np.ptp(x)))
@@ -120,10 +101,31 @@ def find_oscillation(
         if fit.residual <= limit or count == _HALF_CYCLES:
             break
         count = max(int(0.8 * count), _HALF_CYCLES)
+    if fit.misfit > _MISFIT and fit.noisy:
+        floor, got = f"{fit.residual:.2g} m or rad", f"{fit.amplitude:.2g} in the longest window"
+        raise ParameterError(f"position must be above the noise floor of {floor} (got {got}): record larger amplitudes")
     _check(fit, *window, step)
     growth, frequency = math.log(abs(fit.pole)) / step, float(np.angle(fit.pole)) / (2.0 * math.pi * step)
     doubling, samples = math.log(2.0) / growth, window[1][-1] - window[1][0] + 1
-    return Oscillation(fit.pole, 1.0 / frequency, frequency, growth, doubling, samples, fit.amplitude)
+    return Oscillation(
+        pole=fit.pole,
+        period=1.0 / frequency,
+        frequency=frequency,
+        growth=growth,
+        doubling_time=doubling,
+        samples=samples,
+        amplitude=fit.amplitude,
+        rate=1.0 / step,
+        error=fit.error / step,
+    )
+
+
+def _gaps(times: Array, step: float) -> str:
+    """Return where samples are missing and how many, in words; empty without gaps."""
+    missing = np.rint(np.diff(times) / step).astype(int) - 1
+    gaps = [f"{missing[index]} missing after {times[index]:.4g} s" for index in np.flatnonzero(missing > 0)]
+    more = f", {len(gaps) - _NAMED} more" if len(gaps) > _NAMED else ""
+    return ", ".join(gaps[:_NAMED]) + more
 
 
 def _reversals(x: Array) -> list[int]:
@@ -158,10 +160,19 @@ def _fit(run: Array, turns: list[int]) -> _Fit:
     parts = np.column_stack([np.ones(len(x)), turn.real, -turn.imag])
     mean, real, imaginary = np.linalg.lstsq(parts, x, rcond=None)[0]
     wave = complex(real, imaginary) * turn
-    residual = math.sqrt(float(np.sum((x - mean - wave.real) ** 2)) / max(len(x) - 5, 1))
+    rest = x - mean - wave.real
+    residual = math.sqrt(float(np.sum(rest**2)) / max(len(x) - 5, 1))
     slopes = np.column_stack([parts, index * wave.real, -index * wave.imag])  # by mean, amplitude and log of the pole
     error = residual * math.sqrt(max(float(np.linalg.pinv(slopes.T @ slopes)[3, 3]), 0.0))
-    return _Fit(pole, float(np.abs(wave).max()), residual, residual / max(float(np.std(wave.real)), 1e-300), error)
+    misfit = residual / max(float(np.std(wave.real)), 1e-300)
+    return _Fit(pole, float(np.abs(wave).max()), residual, misfit, error, _is_white(rest))
+
+
+def _is_white(rest: Array) -> bool:
+    """Return True for a residual without correlation from sample to sample: noise, not another motion."""
+    power = max(float(rest @ rest), 1e-300)
+    largest = max(abs(float(rest[lag:] @ rest[:-lag])) for lag in range(1, min(_LAGS, len(rest) - 1) + 1)) / power
+    return largest < max(_WHITE, 3.0 / math.sqrt(len(rest)))
 
 
 def _check(fit: _Fit, x: Array, turns: list[int], step: float) -> None:
@@ -186,104 +197,29 @@ def _check(fit: _Fit, x: Array, turns: list[int], step: float) -> None:
         reason = f"friction of about {push:.2g} N per kg of moving mass (N m per kg m²)"
         raise ParameterError(f"position must decay or grow exponentially (got {reason}): record larger amplitudes")
     if fit.misfit > _MISFIT:
-        reason = f"a residual of {fit.misfit:.0%}: contact is lost in bounces, or the force saturates"
+        reason = f"a residual of {fit.misfit:.0%}: contact is lost in bounces, the force saturates, or two modes move"
         raise ParameterError(f"position must oscillate with one pole (got {reason}); record motion inside the wall")
 
 
-def matched(
-    oscillation: Oscillation,
-    stiffness: float,
-    damping: float,
-    period: float,
-    *,
-    mass: float | None = None,
-    delay: float | None = None,
-    velocity: VelocityEstimator | None = None,
-) -> tuple[Match, ...]:
-    """Return what explains a pole: mass and delay without own damping, then, with a known mass, delay and own damping.
-
-    Args:
-        oscillation: The oscillation.
-        stiffness: Wall stiffness [N/m, N m/rad].
-        damping: Wall damping [N s/m, N m s/rad].
-        period: Sample period of the wall, and of the oscillation's samples [s].
-        mass: Stated mass or moment of inertia [kg, kg m²]; None if unknown.
-        delay: Stated delay from a sample to the effect of its command [s]; None if unknown.
-        velocity: Linear velocity estimator of the wall; None for the finite difference.
+def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any]]:
+    """Return the oscillation in a recording, or a table of time and position, and what the file states of its loop.
 
     Returns:
-        Matches, each pair the closest to the stated values first; empty if no mass above 0 explains the pole.
+        The oscillation, and values of `DiagnosedLoop` by name; an inertia of None for a rotary axis of unknown inertia.
 
     Raises:
-        ParameterError: If a value is outside its bounds.
+        ParameterError: If the file cannot be read, or contains no oscillation.
     """
-    step = number("period", period, **SAMPLE_PERIOD)
-    gains = numbers("stiffness", stiffness, above=0.0), numbers("damping", damping, at_least=0.0)
-    wall = complex(rendered_stiffness(pd(velocity)(*gains, np.asarray(step)), oscillation.pole))
-    limits: Any = {"at_least": 0.0, "at_most": MAX_DELAY_PERIODS * step, "unit": "s"}
-    stated_mass = math.nan if mass is None else number("mass", mass, above=0.0)
-    stated_delay = math.nan if delay is None else number("delay", delay, **limits)
-    pairs = _masses(oscillation.pole, wall, step)
-    ranked = sorted((*_compared(*pair, stated_mass, stated_delay, step), *pair) for pair in pairs)
-    matches = [Match(heavy, late, 0.0, text) for _, text, heavy, late in ranked]
-    for late, own in () if mass is None else _own_dampings(oscillation.pole, wall, step, stated_mass):
-        text = f"consistent with a delay of {late * 1e3:.3g} ms and own damping of {own:.3g} N s/m"
-        matches.append(Match(stated_mass, late, own, f"{text} (assumed: {stated_mass:.4g} kg)"))
-    return tuple(matches)
+    if Path(path).suffix == ".maglev":
+        return _of_recording(Recording.load(path))
+    time, position, period, rotary = read_motion(path)
+    return find_oscillation(time, position, period=period), {"inertia": None} if rotary else {}
 
 
-def _masses(z: complex, wall: complex, step: float) -> Iterator[tuple[float, float]]:
-    """Yield the masses and delays of a free mass: Im m = 0 is quadratic in the fraction of a period."""
-    for whole in range(MAX_DELAY_PERIODS):
-        scale = -(step**2) * wall / (2.0 * z ** (whole + 1) * (z - 1.0) ** 2)
-        parts = scale * np.array([(z - 1.0) ** 2, -2.0 * z * (z - 1.0), z * (z + 1.0)])
-        for root in np.roots(parts.imag):
-            fraction, least = max(float(root.real), 0.0), -1e-9 if whole else -0.02  # no delay, but for noise
-            mass = float(np.polyval(parts.real, fraction))
-            if abs(root.imag) < 1e-9 and least <= root.real < 1.0 - 1e-9 and mass > 0.0:
-                yield mass, (whole + fraction) * step
+def read_motion(path: str | Path) -> tuple[Array, Array, float, bool]:
+    """Read time [s] and position [m, rad], (N,) each, the sample period [s] and if it is an angle from a table.
 
-
-def _own_dampings(z: complex, wall: complex, step: float, mass: float) -> Iterator[tuple[float, float]]:
-    """Yield delays and own dampings of a known mass, by Newton's method from the middle of each period."""
-
-    def gap(late: NDArray[Any], own: NDArray[Any]) -> NDArray[np.complex128]:
-        """Return the characteristic function for delays in periods and own dampings in mass over period."""
-        flow, push = np.zeros((*own.shape, 2, 2)), np.array([[0.0], [1.0 / mass]])
-        flow[..., 0, 1], flow[..., 1, 1] = 1.0, -own / step
-        phi, both = transition(flow, push, step)
-        new = transition(flow, push, (1.0 - late % 1.0) * step)[1]
-        moved = np.linalg.solve(z * np.eye(2) - phi, (both - new) / z + new)[..., 0, 0]
-        return np.asarray(1.0 + wall * moved / z ** np.floor(late))
-
-    late, own = np.arange(MAX_DELAY_PERIODS) + 0.5, np.zeros(MAX_DELAY_PERIODS)
-    for _ in range(_NEWTON_STEPS):
-        value = gap(late, own)
-        by_late, by_own = (gap(late + _SHIFT, own) - value) / _SHIFT, (gap(late, own + _SHIFT) - value) / _SHIFT
-        steps = np.array([-by_own.conj() * value, by_late.conj() * value]).imag
-        with np.errstate(divide="ignore", invalid="ignore"):  # parallel slopes: no step
-            steps = np.nan_to_num(steps / (by_own.conj() * by_late).imag)
-        late, own = np.clip(late + steps[0], 0.0, MAX_DELAY_PERIODS), np.clip(own + steps[1], _LEAST_DAMPING, 10.0)
-    found = np.array([late, own])[:, (np.abs(gap(late, own)) < 1e-9) & (own > _LEAST_DAMPING)]
-    for index in np.unique(found.round(6), axis=1, return_index=True)[1]:
-        late, own = found[:, index].tolist()
-        yield late * step, own * mass / step
-
-
-def _compared(mass: float, late: float, stated_mass: float, stated_delay: float, step: float) -> tuple[float, str]:
-    """Return the largest relative change of a stated value, not NaN, and the sentence that names it."""
-    heavier, later = abs(mass / stated_mass - 1.0), abs(late - stated_delay) / max(stated_delay, 0.5 * step)
-    change = max((part for part in (heavier, later) if part == part), default=0.0)
-    text = f"consistent with {mass:.4g} kg and a delay of {late * 1e3:.3g} ms (assumed: no own damping)"
-    if change > _AGREES and change == later:
-        text = f"delay {late * 1e3:.3g} ms explains it, {stated_delay * 1e3:.3g} ms was given; {text}"
-    elif change > _AGREES:
-        text = f"mass {mass:.3g} kg explains it, {stated_mass:.3g} kg was given; {text}"
-    return change, text
-
-
-def read_motion(path: str | Path) -> tuple[Array, Array, float]:
-    """Read time [s] and position [m; mm if the head says so], (N,) each, and the sample period [s] from a table.
+    Units in the names of the columns, such as time_ms or x [mm], are read; without one, they are SI.
 
     Raises:
         ParameterError: If the file cannot be read, or the times are not uniform; see `read_table`, `uniform_ticks`.
@@ -291,40 +227,80 @@ def read_motion(path: str | Path) -> tuple[Array, Array, float]:
     return read_file("motion", path, _parsed)
 
 
-def _parsed(text: str) -> tuple[Array, Array, float]:
+def _parsed(text: str) -> tuple[Array, Array, float, bool]:
     table = read_table(text)
     if len(table.names) != 2 or len(table.rows) < 2:
         got = f"{len(table.names)} columns, {len(table.rows)} rows"
         raise ParameterError(f"table must be time and position, at least 2 rows (got {got}); others: maglev-mj import")
     time, position = (numbers("time and position", table.values(name)) for name in table.names)
-    if re.search("(?<![a-z])mm(?![a-z])", " ".join(table.names).lower()):
-        position = position * 1e-3
-    period, tick, _ = uniform_ticks(time - time[0], table.rows)
-    return tick * period, position, number("period", period, **SAMPLE_PERIOD)
+    factors = [_factor(name, *parts) for name, parts in zip(table.names, (("time",), ("length", "angle")))]
+    period, tick, _ = uniform_ticks((time - time[0]) * factors[0][0], table.rows)
+    rotary = factors[1][1] == "angle"
+    return tick * period, position * factors[1][0], number("period", period, **SAMPLE_PERIOD), rotary
 
 
-def recorded_motion(recording: Recording) -> RecordedMotion:
-    """Return the motion of the main axis in the longest segment, with the gains inside the wall if its laws state them.
+def _factor(name: str, *quantities: str) -> tuple[float, str]:
+    """Return the factor to SI of the unit in the name of a column, and its quantity; 1 and the first without one."""
+    for word in reversed(re.findall("[a-zµ]+", name.lower().replace("µ", "u"))[name[:1].isalpha() :]):
+        for quantity in quantities:
+            if word in UNITS[quantity]:
+                return UNITS[quantity][word], quantity
+    return 1.0, quantities[0]
+
+
+def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:
+    """Return the oscillation on the main axis in the longest segment, and its loop as far as it is stated.
 
     A sample is usable in a wall, if the axis has one, while neither a limit nor a pulse acts on it.
-
-    Raises:
-        ParameterError: If there are no samples.
     """
     if not recording.segments:
         raise ParameterError("recording must have samples (got no segment)")
     segment = max(recording.segments, key=len)
-    metadata = segment.metadata
+    metadata, setup = segment.metadata, segment.setup
     axis = AXES.index(metadata.axis)
     position = segment.position[:, axis]
     contacts = [normal * (position - edge) <= 0.0 for index, normal, edge in metadata.faces if index == axis]
     usable = np.logical_or.reduce(contacts) if contacts else np.ones(len(position), dtype=np.bool_)
     usable &= (segment.applied == segment.command)[:, axis] & (segment.applied_pulse[:, axis] == 0.0)
-    try:
-        controller = rebuild_controller(segment.setup)
-        gains, velocity = stated_gains(controller), controller.velocity
-    except MaglevError:  # user-defined laws are not executed
-        gains, velocity = None, None
-    stiffness, damping = (None, None) if gains is None else (float(part[axis]) for part in [*gains.values()][-1])
-    states = metadata.axis, float(metadata.inertia[axis]), metadata.delay, stiffness, damping, velocity
-    return RecordedMotion(segment.time, position, metadata.period, usable, *states)
+    seen = find_oscillation(segment.time, position, period=metadata.period, usable=usable)
+    stated: dict[str, Any] = {"inertia" if axis > 2 else "mass": float(metadata.inertia[axis])}
+    if setup["kind"] != MEASURED:  # a table of another program states neither rate nor law
+        stated |= {"period": metadata.period}
+    if not (setup["kind"] == MEASURED and setup["parameters"].get("delay_assumed")):
+        stated |= {"delay": metadata.delay}
+    with suppress(MaglevError):  # user-defined plants are not rebuilt, user-defined laws not executed
+        plant, controller = rebuild_plant(setup), rebuild_controller(setup)
+        if plant is not None:
+            stated |= _stated_hand(plant.given.get("hand"), axis, stated)
+            stated |= _stated_device(laws_on_device(controller, plant.timing.device).get(axis))
+        stated |= _stated_law(controller, axis, metadata.period)
+    return seen, stated
+
+
+def _stated_hand(hand: Hand | None, axis: int, stated: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a simulated hand, and the mass beside it: that of a recording includes a rigid one."""
+    if hand is None or axis not in hand.indices:
+        return {}
+    values = [float(value) for value in hand.values[: 5 if hand.soft else 3]]
+    name = "inertia" if axis > 2 else "mass"
+    return {"hand": ",".join(map(repr, values)), name: stated[name] - (0.0 if hand.soft else values[0])}
+
+
+def _stated_device(law: DeviceLaw | None) -> dict[str, Any]:
+    """Return a law on the device."""
+    return {} if law is None else {f"device_{item.name}": getattr(law, item.name) for item in fields(law)}
+
+
+def _stated_law(controller: Controller, axis: int, period: float) -> dict[str, Any]:
+    """Return the host's laws of an axis in contact; nothing if they state no gains."""
+    gains, velocity = stated_gains(controller), controller.velocity
+    if gains is None:
+        return {}
+    stiffness, damping = (float(part[axis]) for part in [*gains.values()][-1])
+    stated: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
+    if isinstance(velocity, LowPass):
+        stated["cutoff"] = velocity.cutoff
+    elif not isinstance(velocity, FiniteDifference) and stiffness > 0.0:
+        law = pd(velocity)(np.asarray(stiffness), np.asarray(damping), np.asarray(period))
+        stated["law"] = LinearisedLaw(law, stiffness, damping)
+    return stated
