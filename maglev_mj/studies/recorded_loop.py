@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,11 @@ _AGREES = 0.05  # largest change of a stated value that is put down to noise
 _CLOSE, _SURE = 0.003, 5.0  # distance of two poles: relative, in standard errors
 _SPREAD = 2.0  # standard errors in half an interval
 _LONGEST, _STARTS = 10, 4  # periods of delay searched, and starts in each
-_STEPS, _SHIFT, _STILL, _SAME = 25, 1e-6, 1e-3, 1e-4
+_STEPS, _SHIFT, _DAMPED, _STILL, _SAME = 25, 1e-6, 1e-5, 1e-3, 0.01
 _LIMITS = {"inertia": (1e-4, 1e4), "delay": (0.0, _LONGEST - _SHIFT), "own_damping": (0.0, 10.0)}  # in their scales
 _ALIASES = 4  # multiples of the log's rate
+
+Complex: TypeAlias = NDArray[np.complex128]
 
 
 class Explained(NamedTuple):
@@ -74,7 +76,7 @@ def explain(seen: Oscillation, loop: Loop, given: Collection[str], assumptions: 
     if loop.period * seen.rate < 0.98:
         assumptions += (f"a frequency below half the log's rate, {0.5 * seen.rate:.4g} Hz",)
     start = loop if "own_damping" in given else replace(loop, own_damping=0.0)
-    pairs = _PAIRS[:1] if "own_damping" in given else _PAIRS
+    pairs = _PAIRS[:1] if "own_damping" in given else [x for x in _PAIRS if {*_PAIRS[0]} <= {*x, *given}]
     tried: dict[tuple[str, str], list[_Candidate]] = {}
     for loose in (False, True):  # what is stated is exact, or else rounded
         for pair in pairs:
@@ -123,10 +125,11 @@ def _refusal(
             f"{words} must be consistent with the oscillation (got {_values(loop, wrong)}, but "
             f"{_values(best.loop, _PAIRS[0])} explains it; {measured}): correct or leave out what is uncertain{rest}"
         )
+    free = "" if "own_damping" in given else " without damping of the device's own"
     what = f"; given: {_values(loop, [name for name in _FIELDS if name in given])}" * bool(given)
     return (
-        f"no {_word('inertia', loop)} and delay up to {_LONGEST} periods explain the oscillation with these gains "
-        f"({measured}{what}{rest}): check the gains, the rate of the loop, and state hand, mode or filter"
+        f"no {_word('inertia', loop)} and delay up to {_LONGEST} periods{free} explain the oscillation with these "
+        f"gains ({measured}{what}{rest}): check the gains, the rate of the loop, and state hand, mode or filter"
     )
 
 
@@ -241,7 +244,7 @@ def _scales(loop: Loop) -> dict[str, float]:
     return {"inertia": loop.inertia, "delay": loop.period, "own_damping": loop.inertia / loop.period}
 
 
-def _gap(loop: Loop, z: complex, values: Mapping[str, Array]) -> NDArray[np.complex128]:
+def _gap(loop: Loop, z: complex, values: Mapping[str, Array]) -> Complex:
     """Return the force of an impulse over the position that it leaves at z, (N,): 0 at a pole, smooth in all values."""
     around = loop.array(**{_FIELDS[name]: value for name, value in values.items()})
     matrix = around.matrix(loop.stiffness, loop.damping)
@@ -252,9 +255,7 @@ def _gap(loop: Loop, z: complex, values: Mapping[str, Array]) -> NDArray[np.comp
         return np.asarray(values["inertia"] / loop.inertia * np.linalg.det(rest) / np.linalg.det(minor))
 
 
-def _slopes(
-    loop: Loop, pair: tuple[str, str], z: complex, values: dict[str, Array]
-) -> tuple[NDArray[np.complex128], list[NDArray[np.complex128]]]:
+def _slopes(loop: Loop, pair: tuple[str, str], z: complex, values: dict[str, Array]) -> tuple[Complex, list[Complex]]:
     """Return the gap, and its slopes by the two values in their scales."""
     scales, gap = _scales(loop), _gap(loop, z, values)
     shifted = [{**values, name: values[name] + _SHIFT * scales[name]} for name in pair]
@@ -262,31 +263,39 @@ def _slopes(
 
 
 def _roots(loop: Loop, pair: tuple[str, str], z: complex, starts: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Return the values at which z is a pole, by Newton's method, each once."""
+    """Return the values at which z is a pole, or all but one, each once: least squares, damped along valleys."""
     if not starts:
         return []
     scales = _scales(loop)
     values = {name: np.array([start[name] for start in starts]) for name in _FIELDS}
     for _ in range(_STEPS):
-        gap, (first, second) = _slopes(loop, pair, z, values)
-        with np.errstate(all="ignore"):  # parallel slopes: no step
-            steps = np.array([-second.conj() * gap, first.conj() * gap]).imag / (second.conj() * first).imag
-        for name, step in zip(pair, np.nan_to_num(steps, posinf=0.0, neginf=0.0)):
-            here = values[name] / scales[name]
-            most = np.maximum(0.5 * here, 0.1) if name != "delay" else 1.0
-            values[name] = np.clip(here + np.clip(step, -most, most), *_LIMITS[name]) * scales[name]
-    with np.errstate(all="ignore"):
-        still = np.abs(steps).max(axis=0) < _STILL
+        gap, slopes = _slopes(loop, pair, z, values)
+        here = np.array([values[name] / scales[name] for name in pair])
+        low, high = np.transpose([_LIMITS[name] for name in pair])[..., None]
+        most = np.array(
+            [np.full(len(gap), 1.0) if name == "delay" else np.maximum(0.5 * x, 0.1) for name, x in zip(pair, here)]
+        )
+        steps = _least_squares(gap, *slopes)
+        pinned = (here <= low) & (steps < 0.0)  # then the other one alone
+        alone = np.array([-(slope.conj() * gap).real / np.abs(slope) ** 2 for slope in slopes])
+        steps = np.clip(np.nan_to_num(np.where(pinned[::-1], alone, steps)), -most, most)
+        new = np.clip(here + steps, low, high)
+        values |= {name: x * scales[name] for name, x in zip(pair, new)}
+    still = np.abs(new - here).max(axis=0) < _STILL
     rows = np.array([values[name] / scales[name] for name in _FIELDS]).T
-    kept = [row for row in np.flatnonzero(still | _at_end(rows, pair)) if np.isfinite(rows[row]).all()]
+    kept = [row for row in np.argsort(np.abs(gap)) if still[row] and np.isfinite(rows[row]).all()]
     kept = [row for at, row in enumerate(kept) if all(np.abs(rows[row] - rows[x]).max() > _SAME for x in kept[:at])]
     return [{name: float(values[name][row]) for name in _FIELDS} for row in kept]
 
 
-def _at_end(rows: Array, pair: tuple[str, str]) -> NDArray[np.bool_]:
-    """Return which rows are at 0 in delay or own damping, where noise may put a root."""
-    zero = [rows[:, index] == 0.0 for index, name in enumerate(_FIELDS) if name in pair and name != "inertia"]
-    return np.logical_or.reduce(zero)
+def _least_squares(gap: Complex, first: Complex, second: Complex) -> Array:
+    """Return the steps of two values that bring the gap to 0, (2, N), damped where their slopes are parallel."""
+    both = (first.conj() * second).real
+    squares = [np.abs(slope) ** 2 * (1.0 + _DAMPED) for slope in (first, second)]
+    sides = [-(slope.conj() * gap).real for slope in (first, second)]
+    with np.errstate(all="ignore"):
+        size = squares[0] * squares[1] - both**2
+        return np.array([squares[1] * sides[0] - both * sides[1], squares[0] * sides[1] - both * sides[0]]) / size
 
 
 def _errors(loop: Loop, pair: tuple[str, str], z: complex, error: float) -> dict[str, float]:
