@@ -309,7 +309,6 @@ class _Responses:
 
     def __init__(self, controllers: Sequence[Controller], still: Array, moved: Array) -> None:
         self._controllers, self._still, self._moved = controllers, still, moved
-        self._budget = _CALLS * len({*map(id, controllers)})
         self._calls = 0
 
     def rows(self) -> Array:
@@ -375,12 +374,22 @@ class _Responses:
 
     def _step(self, controller: Controller, tick: int, position: Sequence[Any]) -> Sequence[Any]:
         self._calls += 1
-        if self._calls > self._budget:
-            laws = [law for law in controller.laws if law.gains() is None] or controller.laws
-            names = " and ".join(dict.fromkeys(getattr(law, "name", named(type(law))) for law in laws))
-            needed = f"more than {self._budget} calls: accept arrays, or declare gains()"
-            raise TooManyCallsError(f"stability not computed: law {names} needs {needed}")
+        too_many_calls(self._calls, self._controllers)
         return controller.step(Sample(tick, 0.0, position)).force
+
+
+def too_many_calls(calls: int, controllers: Sequence[Controller]) -> None:
+    """Raise if controllers were called too often.
+
+    Raises:
+        TooManyCallsError: If they were called more than 50 000 times each.
+    """
+    budget = _CALLS * len({*map(id, controllers)})
+    if calls > budget:
+        laws = [law for law in controllers[0].laws if law.gains() is None] or controllers[0].laws
+        names = " and ".join(dict.fromkeys(getattr(law, "name", named(type(law))) for law in laws))
+        needed = f"more than {budget} calls: accept arrays, or declare gains()"
+        raise TooManyCallsError(f"stability not computed: law {names} needs {needed}")
 
 
 def _support(rows: Array) -> int:

@@ -1,0 +1,289 @@
+"""Laws that no linearisation describes are found by probes, and others are not doubted."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import AxisLaw, Controller, gain, hold
+from maglev_mj.control import Law
+from maglev_mj.errors import TooManyCallsError
+from maglev_mj.frames import AXES
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.find import find_scene
+from maglev_mj.studies.compare import _chosen, _with_law
+from maglev_mj.theory.doubts import Doubt, doubts
+
+
+class Own(AxisLaw):
+    """Wall."""
+
+    stiffness: float = gain("stiffness", "N/m")
+    damping: float = gain("damping", "N s/m")
+
+    def pd(self, x: Any, v: Any, gains: Any) -> Any:
+        return -(gains.stiffness * x + gains.damping * v) * (x < 0.0)
+
+
+class Plain(Own):
+    """PD."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return self.pd(x, v, gains)
+
+
+class OneWay(Own):
+    """Damper on the way in."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -(gains.stiffness * x + gains.damping * v * (v < 0.0)) * (x < 0.0)
+
+
+class Constant(Own):
+    """12 N inside."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return 12.0 * (x < 0.0) - 40.0 * v * (x < 0.0)
+
+
+class Play(Own):
+    """Spring behind a play of 20 µm."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        y = x if state is None else np.clip(state, x - 1e-5, x + 1e-5)
+        return -(gains.stiffness * y + gains.damping * v) * (x < 0.0), y
+
+
+class EverySecond(Own):
+    """Force at every second sample."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        count = 0.0 * x if state is None else state
+        return 2.0 * self.pd(x, v, gains) * (count % 2 < 0.5), count + 1.0
+
+
+class Fast(Own):
+    """No damping above 5 mm/s."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -(gains.stiffness * x + gains.damping * v * (abs(v) < 5e-3)) * (x < 0.0)
+
+
+class Dahl(Own):
+    """Friction of a bristle, of 1 N and 1e6 N/m."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        before, bristle = (x, 0.0 * x) if state is None else state
+        bristle = np.clip(bristle + x - before, -1e-6, 1e-6)
+        return self.pd(x, v, gains) - 1e6 * bristle * (x < 0.0), (x, bristle)
+
+
+class Ratchet(Own):
+    """Force of the deepest position so far."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        deepest = x if state is None else np.minimum(state, x)
+        return -(gains.stiffness * deepest + gains.damping * v) * (x < 0.0), np.where(x < 0.0, deepest, 0.0)
+
+
+class Rounded(Own):
+    """Position in steps of 5 µm."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -(gains.stiffness * np.floor(x / 5e-6) * 5e-6 + gains.damping * v) * (x < 0.0)
+
+
+class Timer(Own):
+    """Twice the stiffness after 100 samples inside."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        inside = ((0.0 * x if state is None else state) + 1.0) * (x < 0.0)
+        return self.pd(x, v, gains) * np.where(inside > 100.0, 2.0, 1.0), inside
+
+
+class Drag(Own):
+    """Damping that grows with the speed."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -(gains.stiffness * x + gains.damping * v * (1.0 + abs(v) / 3e-3)) * (x < 0.0)
+
+
+class Random(Own):
+    """Noise of 1 %."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return self.pd(x, v, gains) * (1.0 + 0.01 * np.random.default_rng().normal())
+
+
+class HuntCrossley(Own):
+    """Force and damping grow with the depth."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return (gains.stiffness * 30.0 * abs(x) ** 1.5 - gains.damping * 300.0 * abs(x) * v) * (x < 0.0)
+
+
+class Layers(Own):
+    """Five times as stiff below 1 mm."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return self.pd(x, v, gains) - 4.0 * gains.stiffness * (x + 1e-3) * (x < -1e-3)
+
+
+class Preloaded(Own):
+    """Jump of 3 N at the edge, less than the weight."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return self.pd(x, v, gains) + 3.0 * (x < 0.0)
+
+
+class Lead(Own):
+    """Difference of the position's low-pass, as a lead."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        slow = x if state is None else state
+        slow = slow + 0.2 * (x - slow)
+        return -(gains.stiffness * (x + 0.5 * (x - slow)) + gains.damping * v) * (x < 0.0), slow
+
+
+class Ceiling(Own):
+    """Wall above 2 mm."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -(gains.stiffness * (x - 2e-3) + gains.damping * v) * (x > 2e-3)
+
+
+class Damper(Own):
+    """Damper everywhere."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -gains.damping * v
+
+
+class Sticky(Own):
+    """Wall that never pulls."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return np.maximum(self.pd(x, v, gains), 0.0)
+
+
+class Integral(Own):
+    """Spring, damper and integral."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        total = ((0.0 * x if state is None else state) + 1e-3 * x) * (x < 0.0)
+        return self.pd(x, v, gains) - 0.5 * gains.stiffness * total, total
+
+
+class Floats(Own):
+    """Wall for one device alone."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -(gains.stiffness * x + gains.damping * v) if x < 0.0 else 0.0
+
+
+DOUBTED: dict[Any, str] = {
+    OneWay: "direction of the smallest motion",
+    Constant: "the weight is carried by a jump of force, 12 N at 0 mm",
+    Play: "hysteresis",
+    EverySecond: "number of samples at rest",
+    Fast: "damping changes above (4.9[0-9]|5) mm/s",
+    Dahl: "hysteresis|direction|changes above",
+    Ratchet: "hysteresis|direction",
+    Rounded: "jump of force|slope of the force changes",
+    Timer: "number of samples at rest",
+    Drag: "damping changes above",
+    Random: "does not repeat",
+}
+NOT_DOUBTED = [Plain, HuntCrossley, Layers, Preloaded, Lead, Ceiling, Damper, Sticky, Integral, Floats]
+
+
+def scene(law: Any, stiffness: float, on: str = "z", **values: Any) -> Drop:
+    class Scene(Drop):
+        """Drop."""
+
+        def laws(self) -> list[Any]:
+            own = law(axes=on, stiffness=self.stiffness, damping=self.damping)
+            return [own, hold(self, [axis for axis in AXES if axis != on])]
+
+    return Scene(**{"period": 1e-3, "delay": 8e-4, "damping": 80.0, "stiffness": stiffness} | values)
+
+
+def found(one: Drop) -> dict[int, Doubt]:
+    body = one.body.bounded
+    return doubts([one.controller()], pose=one.start().pose, reach=body.range, load=body.load)[0]
+
+
+@pytest.mark.parametrize("law", DOUBTED)
+@pytest.mark.parametrize(("stiffness", "on"), [(2e4, "z"), (4e4, "z"), (2e4, "x")])
+def test_a_law_that_is_not_linear_is_doubted(law: Any, stiffness: float, on: str) -> None:
+    ((axis, doubt),) = found(scene(law, stiffness, on)).items()
+    assert AXES[axis] == on
+    words = DOUBTED[law].replace("the weight", "a load") if on == "x" else DOUBTED[law]
+    assert re.search(words, doubt.reason)
+
+
+@pytest.mark.parametrize("law", NOT_DOUBTED)
+@pytest.mark.parametrize("stiffness", [2e3, 2e4, 2e5])
+def test_a_law_that_is_linear_for_small_motion_is_not_doubted(law: Any, stiffness: float) -> None:
+    (doubt,) = found(scene(law, stiffness)).values()
+    assert not doubt.reason, doubt
+
+
+BUILT_IN = ["pd", "pulse", "half-sample", "virtual-coupling", "filtered"]
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize(("stiffness", "period", "delay"), [(8e3, 5e-3, 1.5e-3), (5e4, 2.5e-4, 2e-4)])
+def test_laws_of_the_table_are_not_doubted(name: str, stiffness: float, period: float, delay: float) -> None:
+    chosen, rows = _chosen(find_scene("drop")(stiffness=stiffness, period=period, delay=delay), [name])
+    controller = _with_law(chosen, name, rows[name], "exact").controller()
+    undeclared = [Undeclared(law) for law in controller.laws]
+    body = chosen.body.bounded
+    around: Any = {"pose": chosen.start().pose, "reach": body.range, "load": body.load, "axes": [2]}
+    for laws in (controller.laws, undeclared):
+        own = Controller(laws, period=period, velocity=controller.velocity)
+        assert all(not doubt.reason for doubt in doubts([own], **around)[0].values())
+
+
+class Undeclared(Law):
+    """Law without its declared gains."""
+
+    def __init__(self, law: Law) -> None:
+        self.law = law
+        self.pulse_width = law.pulse_width
+
+    def start(self) -> Any:
+        return self.law.start()
+
+    def __call__(self, *args: Any) -> Any:
+        return self.law(*args)
+
+
+@pytest.mark.parametrize("name", ["passivity", "passivity-2002"])
+def test_passivity_controllers_are_doubted(name: str) -> None:
+    chosen, rows = _chosen(find_scene("drop")(), [name])
+    controller = _with_law(chosen, name, rows[name], "exact").controller()
+    own = Controller([Undeclared(law) for law in controller.laws], period=chosen.period)
+    body = chosen.body.bounded
+    (doubt,) = doubts([own], pose=chosen.start().pose, reach=body.range, load=body.load, axes=[2])[0].values()
+    assert doubt.reason
+
+
+@pytest.mark.parametrize("law", [Fast, Floats])
+def test_several_controllers_are_probed_together(law: Any) -> None:
+    scenes = [scene(law, stiffness) for stiffness in (1e4, 2e4, 4e4)]
+    body = scenes[0].body.bounded
+    around: Any = {"pose": scenes[0].start().pose, "reach": body.range, "load": body.load}
+    together = doubts([one.controller() for one in scenes], **around)
+    for one, single in zip(together, map(found, scenes), strict=True):
+        assert [doubt.reason for doubt in one.values()] == [doubt.reason for doubt in single.values()]
+        assert [float(x.valid_to) for x in one.values()] == pytest.approx([float(x.valid_to) for x in single.values()])
+
+
+def test_calls_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._CALLS", 500)
+    with pytest.raises(TooManyCallsError, match="law Floats of test_doubts.py needs more than 500 calls"):
+        found(scene(Floats, 2e4))
