@@ -392,7 +392,7 @@ def judge_change(
 def _critical_delay(scene: Scene, inertia: Array) -> Bound:
     """Return the shortest critical delay, free and in each hand; NaN if a loop cannot be judged."""
     around: Any = {"inertia": inertia, "reach": scene.body.bounded.range, "device": scene.timing().device}
-    around |= {"driver_lag": scene_lag(scene), "delay": 0.0, "pose": scene.start().pose}
+    around |= {"driver_lag": scene_lag(scene), "delay": 0.0, "pose": scene.start().pose, "load": scene.body.load}
     loops = Loop.of(device_controller(scene), **around)  # linearised once
     bounds = [judge(loops, hand=hand).critical_delay for hand in HANDS]
     return min(bounds, key=lambda delay: -math.inf if math.isnan(delay) else float(delay))

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control import AdaptiveWindow
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.stack import stacked_controller
 from maglev_mj.errors import MaglevError, TooManyCallsError
@@ -75,7 +76,7 @@ def doubts(
     laws with declared gains act are not probed.
 
     Args:
-        controllers: Controllers of equal period, with laws for one device each; none is changed.
+        controllers: Controllers of equal period and velocity estimator, with laws for one device each; none is changed.
         pose: Pose of the other axes [m, rad], (6,).
         reach: Range of motion [m, rad], (6,).
         load: Constant external force, such as the weight [N, N m], (6,).
@@ -94,6 +95,9 @@ def doubts(
         'the weight is carried by a jump of force, 12 N at 0 mm'
     """
     far, chosen = np.asarray(reach, dtype=np.float64), list(axes)
+    if isinstance(estimator := controllers[0].velocity, AdaptiveWindow):
+        reason = f"the velocity estimator {type(estimator).__name__} is not linear"
+        return [dict.fromkeys(chosen, Doubt(Bound(0.0), reason, True)) for _ in controllers]
     loads = np.zeros(len(AXES)) if load is None else np.asarray(load, dtype=np.float64)
     base, count = np.asarray(pose, dtype=np.float64), len(controllers)
     pairs = [(index, axis) for index in range(count) for axis in chosen]

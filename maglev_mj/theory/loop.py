@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory.closed_loop import SampledLoop, critical_delay, pd
 from maglev_mj.theory.linearise import Linearised, StateSpace
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
+
+if TYPE_CHECKING:
+    from maglev_mj.theory.doubts import Doubt
 
 _AFFINE = 1e-6
 """Largest error of an affine law, relative to its largest response."""
@@ -242,6 +245,9 @@ class Loops(Sequence[Loop]):
         away: Skipped poses at unstable equilibria, (A, 6).
         grown: Function of one of the loops and a ratio of the scene's declared gain `stiffness` that returns the loop
             with that gain; it raises `ParameterError` out of its bounds. None without such a gain.
+        doubts: What probes of laws without declared gains found, by index of the axis.
+        reach: Range of motion [m, rad], (6,); None for declared gains.
+        partial: Names of laws that declare gains of their linear part.
     """
 
     items: tuple[Loop, ...]
@@ -251,6 +257,9 @@ class Loops(Sequence[Loop]):
     unknown: Array = field(default_factory=lambda: np.zeros((0, 6)))
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
     grown: Callable[[Loop, float], Loop] | None = field(default=None, repr=False)
+    doubts: Mapping[int, Doubt] = field(default_factory=dict)
+    reach: Array | None = None
+    partial: tuple[str, ...] = ()
 
     @overload
     def __getitem__(self, index: int) -> Loop: ...

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control import Law, PassivityController
 from maglev_mj.control.controller import Controller
 from maglev_mj.device import Device, devices, lag_of
 from maglev_mj.errors import KeywordError, ParameterError, TooManyCallsError, choice_message
@@ -21,6 +22,7 @@ from maglev_mj.lazy import loaded
 from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
+from maglev_mj.theory.doubts import doubts
 from maglev_mj.theory.linearise import Linearised, linearise, realise
 from maglev_mj.theory.loop import FREE, AtPose, Loop, Loops, memory_of
 from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, poses_of
@@ -124,7 +126,7 @@ def of_scene(
     }
     own["device"] = scene.timing().device if controller.on_device else (DEVICE_PERIOD, DEVICE_DELAY)
     own |= {"driver_lag": scene_lag(scene) if driver_lag is None else driver_lag, "hand": get_hand(hand)}
-    found = of_controller(controller, pose=scene.start().pose, reach=body.range, **own)
+    found = of_controller(controller, pose=scene.start().pose, reach=body.range, load=body.load, **own)
     return replace(found, grown=grown_of(scene, own))
 
 
@@ -167,6 +169,7 @@ def of_controller(
     device: ArrayLike = (DEVICE_PERIOD, DEVICE_DELAY),
     driver_lag: float = 0.0,
     hand: Hand | str | None = None,
+    load: ArrayLike = ZERO,
 ) -> Loops:
     """Return the loops of a controller on all axes; see `judge`."""
     start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
@@ -179,12 +182,24 @@ def of_controller(
     elif gains is None:
         far = numbers("reach", reach, shape="(6,)", above=0.0)
         try:
-            found = _linearised(controller, start, body, far, around)
+            found = _linearised(controller, start, body, far, around, numbers("load", load, shape="(6,)"))
         except TooManyCallsError as error:
             found = _nothing(str(error).removeprefix("stability not computed: "), start, body, around)
     else:
         found = _stated(gains, controller, body, laws_on_device(controller, tuple(clock)), start, around)
+    found = replace(found, partial=partial_laws(controller))
     return found if hand is None else found.replace(hand=get_hand(hand))
+
+
+def partial_laws(controller: Controller) -> tuple[str, ...]:
+    """Return the names of laws that declare the gains of a part of them: of users, and passivity controllers."""
+    stated = [law for law in controller.laws if law.gains() is not None]
+    own = (law for law in stated if not _is_ours(law) or isinstance(law, PassivityController))
+    return tuple(dict.fromkeys(type(law).__name__ for law in own))
+
+
+def _is_ours(law: Law) -> bool:
+    return type(law).__module__.partition(".")[0] == "maglev_mj"
 
 
 _Gains: TypeAlias = dict[tuple[str, ...], tuple[Array, Array]]
@@ -238,7 +253,9 @@ def _stated(
     return Loops(tuple(loops), start=start)
 
 
-def _linearised(controller: Controller, pose: Array, body: Array, reach: Array, around: Mapping[str, Any]) -> Loops:
+def _linearised(
+    controller: Controller, pose: Array, body: Array, reach: Array, around: Mapping[str, Any], load: Array
+) -> Loops:
     """Return the loop of coupled axes at each pose at which they differ, and those that cannot be judged."""
     loops: list[AtPose] = []
     away: list[AtPose] = []
@@ -248,6 +265,11 @@ def _linearised(controller: Controller, pose: Array, body: Array, reach: Array, 
     jumps: list[Array] = []
     unknown: list[Array] = []
     reasons: dict[int, str] = {}
+    (found,) = doubts([controller], pose=pose, reach=reach, load=load)
+    void = {axis for axis, doubt in found.items() if doubt.void}
+    if len(void) == len(AXES):
+        items = [_not_judged(axis, found[axis].reason, body, around) for axis in range(len(AXES))]
+        return Loops(tuple(items), False, pose, doubts=found, reach=reach)
     grid = linearise(controller, poses_of(controller, pose, reach))
     edges = [*edges_of(controller, grid[2 : 2 + len(AXES) * POINTS])]
     for near in [*grid, *(linearise(controller, edges) if edges else ())]:
@@ -272,10 +294,14 @@ def _linearised(controller: Controller, pose: Array, body: Array, reach: Array, 
     without = set(range(len(AXES))) - judged - {axis for loop in unstable for axis in loop.axes}
     for axis in sorted(without | _regions(controller, bent)):
         reasons.setdefault(axis, JUMPS)
-    items = [_loop(one, body, around) for one in _distinct_loops(loops + unstable)]
+    for axis, doubt in found.items():
+        if doubt.reason:
+            reasons.setdefault(axis, doubt.reason)
+    valid = [loop for loop in loops + unstable if not void.intersection(loop.axes)]
+    items = [_loop(one, body, around) for one in _distinct_loops(valid)]
     items += [_not_judged(axis, reason, body, around) for axis, reason in sorted(reasons.items())]
     poses = _distinct(jumps), _distinct(unknown), _distinct([loop.near.pose for loop in away])
-    return Loops(tuple(items), False, pose, *poses)
+    return Loops(tuple(items), False, pose, *poses, doubts=found, reach=reach)
 
 
 def _loop(at: AtPose, body: Array, around: Mapping[str, Any]) -> Loop:

@@ -6,7 +6,7 @@ It is computed from the gains declared by the laws, or by numerical linearisatio
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -25,6 +25,7 @@ from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory.boundary import boundary_of, highest_of
 from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.critical import critical_ratios
+from maglev_mj.theory.doubts import reached_speed, up_to
 from maglev_mj.theory.loop import Bound, Loop, Loops, poles_of, radius_of
 from maglev_mj.theory.read import JUMPS, UNKNOWN, of_scene
 
@@ -84,6 +85,10 @@ class Verdict(NoTruthValue, Result):
         away: Skipped poses: unstable equilibria, such as the crest between two detents, (A, 6).
         states: Loop of each axis in each state of its laws, equal ones merged; () if a law declares no gains.
         unjudged: Names of axes with a loop that was not computed, such as a law with a sign of the velocity.
+        doubts: Reasons by axis why laws without declared gains are not linear, such as "the force does not repeat".
+        valid_to: Speed of motion up to which the laws are linear [m/s, rad/s], on the axis where it is the smallest
+            share of the speed reached after a fall; None for declared gains.
+        range: That range in words, if less than what a fall reaches; empty otherwise.
         loops: All loops; those that cannot be judged with their reason.
         loop: The worst of them; None if none was judged.
     """
@@ -102,6 +107,9 @@ class Verdict(NoTruthValue, Result):
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
     states: tuple[LoopState, ...] = ()
     unjudged: tuple[str, ...] = ()
+    doubts: Mapping[str, str] = field(default_factory=dict)
+    valid_to: Bound | None = None
+    range: str = ""
     loops: Loops = field(default_factory=lambda: Loops(()))
     loop: Loop | None = None
     units: ClassVar = {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
@@ -127,23 +135,33 @@ class Verdict(NoTruthValue, Result):
 
     def __str__(self) -> str:
         if self.stable is None:
-            reasons = [*(reason for _, reason in self._skipped()), *(loop.reason for loop in self.loops if loop.reason)]
+            reasons = [*self.doubts.values(), *(reason for _, reason in self._skipped())]
+            reasons += [loop.reason for loop in self.loops if loop.reason]
             return f"not computed{self._unjudged}: {next(iter(reasons), 'no finite force')}"
         text = f"{_word(self.stable)}, spectral radius {self.spectral_radius:.3f}"
         return f"{', '.join(self.axes)}: {'free motion' if self.stable and not self.spectral_radius else text}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the verdict, ready for JSON."""
-        names = "stable", "spectral_radius", "axes", "acting", "pose", "stated", "states", "unjudged", "remarks"
-        return {name: plain(getattr(self, name)) for name in names}
+        names = "stable", "spectral_radius", "axes", "acting", "pose", "stated", "states", "unjudged", "doubts"
+        return {name: plain(getattr(self, name)) for name in (*names, "valid_to", "remarks")}
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Axes that were not computed, and the number of skipped poses by reason, one line each."""
+        """Axes that were not computed, limits of the verdict, and number of skipped poses by reason, one line each."""
         skipped = [f"{count} pose{'s' * (count > 1)} skipped: {reason}" for count, reason in self._skipped()]
+        linear = [self.range] * bool(self.range)
+        linear += [f"{' and '.join(self.loops.partial)} as declared, without the rest"] * bool(self.loops.partial)
+        return (*self._not_computed(), *linear, *skipped)
+
+    def _not_computed(self) -> Iterator[str]:
+        for reason in dict.fromkeys(self.doubts.values()):
+            yield f"not computed on {', '.join(axis for axis in self.doubts if self.doubts[axis] == reason)}: {reason}"
         named = {reason for _, reason in self._skipped()}
-        others = dict.fromkeys(loop.reason for loop in self.loops if loop.reason and loop.reason not in named)
-        return (*[f"not computed{self._unjudged}"] * bool(self.unjudged), *others, *skipped)
+        others = [axis for axis in self.unjudged if axis not in self.doubts]
+        for reason in dict.fromkeys(loop.reason for loop in self.loops if loop.reason and loop.axis in others):
+            axes = ", ".join(loop.axis for loop in self.loops if loop.reason == reason and loop.axis in others)
+            yield f"not computed on {axes}{f': {reason}' * (reason not in named)}"
 
     @property
     def _unjudged(self) -> str:
@@ -278,14 +296,16 @@ def judge(what: Any = None, **changes: Any) -> Verdict:
     Unstable outranks not judged, and not judged outranks stable. If all laws declare their gains, the loop is exact in
     every combination of their states. Otherwise the controller is linearised at the start, at the centre, along each
     axis, and 1 µm to 0.1 mm inside each face and each edge of a region of constant gains; coupled axes form one loop.
+    Probes say where such laws are not linear (`Verdict.doubts`).
 
     Args:
         what: Scene or its name; controller, with laws for one device, which is not changed; `Device`, its name or file;
             recording; `Loop` or `Loops`; None for numbers alone.
         changes: Parameters of the scene, or `delay` [s], `inertia` [kg, kg m²] (6,), `driver_lag` [s] and `hand` in
             place of its own; of a controller `delay`, up to 10 periods, `pose` at the start [m, rad] (6,), `inertia`,
-            `reach` of the motion [m, rad] (6,), `device` with sample period and delay of walls on the device [s] (2,),
-            `driver_lag` and `hand`; else fields of `Loop`, in place of the device's.
+            `reach` of the motion [m, rad] (6,), `load` [N, N m] (6,) at whose rest laws are probed, `device` with
+            sample period and delay of walls on the device [s] (2,), `driver_lag` and `hand`; else fields of `Loop`, in
+            place of the device's.
 
     Raises:
         ParameterError: If there is no such scene or device, or a value is missing or outside its bounds.
@@ -321,9 +341,13 @@ def _verdict(loops: Loops, poles: Sequence[NDArray[np.complex128]]) -> Verdict:
             kinds.setdefault((loop.state, loop.others, round(size, 12), loop.free > 0), []).append(loop.axis)
     unstable = radius >= 1.0 - _ROUNDING
     stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else _gains(loops, worst)
+    valid_to, text = _valid_to(loops)
     return Verdict(
         stable=not unstable if unstable or (not loops.unjudged and worst is not None) else None,
         spectral_radius=radius,
+        doubts=doubts_of(loops, unstable),
+        valid_to=valid_to,
+        range=text,
         axes=() if worst is None else worst.axes,
         acting=() if worst is None else worst.state,
         pose=loops.start if worst is None or worst.pose is None else np.array(worst.pose),
@@ -339,6 +363,31 @@ def _verdict(loops: Loops, poles: Sequence[NDArray[np.complex128]]) -> Verdict:
         loops=loops,
         loop=worst,
     )
+
+
+def doubts_of(loops: Loops, unstable: bool) -> dict[str, str]:
+    """Return the doubts by name of the axis, as far as they are the reason not to judge it."""
+    reasons = {loop.axis: loop.reason for loop in loops if loop.reason}
+    result = {}
+    for index, doubt in loops.doubts.items():
+        if doubt.reason:
+            slow = not unstable and not doubt.void and reasons[AXES[index]] == doubt.reason
+            result[AXES[index]] = f"{'stable for slower motion only: ' * slow}{doubt.reason}"
+    return result
+
+
+def _valid_to(loops: Loops) -> tuple[Bound | None, str]:
+    """Return the speed up to which laws are linear, and it in words if less than what a fall reaches."""
+    valid = {axis: one.valid_to for axis, one in loops.doubts.items() if not one.void}
+    if not valid or loops.reach is None:
+        return None, ""
+    fall = reached_speed(loops.reach)
+    axis = min(valid, key=lambda axis: (valid[axis].beyond, float(valid[axis]) / fall[axis]))
+    limit, unit = valid[axis], f"m{unit_of('m', AXES[axis])}/s"
+    if limit.beyond or limit >= fall[axis] or loops.doubts[axis].reason:
+        return limit, ""
+    linear = f"linear on {AXES[axis]} up to {up_to(limit, loops[0].period, AXES[axis])}"
+    return limit, f"valid for small motion: {linear}; a fall reaches {1e3 * fall[axis]:.3g} {unit}"
 
 
 def _gains(loops: Loops, worst: Loop) -> tuple[Array, Array]:

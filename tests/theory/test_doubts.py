@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from maglev_mj import AxisLaw, Controller, gain, hold
-from maglev_mj.control import Law
+from maglev_mj.control import Gains, Law
 from maglev_mj.errors import TooManyCallsError
 from maglev_mj.frames import AXES
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.studies.compare import _chosen, _with_law
 from maglev_mj.theory.doubts import Doubt, doubts
+from maglev_mj.theory.verdict import stability
 
 
 class Own(AxisLaw):
@@ -285,5 +286,42 @@ def test_several_controllers_are_probed_together(law: Any) -> None:
 
 def test_calls_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.theory.linearise._CALLS", 500)
-    with pytest.raises(TooManyCallsError, match="law Floats of test_doubts.py needs more than 500 calls"):
+    with pytest.raises(TooManyCallsError, match="needs more than 500 calls"):
         found(scene(Floats, 2e4))
+
+
+@pytest.mark.parametrize("law", [OneWay, Constant, Play, EverySecond, Fast, Drag, Timer])
+def test_a_doubted_law_is_not_called_stable(law: Any) -> None:
+    one = scene(law, 2e4)
+    verdict = stability(one)
+    assert verdict.stable is not True and (verdict.stable is False or verdict.unjudged == ("z",))
+    if verdict.stable is None:
+        assert verdict.as_json()["doubts"] == dict(verdict.doubts) and str(verdict).endswith(verdict.doubts["z"])
+    if law is Fast:
+        assert verdict.stable is None and verdict.spectral_radius < 1.0
+        assert verdict.doubts["z"].startswith("stable for slower motion only: the damping changes above 4.9")
+
+
+def test_a_verdict_on_small_motion_says_up_to_which_speed() -> None:
+    verdict = stability(scene(Sticky, 2e3))
+    assert verdict.stable is True and verdict.valid_to is not None and 0.05 < verdict.valid_to < 0.2
+    (line,) = (text for text in verdict.remarks if "small motion" in text)
+    assert re.fullmatch(r"valid for small motion: linear on z up to .* mm/s \(.* µm in a sample\); a fall .*", line)
+    assert verdict.as_json()["valid_to"] == verdict.valid_to
+    plain = stability(scene(Plain, 2e4))
+    assert plain.stable is True and plain.valid_to is not None and plain.valid_to.beyond
+    assert "more_than" in plain.as_json()["valid_to"] and not any("small motion" in text for text in plain.remarks)
+    assert stability(Drop()).valid_to is None
+
+
+class Declared(Fast):
+    """Law that declares its linear part."""
+
+    def gains(self) -> Any:
+        return (Gains("contact", self.on_axes(self.stiffness), self.on_axes(self.damping)),)
+
+
+def test_declared_gains_are_the_linear_part_of_a_law() -> None:
+    verdict = stability(scene(Declared, 2e4))
+    assert verdict.stable is True and verdict.remarks == ("Declared as declared, without the rest",)
+    assert not stability(Drop()).remarks
