@@ -62,8 +62,8 @@ class DeviceFigures(Result):
     @property
     def critical_stiffness(self) -> Array:
         """Critical stiffness of a wall on each translation, at the best damping [N/m], (3,)."""
-        loop = Loop.of(self.device, stiffness=0.0, damping=0.0).array()
-        return np.full(3, float(stiffest_of(loop).stiffness))
+        (loop,) = Loop.of(self.device, stiffness=0.0, damping=0.0)
+        return np.full(3, float(stiffest_of(loop.array()).stiffness))
 
     def _headline(self) -> str:
         force, stiffness = self.force_limit[2], self.critical_stiffness[0]

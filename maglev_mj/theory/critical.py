@@ -89,7 +89,7 @@ def _scan(at: LoopsAt, cases: Sequence[int], radii: Sequence[float]) -> list[Bou
         asked = np.flatnonzero((ratios > 0.0) & valid)
         result = np.zeros(ratios.shape, dtype=bool)
         if asked.size:
-            found = np.array([*map(_radius, at([cases[index] for index in asked], ratios[asked].tolist()))])
+            found = np.array([*map(_radius, at([cases[index] for index in asked.tolist()], ratios[asked].tolist()))])
             valid[asked] = ~np.isnan(found)
             result[asked] = valid[asked] & ((found < 1.0 - _ROUNDING) != stable[asked])
         return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import compress, product
 from os import PathLike
@@ -36,7 +36,8 @@ JUMPS, UNKNOWN = "discontinuous force", "controller memory exceeds 512 samples"
 _UNDECLARED = "a law with walls on the device needs declared gains: define gains()"
 """Reasons why a loop cannot be judged."""
 
-_FIELDS = tuple(item.name for item in fields(Loop))
+_FIELDS = tuple(item.name for item in fields(Loop) if item.name not in ("linear", "body", "pose", "reason"))
+_OF_CONTROLLER = "delay", "pose", "inertia", "reach", "device", "driver_lag", "hand"
 
 
 def loops_of(what: Any = None, **changes: Any) -> Loops:
@@ -45,6 +46,9 @@ def loops_of(what: Any = None, **changes: Any) -> Loops:
         around = _fields_of(changes)
         return (Loops((what,)) if isinstance(what, Loop) else what).replace(**around) if around else _loops(what)
     if isinstance(what, Controller):
+        _check_names(changes, _OF_CONTROLLER)
+        if changes.get("delay") is None:
+            raise ParameterError("arguments of judge must be a controller and its delay, judge(controller, delay=...)")
         return of_controller(what, **changes)
     if isinstance(what, str | PathLike):
         what = _named(what, changes)
@@ -56,7 +60,7 @@ def loops_of(what: Any = None, **changes: Any) -> Loops:
         return of_scene(what, **changes)
     if isinstance(what, Device) or what is None:
         return _of_numbers(what, **changes)
-    raise ParameterError(f"loop must be of a scene, controller, device, recording or numbers (got {what!r})")
+    raise ParameterError(f"what must be a scene, controller, device, recording, loop or None (got {what!r})")
 
 
 def _loops(what: Loop | Loops) -> Loops:
@@ -77,11 +81,15 @@ def _named(what: Any, changes: dict[str, Any]) -> Any:
 def _fields_of(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields of a loop with texts replaced."""
     found = with_period(_FIELDS, changes)
-    if wrong := [name for name in found if name not in _FIELDS]:
-        raise KeywordError(choice_message("field of a loop", _FIELDS, wrong[0]))
+    _check_names(found, _FIELDS)
     if "hand" in found:
         found["hand"] = get_hand(found["hand"])
     return found | ({"mode": get_mode(found["mode"])} if "mode" in found else {})
+
+
+def _check_names(changes: Iterable[str], names: Sequence[str]) -> None:
+    if wrong := [name for name in changes if name not in names]:
+        raise KeywordError(choice_message("argument of judge", ("what", *names), wrong[0]))
 
 
 def _of_numbers(what: Device | None, *, device: Any = None, axis: str = "z", **values: Any) -> Loops:
@@ -148,7 +156,7 @@ def grown_of(scene: Any, around: Mapping[str, Any]) -> Callable[[Loop, float], L
             ]
             return same[0] if same else loop
         own: Any = {**around, "inertia": numbers("inertia", around["inertia"])}
-        return loops_at([controller], AXES.index(loop.axes[0]), poses=[loop.pose], **own)[0]
+        return loops_at([controller], AXES.index(loop.axes[0]), poses=[loop.pose or ZERO], **own)[0]
 
     return grown
 

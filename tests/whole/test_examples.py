@@ -185,7 +185,7 @@ MISUSES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: run_phases(DROP(), 2, plant="exact").percentile(150.0),
         r"share must be between 0 and 100",
     ),
-    "no controller": (lambda: judge(SPRING, delay=0.0), "controller must be of type Controller"),  # type: ignore[arg-type]
+    "no controller": (lambda: judge(SPRING, delay=0.0), "what must be a scene, controller, device, recording, loop or"),
     "poses": (lambda: linearise(LOOP, [0.0] * 3), r"poses must have shape \(6,\) or \(P, 6\) \(got \(3,\)"),
     "inertia": (
         lambda: linearise(LOOP, [0.0] * 6)[0].closed_loop(delay=0.0, inertia=[0.7]),
