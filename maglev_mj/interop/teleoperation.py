@@ -20,6 +20,7 @@ from maglev_mj.plants.shapes import Shape, shape_of
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.wall_scene import hold
 from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.theory.read import scene_lag
 
 _PLACE = np.array([0.065, 0.0, 0.099])
 """Where the robot's site is drawn at the start, beside the knob and in the default view [m], (3,)."""
@@ -184,7 +185,7 @@ class Teleoperation(Scene):
     @property
     def coupling(self) -> tuple[float, float]:
         """Stiffness [N/m] and damping [N s/m] of the coupling."""
-        limit = _limit(self.period, self.delay, self.reduced_mass)
+        limit = _limit(self.period, self.delay, self.reduced_mass, scene_lag(self))
         return self.share * limit[0], self.share**0.5 * limit[1]
 
     def laws(self) -> Sequence[Law]:
@@ -212,6 +213,6 @@ class Teleoperation(Scene):
 
 
 @lru_cache
-def _limit(period: float, delay: float, mass: float) -> tuple[float, float]:
-    limit = largest_stable_stiffness(period=period, delay=delay, mass=mass)
+def _limit(period: float, delay: float, mass: float, driver_lag: float) -> tuple[float, float]:
+    limit = largest_stable_stiffness(period=period, delay=delay, mass=mass, driver_lag=driver_lag)
     return float(limit.stiffness), float(limit.damping)
