@@ -107,7 +107,7 @@ def _over_time(report: SegmentReport, axis: int, window: tuple[float, float], *,
         coordinate: ([1e3 * one.pose[rows, axis] for one, rows in inside], unit_of("mm", axis)),
         f"actuator {effort}": ([one.wrench[rows, axis] for one, rows in inside], unit_of("N", axis)),
     }
-    wall = f"{report.run_title}{'' if report.wall is None else f', wall {report.wall}'}"
+    wall = f"{report.run_title}{'' if report.wall is None else f', wall {report.wall.words}'}"
     figure, panels = new_grid((report.headline, wall), curves, "time (s)", high=2, more=0.8, always=coordinate)
     upper, *lower = panels.values()
     sides = [("recording", report.recorded, FIRST, "-", 3), ("simulation", report.simulated, SECOND, "--", 4)]

@@ -26,9 +26,9 @@ from maglev_mj.recording.setup import MEASURED, UNCONTROLLED, scripted
 from maglev_mj.result import Result, Table, capitalised, plain
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import recorded_scene
-from maglev_mj.scenes.stability_check import wall_margin
+from maglev_mj.scenes.stability_check import wall_loops
 from maglev_mj.session import live_plant
-from maglev_mj.theory.margin import Margin
+from maglev_mj.theory import Verdict, judge
 
 _STILL = 1e-9
 _NOTHING = 1e-12
@@ -130,7 +130,7 @@ class SegmentReport(Result):
         simulated: Motion and figures of the simulation; None if none was requested, or it failed at once.
         comparison: Deviation between both; None if none was requested.
         identified: Identified walls, friction, mass, delay and sensor.
-        wall: Margin of the simulated scene's wall; None without one, for a device, or if the scene is not available.
+        wall: Verdict on the simulated scene's wall; None without one, for a device, or if the scene is not available.
     """
 
     kind: str
@@ -139,7 +139,7 @@ class SegmentReport(Result):
     simulated: Run | None
     comparison: Comparison | None
     identified: Identification
-    wall: Margin | None = None
+    wall: Verdict | None = None
     units: ClassVar = {"time": "s"} | {
         f"{side}.{axis}": unit_of("m", axis) for side in ("recorded", "simulated") for axis in AXES
     }
@@ -173,7 +173,7 @@ class SegmentReport(Result):
     @property
     def warnings(self) -> list[str]:
         """See `Result`."""
-        return [f"wall {self.wall}"] if self.wall is not None and self.wall.spectral_radius >= 1.0 else []
+        return [f"wall {self.wall.words}"] if self.wall is not None and self.wall.stable is False else []
 
     def table(self) -> Table:
         """Return the tables of figures, comparison and identified quantities.
@@ -290,7 +290,8 @@ def analyse(
     if segment.setup["kind"] not in ("device", MEASURED):  # its link delay is not in the setup
         with suppress(MaglevError, KeyError):
             recorded = recorded_scene(segment.setup["scene"], segment.setup["parameters"], scene)
-            wall = wall_margin(recorded, held=scripted(segment.setup))
+            loops = wall_loops(recorded, held=scripted(segment.setup))
+            wall = judge(loops) if loops else None
     return SegmentReport(
         kind=segment.setup["kind"],
         metadata=segment.metadata,

@@ -202,7 +202,7 @@ def delay_limit(critical_delay: float, period: float, own: float = 0.0) -> float
     """Return the delay limit of the `DelayGuard` [s].
 
     Args:
-        critical_delay: Critical delay of the laws [s], as of `delay_margins`; NaN or infinity if not computed.
+        critical_delay: Critical delay of the laws [s], as of `Verdict.critical_delay`; NaN if not computed.
         period: Sample period [s].
         own: Delay without link and host [s].
     """

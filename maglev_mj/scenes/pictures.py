@@ -14,8 +14,8 @@ from maglev_mj.frames import Array, unit_of
 from maglev_mj.pictures import SHADE, TITLE, broken, draw_limit, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import Variants, figure_head, parameter_texts, rank_text
-from maglev_mj.scenes.stability_check import wall_margin
-from maglev_mj.theory import stated_gains
+from maglev_mj.scenes.stability_check import wall_loops
+from maglev_mj.theory import judge, stated_gains
 
 _FINE, _POINTS, _TICK = 1e-4, 2001, 0.05
 _MOST_PANELS = 4
@@ -55,8 +55,8 @@ def _head(variants: Variants, *details: str) -> tuple[str, ...]:
     common = f"{scene.name} along {scene.axis}, plant {variants.first.plant}: {texts}"
     gains = [stated_gains(one.controller()) for one in scenes]
     alike = len(scenes) == 1 or all(one and str(one) == str(gains[0]) for one in gains)
-    wall = wall_margin(scene, held=True) if alike else None
-    return variants.headline, common, *([] if wall is None else [f"wall {wall}"]), *details
+    loops = wall_loops(scene, held=True) if alike else ()
+    return variants.headline, common, *([f"wall {judge(loops).words}"] if loops else []), *details
 
 
 def _over_time(variants: Variants, named: Mapping[str, str], **options: Any) -> tuple[Any, dict[str, Any]]:

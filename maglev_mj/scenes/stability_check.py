@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
 from numpy.typing import ArrayLike
 
-from maglev_mj import theory
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, Six, components
@@ -19,9 +17,8 @@ from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.loop import Loop, Loops
-from maglev_mj.theory.margin import Margin
 from maglev_mj.theory.read import loops_at, scene_lag, stated_gains
-from maglev_mj.theory.verdict import judge, stability, verdicts
+from maglev_mj.theory.verdict import judge, verdicts
 
 STEP_FORCE = 2.0
 """Default limit of force steps caused by other programs [N].
@@ -32,7 +29,6 @@ Over the whole range of 9 mm it accelerates a free flotor to 0.23 m/s, less than
 UNKNOWN = "stability not computed"
 """First part of the reason to refuse a scene without a verdict."""
 
-_LAWS = {"contact": "walls", "stuck": "friction"}
 _ARM = 0.05
 """Lever arm that converts a torque to a force [m], about the radius of the flotor."""
 
@@ -53,71 +49,6 @@ def user_errors_rejected() -> Iterator[None]:
         raise ParameterError(f"parameters rejected: {reason if line is None else f'{line}: {reason}'}") from error
 
 
-def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Margin | None:
-    """Return the margin of a scene's worst loop with a free flotor if unstable, or None; see `judge`.
-
-    The critical delay is longer in the published arm and fingertip, and up to 10 % shorter in the stylus (1000 to
-    8000 N/m, 20 to 100 N s/m, 200 Hz to 1 kHz).
-
-    Args:
-        scene: The scene, with the present period and delay.
-        inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
-        delay: See `stability`.
-
-    Raises:
-        ParameterError: If the stability cannot be computed.
-    """
-    period, delay = scene.period, scene.delay if delay is None else delay
-    body = scene.body.inertia if inertia is None else numbers("inertia", inertia)
-    verdict = stability(scene, inertia=body, delay=delay)
-    if verdict.stable:
-        return None
-    if verdict.stable is None:
-        raise ParameterError(f"stability {'; '.join(verdict.remarks)}")
-    index = AXES.index(verdict.axes[0])
-    stiffness, damping = (float(gain[index, index]) for gain in (verdict.stiffness, verdict.damping))
-    around: Any = {"period": period, "delay": delay}
-    ratio = math.nan
-    if verdict.stated and not scene.controller().on_device:
-        around |= {"mass": body[index], "velocity": scene.controller().velocity, "driver_lag": scene_lag(scene)}
-        ratio = float(theory.largest_stable_stiffness(damping, **around)) / stiffness if stiffness else 0.0
-    acting = " and ".join(_LAWS.get(state, state) for state in verdict.acting)
-    acting = acting or ("other laws" if verdict.stated else "all laws")
-    return Margin(stiffness, damping, verdict.spectral_radius, ratio, AXES[index], acting, period, delay)
-
-
-def wall_margin(
-    scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None, held: bool = False
-) -> Margin | None:
-    """Return the margin of a scene's wall with the largest spectral radius; None without a wall.
-
-    Laws that declare no gains are linearised at the depth at which the wall carries the weight. The critical stiffness
-    is NaN above tenfold, or if a law needs too many calls.
-
-    Args:
-        scene: See `unstable_loop`.
-        inertia: See `unstable_loop`.
-        delay: See `stability`.
-        held: True for the scripted hand on the flotor; False for a free flotor.
-
-    Raises:
-        MaglevError: If a law fails.
-
-    Example:
-        >>> from maglev_mj import find_scene
-        >>> print(wall_margin(find_scene("drop")()))
-        stable: 59 % of critical stiffness, spectral radius 0.8771
-    """
-    loops = wall_loops(scene, inertia=inertia, delay=delay, held=held)
-    if not len(loops):
-        return None
-    verdict = judge(loops)
-    ratio, (stiffness, _) = verdict.ratio, verdict.gains
-    ratio = math.nan if ratio.beyond else float(ratio)
-    around: Any = {"axis": verdict.axes[0] if verdict.axes else "", "acting": "walls", "period": scene.period}
-    return Margin(stiffness, math.nan, verdict.spectral_radius, ratio, **around, delay=loops[0].delay)
-
-
 def wall_loops(
     scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None, held: bool = False
 ) -> Loops:
@@ -126,13 +57,18 @@ def wall_loops(
     Laws that declare no gains are linearised at the depth at which the wall carries the weight.
 
     Args:
-        scene: See `unstable_loop`.
-        inertia: See `unstable_loop`.
+        scene: The scene.
+        inertia: See `stability`.
         delay: See `stability`.
         held: True for the scripted hand on the flotor; False for a free flotor.
 
     Raises:
         MaglevError: If a law fails.
+
+    Example:
+        >>> from maglev_mj import find_scene, judge
+        >>> print(judge(wall_loops(find_scene("drop")())).words)
+        stable: 59 % of critical stiffness, spectral radius 0.8771
     """
     body = scene.body.inertia if inertia is None else numbers("inertia", inertia)
     gain, controller = getattr(scene, "stiffness", 0.0), scene.controller()
@@ -142,7 +78,7 @@ def wall_loops(
     around: Any = {"delay": scene.delay if delay is None else delay, "inertia": body, "driver_lag": scene_lag(scene)}
     around |= {"hand": getattr(scene.scripted_hand(), "hand", None) if held else None, "device": scene.timing().device}
 
-    def at(controller: Controller, axis: int, pose: Sequence[float]) -> Loop:
+    def at(controller: Controller, axis: int, pose: Any) -> Loop:
         return loops_at([controller], axis, poses=[pose], **around)[0]
 
     def grown(loop: Loop, ratio: float) -> Loop:
@@ -200,17 +136,14 @@ def started(scene: Scene) -> Controller:
 
 
 def stability_warning(scene: Scene) -> str | None:
-    """Return a stability warning of one line, or None.
-
-    It is also None for a velocity estimator that is not linear.
-    """
-    if not hasattr(scene.controller().velocity, "linear"):
-        return None
+    """Return a warning of one line for a scene that is unstable or not judged, or None."""
     try:
-        loop = unstable_loop(scene)
+        verdict = judge(scene)
     except MaglevError as error:
         return f"{scene.name} may be unstable: {error}"
-    return None if loop is None else f"{scene.name} is unstable: {loop.details}"
+    if verdict.stable is None:
+        return f"{scene.name} may be unstable: stability {'; '.join(verdict.remarks)}"
+    return None if verdict.stable else f"{scene.name} is unstable: {verdict.details}"
 
 
 def unstable(scenes: Sequence[Scene]) -> list[bool]:

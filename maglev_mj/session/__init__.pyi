@@ -1,7 +1,6 @@
 from maglev_mj.scenes.stability_check import STEP_FORCE as STEP_FORCE
 from maglev_mj.scenes.stability_check import UNKNOWN as UNKNOWN
 from maglev_mj.scenes.stability_check import check_step as check_step
-from maglev_mj.scenes.stability_check import unstable_loop as unstable_loop
 from maglev_mj.scenes.stability_check import user_errors_rejected as user_errors_rejected
 from maglev_mj.session.actions import DEVICE_PARAMETERS as DEVICE_PARAMETERS
 from maglev_mj.session.actions import EMERGENCY_STOP as EMERGENCY_STOP

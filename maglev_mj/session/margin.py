@@ -9,16 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.colours import BAD, GOOD, Colour
-from maglev_mj.control import VelocityEstimator
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import Array
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.stability_check import UNKNOWN, wall_margin
+from maglev_mj.scenes.stability_check import UNKNOWN, wall_loops
 from maglev_mj.session.snapshot import Snapshot
-from maglev_mj.theory import Verdict, largest_stable_stiffness, stability, stated_gains
-from maglev_mj.theory.margin import worst_axis
-from maglev_mj.theory.read import scene_lag
+from maglev_mj.theory import Verdict, judge, stability, stated_gains
+from maglev_mj.theory.boundary import boundary_of
+from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.verdict import critical_stiffness_of, margin_words, nearest
 
 _DAMPINGS = 32  # points of a stability boundary
 _EMPTY = np.zeros(0)
@@ -71,9 +71,10 @@ def margin(
         if gains is None:
             return Margin(str(verdict), verdict.stable)
         if controller.on_device:
-            wall = wall_margin(scene, inertia=body, delay=lag) if verdict.stable else None
-            return Margin(wall.verdict if wall else f"unstable on {verdict.axes[0]}", verdict.stable)
-        return _smallest(scene, verdict, gains, body, lag)
+            loops = wall_loops(scene, inertia=body, delay=lag) if verdict.stable else ()
+            words = _words(judge(loops)) if loops else f"unstable on {verdict.axes[0]}"
+            return Margin(words, verdict.stable)
+        return _smallest(scene, verdict)
     except Exception as error:  # of a user's laws, too
         return _not_computed(error)
 
@@ -82,22 +83,23 @@ def _not_computed(error: Exception) -> Margin:
     return Margin(f"{UNKNOWN}: {str(error).removeprefix(f'{UNKNOWN}: ')}")
 
 
-def _smallest(scene: Scene, verdict: Verdict, gains: Any, body: Array, delay: float) -> Margin:
-    around: Any = {"period": scene.period, "delay": delay, "velocity": scene.controller().velocity}
-    around["driver_lag"] = scene_lag(scene)
-    state, index, ratio = worst_axis(gains, axis=scene.axis_index, inertia=body, **around)
-    pair = float(gains[state][0][index]), float(gains[state][1][index])
+def _words(verdict: Verdict) -> str:
+    return margin_words(verdict.stable, verdict.ratio)
+
+
+def _smallest(scene: Scene, verdict: Verdict) -> Margin:
+    loop = nearest(verdict.loops, scene.axis)
+    ratio = critical_stiffness_of(verdict.loops, loop).ratio
     if not verdict.stable:
-        index = AXES.index(verdict.axes[0])
-        pair = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
-        words = f"unstable on {AXES[index]}"
-        if 1.0 <= ratio < np.inf:
-            words += f": {100.0 * ratio:.0f} % of critical stiffness"
-    elif pair[0]:
-        words = f"stable: {100.0 * ratio:.0f} % of critical stiffness"
+        words = f"unstable on {verdict.axes[0]}"
+        loop = verdict.loop or loop
+        if 0.0 < ratio <= 1.0:
+            words += f": {100.0 / ratio:.0f} % of critical stiffness"
+    elif loop.stiffness:
+        words = margin_words(True, ratio)
     else:
         words = "stable: no stiffness"
-    return Margin(words, verdict.stable, AXES[index], *pair, *_boundary(mass=float(body[index]), **around))
+    return Margin(words, verdict.stable, loop.axis, loop.stiffness, loop.damping, *_boundary(loop))
 
 
 class StabilityMap:
@@ -154,16 +156,13 @@ def measured_delay(snapshot: Snapshot) -> float | None:
     return round(snapshot.delay, 4) if is_measured else None
 
 
-def _boundary(
-    period: float, delay: float, mass: float, velocity: VelocityEstimator, driver_lag: float
-) -> tuple[Array, Array]:
-    """Return dampings and the critical stiffness at each, for one mass or moment of inertia."""
+def _boundary(loop: Loop) -> tuple[Array, Array]:
+    """Return dampings and the critical stiffness of a loop at each."""
     # no damping above this is stable at any stiffness
-    largest = 0.5 * np.pi * mass / (0.5 * period + delay) * 1.1
+    largest = 0.5 * np.pi * loop.inertia / (0.5 * loop.period + loop.delay) * 1.1
     dampings = np.linspace(0.0, largest, _DAMPINGS)
     try:
-        around: Any = {"period": period, "delay": delay, "mass": mass, "velocity": velocity}
-        stiffnesses = largest_stable_stiffness(dampings, driver_lag=driver_lag, **around)
+        stiffnesses = boundary_of(loop.array(), dampings)
     except ParameterError:  # no boundary above ten periods of delay
         stiffnesses = np.zeros_like(dampings)
     end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.control import LowPass
+from maglev_mj.control import FiniteDifference, LowPass
 from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import AXES, Array, Mask
@@ -31,8 +31,8 @@ from maglev_mj.theory.boundary import (
 )
 from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, bisect, is_stable, pd
 from maglev_mj.theory.loop import Bound, Loop, delay_bound
-from maglev_mj.theory.margin import Margin
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
+from maglev_mj.theory.verdict import Verdict, judge, margin_words, nearest
 
 if TYPE_CHECKING:
     from maglev_mj.studies.oscillation import Oscillation
@@ -236,15 +236,14 @@ class Diagnosis(NoTruthValue, Result):
     picture: ClassVar = "maglev_mj.studies.diagnosis_picture:diagnosis"
 
     @property
-    def margin(self) -> Margin:
-        """Margin in stiffness."""
-        k, b = self.loop.gains
-        return Margin(k, b, self.spectral_radius, self.critical_stiffness / k)
+    def ratio(self) -> float:
+        """Ratio of critical to requested stiffness."""
+        return self.critical_stiffness / self.loop.gains[0]
 
     @property
     def summary(self) -> str:
         """Verdict in one line."""
-        return f"{self.margin.verdict}, {self.motion}"
+        return f"{margin_words(self.stable, self.ratio)}, {self.motion}"
 
     @property
     def setting(self) -> str:
@@ -296,7 +295,7 @@ class Diagnosis(NoTruthValue, Result):
         """Return margins, remedies and notes."""
         k, b, late = self.unit("N/m"), self.unit("N s/m"), self.critical_delay
         rows = [
-            ("stiffness", f"up to {number_text(self.critical_stiffness)} {k} (x {self.margin.ratio:.3g})"),
+            ("stiffness", f"up to {number_text(self.critical_stiffness)} {k} (x {self.ratio:.3g})"),
             ("damping", _interval(self.damping_range, b)),
             ("delay", late.text("ms", 1e3) if late else "unstable without delay"),
             ("rate, same delay", _interval(self.rate_range, "Hz")),
@@ -361,9 +360,7 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     assumptions: list[str] = []
     recorded = isinstance(scene, str | Path) and str(scene).endswith(MOTIONS)
     if scene is not None and not recorded:
-        from maglev_mj.studies.scene_loop import scene_values  # slow
-
-        values = scene_values(scene, values, DiagnosedLoop, assumptions)
+        values = _of_scene(scene, values, assumptions)
     if wrong := [name for name in values if name not in accepted]:
         raise KeywordError(choice_message("argument of diagnose", ("scene", *accepted), wrong[0]))
     measured: Oscillation | None = None
@@ -403,6 +400,66 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     if loop.device_law is not None and len(rates_of(loop.period, loop.device_law).phases) > 1:
         assumptions.append("clocks of host and device are not commensurate: the worst of ten phases between them")
     return _diagnosed(loop, tuple(assumptions), measured, remarks)
+
+
+def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> dict[str, Any]:
+    """Return the values of the loop of a scene with the smallest margin, replaced by stated ones.
+
+    Args:
+        scene: The scene, its class or its name.
+        values: Stated values. Those of parameters of the scene change it, unless a parameter of the loop with that name
+            is of another kind or unit, or the hand.
+        assumptions: Receives what was assumed, in words.
+
+    Raises:
+        ParameterError: If the scene renders no stiffness there, or is not judged.
+    """
+    from maglev_mj.scenes.find import get_scene  # slow
+
+    found, kinds = get_scene(scene), {item.name: (item.kind, item.unit) for item in DiagnosedLoop.parameters()}
+    named = [item for item in found.parameters() if item.name in values and item.name != "hand"]
+    same = [item.name for item in named if kinds.get(item.name, (item.kind, item.unit)) == (item.kind, item.unit)]
+    found = found.replace(**{name: values[name] for name in same})
+    stated = {name: value for name, value in values.items() if name not in same or name == "device"}
+    verdict = judge(found)
+    loop, why = _in_question(verdict)
+    if loop is None:
+        raise ParameterError(f"no diagnosis of {found.name}: stability {verdict}")
+    law = None
+    if loop.linear is not None:
+        memory = "coupling to other axes and memory left out"
+        if len(loop.axes) == 1:
+            law = loop.controller()
+            memory = "with its memory, which scales with the stiffness and keeps its length in samples"
+        assumptions.append(f"law linearised at the worst pose, {memory}")
+    elif not isinstance(loop.velocity, FiniteDifference | LowPass):
+        law = loop.controller()
+    axis, (k, b), own = loop.axes[0], (loop.stiffness, max(loop.damping, 0.0)), loop.device
+    if not loop.total[0] > 0.0:
+        raise ParameterError(f"scene {found.name} renders no stiffness on its worst axis, {axis}")
+    state = f" ({', '.join(loop.state)})" if loop.state else ""
+    assumptions.append(f"axis {axis} of {found.name}{state}, {why}")
+    result: dict[str, Any] = {"stiffness": k, "damping": b, "law": None if law is None else LinearisedLaw(law, k, b)}
+    result |= {name: getattr(loop, name) for name in ("period", "delay", "driver_lag")}
+    if isinstance(loop.velocity, LowPass):
+        result["cutoff"] = loop.velocity.cutoff
+    if own is not None:
+        names = "stiffness", "damping", "period", "delay", "cutoff"
+        result |= {f"device_{name}": getattr(own, name) for name in names}
+    if stated.get("inertia") is None:
+        result["inertia" if axis.startswith("r") else "mass"] = loop.inertia
+    return {**result, **stated}
+
+
+def _in_question(verdict: Verdict) -> tuple[Loop | None, str]:
+    """Return the loop of a scene to diagnose, and why in words: a wall on the device, or the smallest margin."""
+    walls = [loop for loop in verdict.loops if loop.device is not None and loop.state == ("contact",)]
+    if walls:  # the wall in question; the host's laws in contact are beside it
+        gains = lambda loop: (loop.device.stiffness, loop.device.damping)  # noqa: E731
+        return max(walls, key=gains), "stiffest wall on the device"
+    if not verdict.stated:
+        return (None if verdict.stable is None else verdict.loop), "the one with the smallest margin"
+    return nearest(verdict.loops), "the one with the smallest margin"
 
 
 def _of_recording(path: Path, values: dict[str, Any]) -> tuple[Oscillation, dict[str, Any]]:

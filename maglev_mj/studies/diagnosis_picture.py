@@ -52,7 +52,7 @@ def _region(panel: Any, result: Diagnosis) -> None:
     boundary = boundary_of(loop.sampled, damping)
     panel.plot(damping, boundary, color=STOP, label="stability boundary")
     panel.plot(damping, 0.5 * boundary, color=REFERENCE, linestyle="--", label="half of it")
-    colour = on_white(_colour(result.margin.ratio, loop.target))
+    colour = on_white(_colour(result.ratio, loop.target))
     panel.plot(damper, stiffness, "o", color=colour, markersize=8, label="present gains")
     for index, one in enumerate(result.remedies, 1):
         to = tuple(one.change.get(loop.name(word), loop.value(word)) for word in ("damping", "stiffness"))
@@ -74,7 +74,7 @@ def _response(panel: Any, result: Diagnosis) -> None:
     span = min(span, _MOST_SAMPLES * loop.period)
     if result.doubling_time > 0.0 and math.isfinite(result.doubling_time):
         span = min(span, math.log2(_MOST_GROWTH) * result.doubling_time)
-    colours = on_white(_colour(result.margin.ratio, loop.target)), SERIES[0]
+    colours = on_white(_colour(result.ratio, loop.target)), SERIES[0]
     first = [loop.replace(**one.change) for one in result.remedies[:1]]
     names = "now", "with remedy 1"
     for changed, colour, name in zip((loop, *first), colours, names):
@@ -98,7 +98,7 @@ def _unbroken(text: str) -> str:
 def _bars(panel: Any, result: Diagnosis, names: Sequence[str]) -> None:
     """Draw the ratio of critical to requested stiffness, now and with each remedy, on a logarithmic axis."""
     loop = result.loop
-    present = result.margin.ratio
+    present = result.ratio
     ratios = [max(present, 1e-3), *(one.ratio for one in result.remedies[: len(names) - 1])]
     colours = [on_white(_colour(ratio, loop.target), 3.0) for ratio in ratios]
     places = np.arange(len(names))[::-1]

@@ -220,7 +220,7 @@ class Loop:
         return LinearController(advance, take[:, 0], give[0], direct[0, 0])
 
     def response(self) -> Array:
-        """Return the impulse response of the host's law: force at each sample after a unit displacement at one, (M,)."""
+        """Return the force of the host's law at each sample after a unit displacement at the first, (M,)."""
         if self.linear is not None:
             (axis,) = self.linear.axes
             return np.asarray(self.linear.near.response[:, axis, axis])

@@ -9,17 +9,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.control.controller import Controller
-from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.keywords import checked
-from maglev_mj.plants.model import Body
 from maglev_mj.result import NoTruthValue, Result, Table, plain
 from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.theory.boundary import boundary_of, highest_of
@@ -173,7 +170,7 @@ class Verdict(NoTruthValue, Result):
         return critical_delay_of(self.loops)
 
     @cached_property
-    def _critical(self) -> Critical:
+    def _critical(self) -> _Critical:
         return _UNKNOWN if self.loop is None else critical_stiffness_of(self.loops, self.loop)
 
     @property
@@ -227,27 +224,6 @@ class Verdict(NoTruthValue, Result):
         return [(len(poses), reason) for poses, reason in reasons if len(poses)]
 
 
-class Judged(Protocol):
-    """Interface of a scene for `stability`."""
-
-    @property
-    def delay(self) -> float:
-        """Transport delay [s]."""
-
-    def controller(self) -> Controller:
-        """Return a new controller."""
-
-    def start(self) -> Any:
-        """Return the state at release, with its `pose`."""
-
-    def timing(self) -> Timing:
-        """Return the timing of host and device."""
-
-    @property
-    def body(self) -> Body:
-        """Flotor of the device in use."""
-
-
 def margin_words(stable: bool | None, ratio: float, spectral_radius: float | None = None) -> str:
     """Return a verdict with the share of the critical stiffness, such as "stable: 59 % of critical stiffness".
 
@@ -267,7 +243,7 @@ def margin_words(stable: bool | None, ratio: float, spectral_radius: float | Non
 
 
 @checked(own="scene")
-def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Verdict:
+def stability(scene: Any, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Verdict:
     """Return the stability verdict on a scene; see `judge`.
 
     Args:
@@ -402,7 +378,7 @@ def _gains(loops: Loops, worst: Loop) -> tuple[Array, Array]:
     return stiffness, damping
 
 
-class Critical(NamedTuple):
+class _Critical(NamedTuple):
     """Point at which stability of a loop changes as the declared gain grows.
 
     Attributes:
@@ -414,10 +390,10 @@ class Critical(NamedTuple):
     stiffness: Bound
 
 
-_UNKNOWN = Critical(Bound(math.nan), Bound(math.nan))
+_UNKNOWN = _Critical(Bound(math.nan), Bound(math.nan))
 
 
-def critical_stiffness_of(loops: Loops, loop: Loop) -> Critical:
+def critical_stiffness_of(loops: Loops, loop: Loop) -> _Critical:
     """Return where stability of one loop changes; see `Verdict.critical_stiffness`."""
     total, grown = loop.total[0], loops.grown
     if len(loop.axes) > 1 or not total > 0.0:
@@ -435,7 +411,7 @@ def critical_stiffness_of(loops: Loops, loop: Loop) -> Critical:
             array = loop.array()
             found = float(boundary_of(array, np.asarray(loop.damping)))
             beyond, ratio = found >= float(highest_of(array)) * (1.0 - _ROUNDING), 1.0 + (found - total) / rise
-            return Critical(Bound(max(ratio, 0.0), beyond), Bound(found, beyond))
+            return _Critical(Bound(max(ratio, 0.0), beyond), Bound(found, beyond))
     if grown is None:
         return _UNKNOWN
 
@@ -443,7 +419,7 @@ def critical_stiffness_of(loops: Loops, loop: Loop) -> Critical:
         return [_grown(loops, loop, ratio) for ratio in ratios]
 
     (ratio,) = critical_ratios(at, 1)
-    return Critical(ratio, ratio if ratio == 0.0 else Bound(total + (ratio - 1.0) * rise, ratio.beyond))
+    return _Critical(ratio, ratio if ratio == 0.0 else Bound(total + (ratio - 1.0) * rise, ratio.beyond))
 
 
 def _grown(loops: Loops, loop: Loop, ratio: float) -> Loops:
@@ -453,6 +429,28 @@ def _grown(loops: Loops, loop: Loop, ratio: float) -> Loops:
         return loops.only([loops.grown(loop, ratio)])
     except ParameterError:
         return loops.only([])
+
+
+def nearest(loops: Loops, axis: str = "z") -> Loop:
+    """Return the loop of declared gains on the host nearest to its critical stiffness.
+
+    Without any stiffness the most damped one on an axis.
+    """
+    stiff = [loop for loop in loops if loop.linear is None and loop.device is None and loop.stiffness > 0.0]
+    if not stiff:
+        return max((loop for loop in loops if axis in loop.axes), key=lambda loop: loop.damping)
+    groups: dict[Loop, list[Loop]] = {}
+    for loop in stiff:
+        alike = replace(loop, stiffness=0.0, damping=0.0, inertia=1.0, axis="", state=(), others=())
+        groups.setdefault(alike, []).append(loop)
+    shares: dict[int, float] = {}
+    for alike, some in groups.items():
+        stiffness, damping, inertia = np.array([(one.stiffness, one.damping, one.inertia) for one in some]).T
+        with np.errstate(divide="ignore"):
+            found = stiffness / boundary_of(alike.array(mass=inertia), damping)
+        shares |= dict(zip(map(id, some), found.tolist(), strict=True))
+    most = max(shares.values()) * (1.0 - _ROUNDING)  # the first of those equal within rounding
+    return next(loop for loop in stiff if shares[id(loop)] >= most)
 
 
 def critical_delay_of(loops: Loops) -> Bound:

@@ -16,7 +16,7 @@ from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import figures_of, run_phases
-from maglev_mj.scenes.stability_check import unstable, wall_margin
+from maglev_mj.scenes.stability_check import unstable, wall_loops
 from maglev_mj.session.replay import rebuild, record_run
 from maglev_mj.theory import judge, largest_stable_stiffness, spectral_radius, stability
 from maglev_mj.theory.two_rates import DeviceLaw
@@ -187,8 +187,7 @@ def test_verdict_of_a_scene() -> None:
         assert touching.axes == ("z",) and touching.spectral_radius == pytest.approx(known, abs=5e-6)
     scenes = [alone, beside, alone.replace(stiffness=2.2e5), beside.replace(device_damping=50.0)]
     assert unstable(scenes) == [False, False, True, True] == [not stability(scene).stable for scene in scenes]
-    margin = wall_margin(alone)
-    assert margin is not None and margin.ratio == pytest.approx(211773.8 / 6e4, rel=1e-3)
+    assert judge(wall_loops(alone)).ratio == pytest.approx(211773.8 / 6e4, rel=1e-3)
 
 
 def test_recording_and_rewind() -> None:

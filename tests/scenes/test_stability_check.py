@@ -19,11 +19,11 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Box, Corner, InteractiveScene, Joystick, Table
 from maglev_mj.scenes.run import run
-from maglev_mj.scenes.stability_check import stability_warning, started, unstable, wall_margin
-from maglev_mj.session import STEP_FORCE, check_step, unstable_loop
+from maglev_mj.scenes.stability_check import stability_warning, started, unstable, wall_loops
+from maglev_mj.session import STEP_FORCE, check_step
 from maglev_mj.session.margin import margin
 from maglev_mj.spec import RANGE
-from maglev_mj.theory import largest_stable_stiffness, stability
+from maglev_mj.theory import judge, largest_stable_stiffness, stability
 from tests.bridge.test_preflight import GOOD
 from tests.published import INERTIA, MASS
 from tests.sweeps import sweep
@@ -148,20 +148,20 @@ def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, delay: f
     springs = max(float(np.max(law.stiffness)) for law in held if "x" in law.axes) if name != "table" else 0.0
     dampers = max(float(np.max(law.damping)) for law in held if "x" in law.axes) if name != "table" else 0.0
     bound = float(largest_stable_stiffness(chosen.damping + dampers, period=period, delay=delay, mass=MASS))
-    assert unstable_loop(chosen.replace(stiffness=0.999 * (bound - springs))) is None
-    refused = unstable_loop(chosen.replace(stiffness=1.001 * (bound - springs)))
-    assert refused is not None and refused.acting == on and refused.spectral_radius > 1.0
-    share = 1.0 if refused.axis in AXES[:3] else INERTIA[AXES.index(refused.axis)] / MASS
+    assert judge(chosen.replace(stiffness=0.999 * (bound - springs))).stable
+    refused = judge(chosen.replace(stiffness=1.001 * (bound - springs)))
+    assert refused.stable is False and refused.details.startswith(on) and refused.spectral_radius > 1.0
+    share = 1.0 if refused.axes[0] in AXES[:3] else INERTIA[AXES.index(refused.axes[0])] / MASS
     assert refused.critical_stiffness == pytest.approx(bound * share, rel=1e-6) and refused.ratio < 1.0
     assert "must be below 1" in refused.details and "stable up to" in refused.details
 
 
 def test_a_scene_is_checked_with_another_delay_or_flotor() -> None:
     for delay, stable in ((0.0, True), (0.0015, True), (0.003, False)):
-        refused = unstable_loop(Box(stiffness=9000.0), delay=delay)
-        assert (None if refused is None else refused.delay) == (None if stable else delay)
+        verdict = judge(Box(stiffness=9000.0), delay=delay)
+        assert verdict.stable is stable and verdict.loop is not None and verdict.loop.delay == delay
     for mass, stable in ((0.7, True), (0.35, False)):
-        assert (unstable_loop(Drop(), inertia=[mass] * 3 + [1e-3] * 3) is None) is stable
+        assert judge(Drop(), inertia=[mass] * 3 + [1e-3] * 3).stable is stable
 
 
 @pytest.mark.parametrize("count", [16, pytest.param(100, marks=pytest.mark.study)])
@@ -174,7 +174,7 @@ def test_every_legal_scene_is_judged(count: int) -> None:
         if draw.random() < 0.5:
             reaches = zip(AXES, RANGE, strict=True)
             values["walls"] = [[axis, 1, draw.uniform(-reach, reach)] for axis, reach in reaches if draw.random() < 0.5]
-        stable += unstable_loop(cls(period=draw.choice((5e-3, 1e-3)), delay=draw.uniform(0.0, 5e-3), **values)) is None
+        stable += judge(cls(period=draw.choice((5e-3, 1e-3)), delay=draw.uniform(0.0, 5e-3), **values)).stable is True
     assert 0.1 * count < stable < 0.9 * count
 
 
@@ -199,11 +199,13 @@ class Echoing(Detents):
 
 
 def test_a_law_that_states_no_gains_is_judged_too() -> None:
-    assert unstable_loop(Detents()) is None
-    refused = unstable_loop(Detents(stiffness=9870.0))
-    assert refused is not None and refused.axis == "x" and refused.acting == "all laws"
-    assert refused.spectral_radius == pytest.approx(1.0308, abs=1e-4) and np.isnan(refused.ratio)
-    assert refused.stiffness == pytest.approx(9870.0, rel=1e-6) and refused.damping == pytest.approx(50.0, rel=1e-6)
+    assert judge(Detents()).stable
+    refused = judge(Detents(stiffness=9870.0))
+    assert refused.stable is False and refused.axes == ("x",) and refused.details.startswith("all laws on x")
+    assert refused.spectral_radius == pytest.approx(1.0308, abs=1e-4)
+    assert refused.gains == pytest.approx((9870.0, 50.0), rel=1e-6)
+    assert judge(Detents(stiffness=0.999 * refused.critical_stiffness)).stable
+    assert judge(Detents(stiffness=1.001 * refused.critical_stiffness)).stable is False
     assert "(must be below 1)" in refused.details
 
 
@@ -234,7 +236,7 @@ class Slow(Drop):
     [
         (lambda scene: run(scene, plant="exact").warnings, 40_000, "not computed"),
         (stability_warning, 40_000, "not computed"),
-        (lambda scene: wall_margin(scene, held=True), 7_000, "spectral radius 0.8771"),
+        (lambda scene: judge(wall_loops(scene, held=True)), 7_000, "spectral radius 0.877"),
         (lambda scene: margin(scene).words, 40_000, "not computed"),
         (lambda scene: judge_change(scene, [*INERTIA], [], report=GOOD, anyway=False)[1], 40_000, "not computed"),
         (lambda scene: unstable([scene]), 0, "False"),
@@ -262,13 +264,13 @@ def test_a_scene_that_may_be_unstable_warns_in_one_line(monkeypatch: pytest.Monk
     monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)
     monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:100])
     wrong = Detents(stiffness=9870.0)
-    warned, refused = str(stability_warning(wrong)), unstable_loop(wrong)
-    assert refused is not None and warned == f"detents is unstable: {refused.details}"
+    warned = str(stability_warning(wrong))
+    assert warned == f"detents is unstable: {judge(wrong).details}"
     assert "spectral radius 1.0308 (must be below 1)" in warned
     unknown = stability_warning(Echoing(stiffness=1000.0))
     assert unknown is not None and "\n" not in unknown
     begin = "echoing may be unstable: stability not computed on x; 133 poses skipped: "
-    assert unknown.startswith(begin)  # with the words of `unstable_loop`, which refuses it
+    assert unknown.startswith(begin)
     with pytest.raises(
         ParameterError, match="law Detent must have six wrench"
     ):  # a slip in a law is no question of gains
@@ -306,5 +308,5 @@ def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia:
     np.testing.assert_allclose(body, inertia, rtol=2e-3)
     np.testing.assert_array_equal(scene.plant("exact").inertia, body)
     assert stability(scene).spectral_radius == stability(scene, inertia=body).spectral_radius
-    assert unstable_loop(scene, inertia=[10.0] * 3 + [1.0] * 3) is None
+    assert judge(scene, inertia=[10.0] * 3 + [1.0] * 3).stable
     assert (stability_warning(scene) is None) == (body[0] > 1.0) == (not unstable([scene])[0])

@@ -20,12 +20,12 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
-from maglev_mj.scenes.stability_check import wall_margin
+from maglev_mj.scenes.stability_check import wall_loops
 from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.session import Snapshot
 from maglev_mj.session import margin as session_margin
 from maglev_mj.session.margin import StabilityMap, margin
-from maglev_mj.theory import DeviceLaw, stability
+from maglev_mj.theory import DeviceLaw, judge, stability
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.loop import Loop, Loops
@@ -58,8 +58,8 @@ def contact_root(scene: Scene) -> float:
 )
 def test_the_margin_is_where_the_walls_own_root_passes_one(name: str, stiffness: float) -> None:
     scene = find_scene(name)().replace(stiffness=stiffness)
-    found = wall_margin(scene)
-    assert found is not None and found.spectral_radius == pytest.approx(contact_root(scene), abs=1e-9)
+    found = judge(wall_loops(scene))
+    assert found.spectral_radius == pytest.approx(contact_root(scene), abs=1e-9)
     assert (found.ratio > 1.0) == (found.spectral_radius < 1.0)
     below, above = (scene.replace(stiffness=share * found.ratio * stiffness) for share in (0.999, 1.001))
     assert contact_root(below) < 1.0 < contact_root(above)
@@ -78,13 +78,13 @@ def test_the_margin_is_where_the_walls_own_root_passes_one(name: str, stiffness:
     ],
 )
 def test_it_is_said_in_a_line(scene: Scene, says: str) -> None:
-    assert str(wall_margin(scene)) == says
+    assert judge(wall_loops(scene)).words == says
 
 
 def test_what_remembers_too_long_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)
     monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:100])
-    assert str(wall_margin(Echoing())) == "stability not computed"
+    assert judge(wall_loops(Echoing())).words == "stability not computed"
 
 
 def test_critical_ratios_are_searched_together() -> None:
@@ -104,17 +104,15 @@ def test_critical_ratios_are_searched_together() -> None:
 
 
 def test_without_a_stiff_wall_there_is_none() -> None:
-    assert [wall_margin(one) for one in (Joystick(wall=False), Drop(stiffness=0.0))] == [None, None]
+    assert not any(map(wall_loops, (Joystick(wall=False), Drop(stiffness=0.0))))
 
 
 def test_it_is_that_of_the_hand_delay_and_flotor_in_question() -> None:
-    assert str(wall_margin(Press(stiffness=12_000.0))).endswith("spectral radius 1.0442")
-    assert (
-        str(wall_margin(Press(stiffness=12_000.0), held=True))
-        == "stable: 78 % of critical stiffness, spectral radius 0.9563"
-    )
-    assert repr(wall_margin(Drop(), delay=0.003)) == repr(wall_margin(Drop(delay=0.003)))
-    assert repr(wall_margin(Drop(), inertia=[1.4] * 3 + [1e-3] * 3)) == repr(wall_margin(Drop(mass=1.4)))
+    free, held = (judge(wall_loops(Press(stiffness=12_000.0), held=held)).words for held in (False, True))
+    assert free.endswith("spectral radius 1.0442")
+    assert held == "stable: 78 % of critical stiffness, spectral radius 0.9563"
+    assert wall_loops(Drop(), delay=0.003).items == wall_loops(Drop(delay=0.003)).items
+    assert wall_loops(Drop(), inertia=[1.4] * 3 + [1e-3] * 3).items == wall_loops(Drop(mass=1.4)).items
 
 
 # what a person reads

@@ -21,12 +21,12 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run, run_phases
-from maglev_mj.scenes.stability_check import wall_margin
+from maglev_mj.scenes.stability_check import wall_loops
 from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.compare import _MARGINS, Comparison, _AtRest, _with_law, compare, sweep_laws
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.studies.wall_laws import LAWS
-from maglev_mj.theory import largest_stable_stiffness, least_passive_damping
+from maglev_mj.theory import judge, largest_stable_stiffness, least_passive_damping
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.closed_loop import SampledLoop, spectral_radius
 from maglev_mj.theory.read import loops_at
@@ -205,9 +205,9 @@ def test_a_law_on_the_device_has_the_clock_of_the_scenes_device(monkeypatch: pyt
     found = {}
     for period in (1e-3, 2.5e-4):
         scene = Drop(pulse=0.0, device_period=period, wall_on="device", duration=0.01)
-        margin = wall_margin(scene)
+        margin = judge(wall_loops(scene))
         found[period] = compare(scene, [OnDevice], phases=1).margins["OnDevice"]
-        assert margin is not None and found[period]["spectral_radius"] == pytest.approx(margin.spectral_radius)
+        assert found[period]["spectral_radius"] == pytest.approx(margin.spectral_radius)
     assert found[2.5e-4]["noise"] > 2.0 * found[1e-3]["noise"]
 
 

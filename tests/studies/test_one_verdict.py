@@ -12,12 +12,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AxisLaw, Device, device_card, diagnose, gain, hold, largest_stable_stiffness, param, stability
+from maglev_mj import (
+    AxisLaw,
+    Device,
+    device_card,
+    diagnose,
+    gain,
+    hold,
+    judge,
+    largest_stable_stiffness,
+    param,
+    stability,
+)
 from maglev_mj.bridge.preflight import judge_change
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.stability_check import stability_warning, unstable, wall_margin
+from maglev_mj.scenes.stability_check import stability_warning, unstable, wall_loops
 from maglev_mj.session.margin import margin
 from maglev_mj.studies.compare import compare, sweep_laws
 from maglev_mj.studies.stability_map import StabilityParameters
@@ -74,7 +85,7 @@ def test_an_axis_that_is_not_judged_is_stable_nowhere(seed: int) -> None:
         assert "not computed" in str(error)
     if axis == "z":
         scene = scene.replace(below=0.0)
-        assert np.isnan(wall_margin(scene).spectral_radius)  # type: ignore[union-attr]
+        assert judge(wall_loops(scene)).stable is None
         assert np.isnan(compare(Drop(**loop), {"own": Coulomb}, phases=1).margins["own"]["spectral_radius"])
 
 
@@ -94,7 +105,7 @@ FRONTS: dict[str, Callable[[Drop], Any]] = {
     "stability": lambda scene: max(one.spectral_radius for one in stability(scene).states if "contact" in one.acting),
     "diagnose": lambda scene: diagnose(scene).critical_stiffness,
     "compare": lambda scene: compare(scene.replace(duration=0.1), ["pd"], phases=1).margins["pd"]["spectral_radius"],
-    "wall": lambda scene: wall_margin(scene).spectral_radius,  # type: ignore[union-attr]
+    "wall": lambda scene: judge(wall_loops(scene)).spectral_radius,
     "sweep": lambda scene: unstable([scene]),
     "page": lambda scene: (margin(scene).words, margin(scene).stiffnesses.tolist()),
     "flight": lambda scene: judge_change(scene, scene.body.inertia.tolist(), [], report=GOOD, anyway=False),
@@ -127,9 +138,8 @@ def test_front_ends_agree_on_random_devices(tmp_path: Path) -> None:
         values |= {"damping": random.uniform(30.0, 250.0), "delay": random.uniform(1e-4, 1.5e-3)}
         scene = Drop(**values)
         contact = FRONTS["stability"](scene)
-        found, wall = diagnose(scene), wall_margin(scene)
+        found, wall = diagnose(scene), judge(wall_loops(scene))
         (loop,) = Loop.of(scene.device, **{name: getattr(scene, name) for name in ("stiffness", "damping", "delay")})
-        assert wall is not None
         for other in (found.spectral_radius, wall.spectral_radius, FRONTS["compare"](scene), loop.spectral_radius):
             assert other == pytest.approx(contact, abs=1e-9)
         assert (stability_warning(scene) is not None) == (contact > 1.0) == unstable([scene])[0]

@@ -14,7 +14,8 @@ from maglev_mj.control import FiniteDifference, LowPass, VelocityEstimator, Wind
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes import BUILT_IN, find_scene
-from maglev_mj.session import settable_parameters, unstable_loop
+from maglev_mj.scenes.stability_check import stability_warning
+from maglev_mj.session import settable_parameters
 from maglev_mj.session.margin import margin
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import WallRequirements, design_wall, largest_stable_stiffness
@@ -58,7 +59,7 @@ def measure(quick: bool) -> dict[str, Table]:
         answer("margin", partial(margin, scene))
         if "stiffness" in settable_parameters(scene):
             unstable = scene.replace(stiffness=6e4)
-            if answer("unstable scene", partial(unstable_loop, unstable)) is None:
+            if answer("unstable scene", partial(stability_warning, unstable)) is None:
                 raise ParameterError(f"{scene.name} must be unstable at 60000 N/m")
     answer("design_wall", partial(design_wall, WallRequirements(**DESIGNED)), 1)
     mapped = f"map of {grid} x {grid} in MuJoCo"
