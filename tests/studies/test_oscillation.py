@@ -100,8 +100,9 @@ def test_published_poles(pole: complex, loop: Loop) -> None:
     assert abs(find_oscillation(loop[2] * np.arange(400), wave, period=loop[2]).pole - pole) < 1e-6
 
 
-def test_inertia_and_delay_of_recordings() -> None:
-    for seed, loop in enumerate(loops(20261, 10)):
+@pytest.mark.parametrize("part", [0, 1])
+def test_inertia_and_delay_of_recordings(part: int) -> None:
+    for seed, loop in [*enumerate(loops(20261, 10))][part::2]:
         seen = find_oscillation(*measured(loop, seed=seed), period=loop[2])
         found = explained(seen, *loop[:3])
         assert found.loop.inertia == pytest.approx(loop[3], rel=2e-3)
@@ -252,3 +253,35 @@ def test_a_delay_that_an_import_assumed_is_fitted(tmp_path: Path) -> None:
         found = diagnose(tmp_path / "run.maglev", stiffness=6000.0, damping=20.0)
         assert found.remarks[-1].startswith(how) and found.loop.delay == pytest.approx(0.002, abs=2e-5)
         assert "the rate of the loop is that of the log, 1000 Hz" in found.assumptions
+
+
+def test_the_pair_is_the_one_whose_dominant_pole_is_measured() -> None:
+    # 0.373 kg with 47 ms has this pole, too, and a slower one that grows.
+    values: Values = (7000.0, 70.0, 0.005, 0.62, 0.0033)
+    found = explained(ringing(pole_of(*values), 0.005), *values[:3])
+    assert (found.loop.inertia, found.loop.delay) == pytest.approx(values[3:], rel=1e-5)
+    assert not any("not determined" in text for text in found.remarks)
+
+
+@pytest.mark.parametrize("share", [0.97, 1.047])
+def test_a_loop_with_another_frequency_is_refused(share: float, tmp_path: Path) -> None:
+    # A stated mass may be rounded, but not by so much that the loop rings at another frequency.
+    loop: Values = (6000.0, 20.0, 0.001, 0.7, 0.001)
+    np.savetxt(tmp_path / "run.csv", np.column_stack(measured(loop)), delimiter=",", header="t,z", comments="")
+    stated: Any = {"stiffness": 6000.0, "damping": 20.0, "delay": 0.001, "own_damping": 0.0}
+    if share < 1.0:
+        found = diagnose(tmp_path / "run.csv", **stated, mass=share * 0.7)
+        assert found.loop.mass == share * 0.7 and "consistent with what is given" in found.remarks
+    else:
+        with pytest.raises(ParameterError, match=r"must have the measured frequency, within 2% .got 14\.\d+ Hz"):
+            diagnose(tmp_path / "run.csv", **stated, mass=share * 0.7)
+
+
+def test_an_alias_is_that_of_the_loop_as_stated() -> None:
+    # At 1 kHz it rings at 200 Hz, which a log at 250 Hz shows at 50 Hz.
+    loop = loop_of(0.7 * (2e3 * math.pi / 5.0) ** 2 * 0.9, 5.0, 0.001, 0.7, 0.0002, 300.0)
+    rate = np.log(pole_of(loop.stiffness, 5.0, 0.001, 0.7, 0.0002, 300.0)) / 0.001
+    seen = ringing(np.exp(rate * 0.004), 0.004)
+    found = explain(seen, loop, {"inertia", "delay", "own_damping"})
+    assert found.loop == loop and found.oscillation.frequency == pytest.approx(rate.imag / (2.0 * math.pi))
+    assert "which a log at 250 Hz shows at" in found.remarks[0]
