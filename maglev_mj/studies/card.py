@@ -25,7 +25,8 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, rigid_note, stiffest_of
-from maglev_mj.theory.closed_loop import Design, SampledLoop, bisect, is_stable
+from maglev_mj.theory.closed_loop import Design, Forced, SampledLoop, bisect, is_stable
+from maglev_mj.theory.frequencies import angles_of, first_crossing
 from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.read import scene_lag
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters
@@ -216,8 +217,7 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     if stable := bool(is_stable(loops[0].spectral_radius(k, b))):
         rendered = 1.0 / (omega * np.abs([*loops[0].compliances(k, b, frequency.tolist())]))
     target = np.hypot(b, k / omega)
-    within = np.logical_and.accumulate(np.abs(np.log(rendered / target)) < -math.log(_LOSS))
-    transparent = float(np.max(frequency, where=within, initial=0.0))
+    transparent = _transparent(loops[0].forced(k, b), k, b, period) if stable else 0.0
     flown = np.full(omega.shape, np.nan)
     if stable and own.plain:
         flown = fly_impedance(scene, mass, k, b, cycles, around["driver_lag"])
@@ -233,6 +233,16 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     step, rigid = quantum * (k + b / period), rigid_note(loops[0]) if own.mode else ""
     curves = damping, limits, impedance, transparent, masses
     return DeviceCard(title, tuple(HANDS), walls, *curves, bandwidth, step, rigid)
+
+
+def _transparent(forced: Forced, stiffness: float, damping: float, period: float) -> float:
+    """Return the frequency up to which the impedance is within 3 dB of the target's [Hz]."""
+
+    def within(angles: Array) -> Array:
+        wanted = np.hypot(stiffness, damping * angles / period)
+        return np.asarray(-math.log(_LOSS) - np.abs(np.log(np.abs(forced.compliance(angles)) * wanted)))
+
+    return float(first_crossing(within, angles_of(forced.poles))) / (2.0 * math.pi * period)
 
 
 def fly_impedance(

@@ -40,6 +40,7 @@ from maglev_mj.theory.closed_loop import (
     pd,
     rendered_stiffness,
 )
+from maglev_mj.theory.frequencies import aliases, angles_of, peak
 
 _HIGHEST, _HIGHER = 8.0, 64.0
 """Largest stiffness searched, and largest one beside a device law [m/T²]."""
@@ -49,14 +50,15 @@ _ALIKE = 2e-15  # spectral radii equal to within rounding
 _EVEN = np.array([0.0, 0.3, 0.7, 1.0])
 _LOWEST, _ROUGH, _FINEST = 8e-5, 1e-5, 1e-7
 _SCANNED, _HALVINGS = 240, 40
-_MODES, _RATES, _STEPS, _COARSER = 20.0, 25, 8, 8
+_MODES, _RATES, _STEPS, _FINER_STEPS, _COARSER = 20.0, 25, 10, 6, 8
+_COARSE = 2e-3  # largest error of a rate by the coarse grid of dampings
 _GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 720)])
 _FINER, _FLAT = 16, 1e-10
 _SOFTEST = 1e-9
 """Least stiffness distinguishable from zero [m/T²]."""
 _AROUND, _BESIDE, _FALL = 1e-2 * np.linspace(-1.0, 1.0, 9), 1e-6 * np.linspace(-1.0, 1.0, 5), 1e-3
 _LEAST, _TRIM = 1e-11, 1e-10
-_ANGLES = np.geomspace(1e-5, np.pi, 8000)
+_ANGLES = np.geomspace(1e-5, np.pi, 1000)
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 
 
@@ -309,23 +311,31 @@ def rigid_note(loop: SampledLoop) -> str:
 
     fastest = min(_MODES * float(mode.values[0]), MAX_DELAY_PERIODS / late if late else math.inf)
     rates = np.geomspace(1.0 / period, max(fastest, 1.0 / period), _RATES)
+    rates = np.unique([*rates, *aliases(float(mode.values[0]), rates[0], rates[-1])])
     low, high = bracket(rates, unstable(rates))
     text = "rigid device: half of its stiffness limit is"
     if not np.isfinite(high):
         return f"{text} stable with this mode up to {rates[-1]:.0f} Hz at this delay"
     if high == rates[0]:
         return f"{text} unstable with this mode at this rate"
-    rate = float(bisect(lambda rate: unstable(rate[None])[0], low, high, _STEPS))
+    rough = bisect(lambda rate: unstable(rate[None])[0], low, high, _STEPS)
+    fails = lambda rate: np.asarray(not _holds(replace(loop, period=1.0 / rate), stiffest_of))  # noqa: E731
+    rate = float(bisect(fails, *(rough * (1.0 + side * _COARSE) for side in (-1.0, 1.0)), _FINER_STEPS))
     return f"{text} unstable with this mode above {rate:.0f} Hz at this delay"
 
 
-def _holds(loop: SampledLoop) -> bool:
-    """Return True if half of the rigid device's stiffest wall is stable with the mode."""
-    rigid = replace(loop, mode=None)
-    damping = _GRID[::_COARSER] * float(scales(rigid)[1])
-    limits, _ = first_end(*spans(rigid, damping, 1.0))
+def _roughly_stiffest(loop: SampledLoop) -> StiffestWall:
+    """Return the stiffest wall of a coarse grid of dampings."""
+    damping = _GRID[::_COARSER] * float(scales(loop)[1])
+    limits, _ = first_end(*spans(loop, damping, 1.0))
     best = int(limits.argmax())
-    return bool(is_stable(loop.spectral_radius(0.5 * limits[best], damping[best])))
+    return StiffestWall(limits[best], damping[best], np.asarray(False))
+
+
+def _holds(loop: SampledLoop, stiffest: Callable[[SampledLoop], StiffestWall] = _roughly_stiffest) -> bool:
+    """Return True if half of the rigid device's stiffest wall is stable with the mode."""
+    wall = stiffest(replace(loop, mode=None))
+    return bool(is_stable(loop.spectral_radius(0.5 * wall.stiffness, wall.damping)))
 
 
 def maxima(function: Callable[[Array], Array], grid: Array, finest: float, peaks: int = 3) -> Array:
@@ -475,15 +485,22 @@ def least_passive_damping(
     Raises:
         ParameterError: If a value is outside its bounds.
 
-    Source: derived here, as the least eigenvalue of the absorbed power over all aliases of a frequency (on a grid, to
-    1e-6); without delay it is K T/2 + abs(B), the condition of Colgate & Schenkel 1997 as quoted by others.
+    Source: derived here, as the least eigenvalue of the absorbed power over all aliases of a frequency; without delay
+    it is K T/2 + abs(B), the condition of Colgate & Schenkel 1997 as quoted by others.
     """
     gains = numbers("stiffness", stiffness), numbers("damping", damping)
     times = numbers("period", period, at_least=0.0, above=0.0), numbers("delay", delay, at_least=0.0)
     k, b, step, late = (part[..., None] for part in (*gains, *times))
     law, (whole, rest) = (design or pd())(k, b, step), split_delay(late, step)
-    share, z = rest / step, np.exp(1j * _ANGLES)
-    wall = rendered_stiffness(law, z)
-    real = step * (wall * z**-whole * (1.0 - share + share / z) * (0.5 + 0.5j / np.tan(0.5 * _ANGLES))).real
-    needed = 0.5 * (real + np.sqrt(real**2 + share * (1.0 - share) * (step * np.abs(wall)) ** 2))
-    return np.asarray(needed.max(axis=-1))
+    share = rest / step
+
+    def needed(angles: Array) -> Array:
+        z = np.exp(1j * angles)
+        wall = rendered_stiffness(law, z)
+        real = step * (wall * z**-whole * (1.0 - share + share / z) * (0.5 + 0.5j / np.tan(0.5 * angles))).real
+        return np.asarray(0.5 * (real + np.sqrt(real**2 + share * (1.0 - share) * (step * np.abs(wall)) ** 2)))
+
+    shape = np.broadcast_shapes(k.shape, b.shape, step.shape, late.shape, law.direct.shape)[:-1]
+    poles = np.linalg.eigvals(law.advance)  # of the law; those of all gains have one axis more
+    grid = angles_of(poles if poles.ndim == 1 else poles[..., 0, :], _ANGLES)
+    return peak(needed, np.broadcast_to(grid, (*shape, grid.shape[-1])))[1]

@@ -22,9 +22,11 @@ from maglev_mj.keywords import checked, rate_of
 from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, number, numbers, store, transport_delay
 from maglev_mj.plants.hand import Hand, Mode, get_hand, hand_of, motion, transition
 from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
+from maglev_mj.theory.frequencies import angles_of, peak
 from maglev_mj.theory.two_rates import DeviceLaw, TwoRates, rates_of
 
 _CHUNK = 1 << 16
+_TOGETHER = 1024
 _BATCHED = "period", "delay", "mass", "prediction", "own_damping"
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
@@ -267,6 +269,13 @@ class SampledLoop:
         Raises:
             ParameterError: If the rate of a device law is no multiple of the host's.
         """
+        forced = self.forced(stiffness, damping)
+        for frequency in frequencies:
+            angle = 2.0 * np.pi * number("frequency", frequency) * float(np.asarray(self.period))
+            yield forced.compliance(np.array([angle]))[..., 0]
+
+    def forced(self, stiffness: ArrayLike, damping: ArrayLike) -> Forced:
+        """Return the loop under a force of the hand that is constant from sample to sample; see `compliances`."""
         if self.device is None:
             matrix = self.matrix(stiffness, damping)
             _, push = transition(*self.motion(), self.period)
@@ -279,10 +288,7 @@ class SampledLoop:
                 )
             whole = self._hyperperiod(*(np.asarray(gain, dtype=np.float64) for gain in (stiffness, damping)))
             matrix, inputs = whole[..., :-1, :-1], whole[..., :-1, -1]
-        inputs = np.broadcast_to(inputs, matrix.shape[:-1])[..., None]
-        for frequency in frequencies:
-            turn = np.exp(2j * np.pi * number("frequency", frequency) * float(self.period))  # type: ignore[arg-type]
-            yield np.linalg.solve(turn * np.eye(matrix.shape[-1]) - matrix, inputs)[..., 0, 0]
+        return Forced(matrix, np.broadcast_to(inputs, matrix.shape[:-1]))
 
     def law(self, stiffness: Array, damping: Array) -> LinearController:
         """Return the linear controller of gains (...,)."""
@@ -357,6 +363,28 @@ class SampledLoop:
         """Mass of flotor and hand together [kg]."""
         hand_mass = 0.0 if self.hand is None else self.hand.mass
         return np.asarray(np.asarray(self.mass) + hand_mass)
+
+
+class Forced(NamedTuple):
+    """Closed loop with an input: matrix (..., n, n), and effect of a unit force of the hand in a period (..., n)."""
+
+    matrix: Array
+    inputs: Array
+
+    @property
+    def poles(self) -> Array:
+        """Poles, (..., n)."""
+        return np.asarray(np.linalg.eigvals(self.matrix))
+
+    def compliance(self, angles: Array) -> Array:
+        """Return the sampled position over the force at angles (..., M) per sample [m/N], complex (..., M)."""
+        turn = np.exp(1j * np.asarray(angles))[..., None, None]
+        system = turn * np.eye(self.matrix.shape[-1]) - self.matrix[..., None, :, :]
+        return np.asarray(np.linalg.solve(system, self.inputs[..., None, :, None])[..., 0, 0])
+
+    def magnitude(self, angles: Array) -> Array:
+        """Return the magnitude of the compliance [m/N], (..., M)."""
+        return np.abs(self.compliance(angles))
 
 
 def _largest(matrices: Array) -> Array:
@@ -530,7 +558,7 @@ def least_dynamic_stiffness(
     Args:
         stiffness: Wall stiffness [N/m], (...,).
         damping: Wall damping [N s/m], (...,).
-        frequencies: Frequencies [Hz]; None for 0 and 50 others up to half the sample rate.
+        frequencies: Frequencies [Hz]; None for all up to half the sample rate, see `theory.frequencies`.
         loop: Keywords of `SampledLoop`; the period must be a number.
 
     Raises:
@@ -541,16 +569,18 @@ def least_dynamic_stiffness(
         raise ParameterError(f"period must be a number (got shape {np.shape(around.period)})")
     stable = is_stable(around.spectral_radius(stiffness, damping))
     half = 0.5 / float(np.asarray(around.period))
-    if frequencies is None:
-        frequencies = [0.0, *np.geomspace(0.01 * half, 0.999 * half, 50)]
-    if not len(frequencies):
+    if frequencies is not None and not len(frequencies):
         raise ParameterError("frequencies must not be empty")
-    chosen = [number("frequency", frequency, at_least=0.0, below=half) for frequency in frequencies]
-    result, compliance = np.zeros(stable.size), np.zeros(np.count_nonzero(stable))
+    chosen = [number("frequency", frequency, at_least=0.0, below=half) for frequency in frequencies or ()]
+    result = np.zeros(stable.size)
     where = np.flatnonzero(stable)  # an unstable wall has no steady state
-    k, b = (np.broadcast_to(gain, stable.shape).reshape(-1)[where] for gain in (stiffness, damping))
-    part = around.part(stable.shape, where)
-    for response in part.compliances(k, b, chosen) if where.size else ():
-        compliance = np.maximum(compliance, np.abs(response))
-    result[where] = 1.0 / compliance
+    gains = [np.broadcast_to(gain, stable.shape).reshape(-1) for gain in (stiffness, damping)]
+    for start in range(0, where.size, _TOGETHER):
+        rows = where[start : start + _TOGETHER]
+        forced = around.part(stable.shape, rows).forced(*(gain[rows] for gain in gains))
+        if frequencies is None:
+            _, compliance = peak(forced.magnitude, angles_of(forced.poles))
+        else:
+            compliance = np.abs(forced.compliance(np.pi / half * np.array(chosen))).max(axis=-1)
+        result[rows] = 1.0 / compliance
     return result.reshape(stable.shape)
