@@ -212,6 +212,7 @@ class Diagnosis(NoTruthValue, Result):
         assumptions: What was assumed.
         measured: Oscillation of the recording; None without one.
         remarks: What the recording shows, what was given, and what was fitted; empty without one.
+        valid_to: Speed of motion up to which a law without declared gains is linear [m/s, rad/s]; None for others.
     """
 
     loop: DiagnosedLoop
@@ -233,6 +234,7 @@ class Diagnosis(NoTruthValue, Result):
     assumptions: tuple[str, ...]
     measured: Oscillation | None = None
     remarks: tuple[str, ...] = ()
+    valid_to: Bound | None = None
     picture: ClassVar = "maglev_mj.studies.diagnosis_picture:diagnosis"
 
     @property
@@ -358,9 +360,11 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     accepted = [item.name for item in DiagnosedLoop.parameters()]
     values = with_period(accepted, values)
     assumptions: list[str] = []
+    valid_to: Bound | None = None
     recorded = isinstance(scene, str | Path) and str(scene).endswith(MOTIONS)
     if scene is not None and not recorded:
         values = _of_scene(scene, values, assumptions)
+        valid_to = values.pop("valid_to")
     if wrong := [name for name in values if name not in accepted]:
         raise KeywordError(choice_message("argument of diagnose", ("scene", *accepted), wrong[0]))
     measured: Oscillation | None = None
@@ -399,11 +403,11 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
         )
     if loop.device_law is not None and len(rates_of(loop.period, loop.device_law).phases) > 1:
         assumptions.append("clocks of host and device are not commensurate: the worst of ten phases between them")
-    return _diagnosed(loop, tuple(assumptions), measured, remarks)
+    return replace(_diagnosed(loop, tuple(assumptions), measured, remarks), valid_to=valid_to)
 
 
 def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> dict[str, Any]:
-    """Return the values of the loop of a scene with the smallest margin, replaced by stated ones.
+    """Return the loop of a scene with the smallest margin, replaced by stated values, and `valid_to` of its verdict.
 
     Args:
         scene: The scene, its class or its name.
@@ -426,12 +430,14 @@ def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> 
     if loop is None:
         raise ParameterError(f"no diagnosis of {found.name}: stability {verdict}")
     law = None
+    if partial := verdict.loops.partial:
+        assumptions.append(f"{' and '.join(partial)} as declared, without the rest")
     if loop.linear is not None:
         memory = "coupling to other axes and memory left out"
         if len(loop.axes) == 1:
             law = loop.controller()
             memory = "with its memory, which scales with the stiffness and keeps its length in samples"
-        assumptions.append(f"law linearised at the worst pose, {memory}")
+        assumptions += [f"law linearised at the worst pose, {memory}", *[verdict.range] * bool(verdict.range)]
     elif not isinstance(loop.velocity, FiniteDifference | LowPass):
         law = loop.controller()
     axis, (k, b), own = loop.axes[0], (loop.stiffness, max(loop.damping, 0.0)), loop.device
@@ -448,7 +454,7 @@ def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> 
         result |= {f"device_{name}": getattr(own, name) for name in names}
     if stated.get("inertia") is None:
         result["inertia" if axis.startswith("r") else "mass"] = loop.inertia
-    return {**result, **stated}
+    return {**result, "valid_to": verdict.valid_to, **stated}
 
 
 def _in_question(verdict: Verdict) -> tuple[Loop | None, str]:

@@ -37,7 +37,7 @@ _UNDECLARED = "a law with walls on the device needs declared gains: define gains
 """Reasons why a loop cannot be judged."""
 
 _FIELDS = tuple(item.name for item in fields(Loop) if item.name not in ("linear", "body", "pose", "reason"))
-_OF_CONTROLLER = "delay", "pose", "inertia", "reach", "device", "driver_lag", "hand"
+_OF_CONTROLLER = "delay", "pose", "inertia", "reach", "device", "driver_lag", "hand", "load"
 
 
 def loops_of(what: Any = None, **changes: Any) -> Loops:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AxisLaw, Controller, gain, hold
-from maglev_mj.control import Gains, Law
-from maglev_mj.errors import TooManyCallsError
+from maglev_mj import AxisLaw, Controller, diagnose, gain, hold
+from maglev_mj.control import AdaptiveWindow, Gains, Law
+from maglev_mj.errors import KeywordError, ParameterError, TooManyCallsError
 from maglev_mj.frames import AXES
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
+from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.studies.compare import _chosen, _with_law
 from maglev_mj.theory.doubts import Doubt, doubts
 from maglev_mj.theory.verdict import stability
@@ -325,3 +326,27 @@ def test_declared_gains_are_the_linear_part_of_a_law() -> None:
     verdict = stability(scene(Declared, 2e4))
     assert verdict.stable is True and verdict.remarks == ("Declared as declared, without the rest",)
     assert not stability(Drop()).remarks
+
+
+class Windowed(Drop):
+    """Drop with an estimator that is not linear."""
+
+    def velocity_estimator(self) -> Any:
+        return AdaptiveWindow()
+
+
+def test_an_estimator_that_is_not_linear_is_judged_nowhere() -> None:
+    verdict, warning = stability(Windowed()), stability_warning(Windowed())
+    assert verdict.stable is None and verdict.unjudged == AXES
+    assert warning is not None and warning.endswith("rz: the velocity estimator AdaptiveWindow is not linear")
+
+
+def test_diagnose_says_for_which_motion_it_holds() -> None:
+    soft = diagnose(scene(Sticky, 2e3))
+    assert soft.valid_to is not None and soft.as_json()["valid_to"] == soft.valid_to < 0.2
+    assert "valid for small motion: linear on z up to" in " ".join(str(soft).split())
+    assert diagnose(Drop()).valid_to is None
+    with pytest.raises(ParameterError, match=r"not computed on z: .* does not repeat|hysteresis"):
+        diagnose(scene(Play, 2e4))
+    with pytest.raises(KeywordError, match="valid_to"):
+        diagnose(stiffness=1.0, damping=1.0, mass=1.0, rate=100.0, valid_to=1.0)
