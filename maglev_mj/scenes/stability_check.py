@@ -17,7 +17,7 @@ from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.loop import Loop, Loops
-from maglev_mj.theory.read import loops_at, scene_lag, stated_gains
+from maglev_mj.theory.read import loops_at, scene_doubts, scene_lag, stated_gains, with_doubt
 from maglev_mj.theory.verdict import judge, verdicts
 
 STEP_FORCE = 2.0
@@ -86,7 +86,11 @@ def wall_loops(
 
     weight = float(body[0]) * GRAVITY / gain
     items = [at(controller, axis, along(AXES[axis], edge - normal * weight)) for axis, normal, edge in faces]
-    return Loops(tuple(items), all(loop.pose is None and not loop.reason for loop in items), grown=grown)
+    stated = all(loop.pose is None and not loop.reason for loop in items)
+    if not stated:
+        doubt = {axis: scene_doubts([scene], axis)[0] for axis in {axis for axis, *_ in faces}}
+        items = [one for item in items for one in with_doubt([item], doubt[AXES.index(item.axis)])]
+    return Loops(tuple(items), stated, grown=grown)
 
 
 def check_step(present: Controller, new: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:

@@ -6,7 +6,7 @@ Figures: contact over the sampler's phases, force noise and stability margins at
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
@@ -36,9 +36,10 @@ from maglev_mj.studies.sweep import Grid, Sweep
 from maglev_mj.studies.wall_laws import LAWS, LawMaker, WallLaw, laws_of, wall_law
 from maglev_mj.theory import stated_gains
 from maglev_mj.theory.critical import critical_ratios
+from maglev_mj.theory.doubts import Doubt
 from maglev_mj.theory.linearise import linearise
 from maglev_mj.theory.loop import Loop, Loops
-from maglev_mj.theory.read import loops_at, scene_lag
+from maglev_mj.theory.read import loops_at, partial_laws, scene_doubts, scene_lag, with_doubt
 from maglev_mj.theory.verdict import Verdict, verdicts
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
@@ -74,11 +75,13 @@ class Comparison(Variants):
             two are NaN if nothing changes up to ten times the gain, and for a law without a stiffness.
         laws: Row of each law in the table of laws.
         scene: The scene with its own wall.
+        reasons: Reason for NaN among the margins of a law, or for a verdict on a part of it, by law.
     """
 
     margins: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     laws: Mapping[str, WallLaw] = field(default_factory=dict)
     scene: Any = None
+    reasons: Mapping[str, str] = field(default_factory=dict)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return a row for each law, in SI units.
@@ -107,7 +110,7 @@ class Comparison(Variants):
         """Return the columns, and the figures of each law at each phase, ready for JSON."""
         head = {"scene": self.scene.name, "plant": self.first.plant, "parameters": self.scene.as_json()}
         columns = plain(self.columns()) | {"verdict": list(self.verdicts.values())}
-        return {**head, "columns": columns, "laws": plain(self.phases)}
+        return {**head, "columns": columns, "laws": plain(self.phases), "reasons": dict(self.reasons)}
 
     def table(self) -> Table:
         """Return a row for each law: its contact, and below its rest in the wall, and its equation."""
@@ -127,7 +130,7 @@ class Comparison(Variants):
         ]
         equations = [[label, law.status, law.text] for label, law in self.laws.items()]
         below = [
-            Table(_AT_REST, still, rest, _MARGIN_NOTE),
+            Table(_AT_REST, still, rest, "\n".join([_MARGIN_NOTE, *map(": ".join, self.reasons.items())])),
             Table("laws", ("law", "status", "equation; source"), equations),
         ]
         count = len(next(iter(self.phases.values())).phases)
@@ -189,9 +192,11 @@ def compare(
     """
     chosen, named = _chosen(scene, laws)
     variants = {label: _with_law(chosen, label, law, plant) for label, law in named.items()}
-    margins = {label: _margins(variant) for label, variant in variants.items()}
+    at_rest = {label: _at_rest(variant) for label, variant in variants.items()}
+    rest: Any = {"margins": {label: margins for label, (margins, _) in at_rest.items()}}
+    rest["reasons"] = {label: "; ".join(reasons) for label, (_, reasons) in at_rest.items() if reasons}
     result = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
-    return Comparison(result.runs, result.phases, chaotic=result.chaotic, margins=margins, laws=named, scene=chosen)
+    return Comparison(result.runs, result.phases, chaotic=result.chaotic, laws=named, scene=chosen, **rest)
 
 
 def _chosen(scene: SceneLike, laws: Laws) -> tuple[WallScene, dict[str, WallLaw]]:
@@ -286,7 +291,7 @@ def sweep_laws(
 
     def value_of(variant: WallScene) -> float:
         if shown in _MARGINS:
-            return _margins(variant)[shown]
+            return _at_rest(variant)[0][shown]
         with suppress(DivergenceError):
             each = run_phases(variant, phases, plant=plant).figures[shown]
             return float(known[shown].percentile(np.ravel(each), 50.0))
@@ -362,6 +367,9 @@ class _AtRest:
             free = [-self._poses[index][0] for index in some]
             for index, near in zip(some, linearise([*some.values()], free, axes=first.axis) if some else ()):
                 self._poses[index] += [-self._poses[index][0]] * bool(near.response.any() or not near.settled.all())
+        self._doubts: Sequence[Doubt | None] = [None] * len(scenes)
+        with suppress(TooManyCallsError):
+            self._doubts = scene_doubts(scenes, first.axis_index) if some else self._doubts
 
     def loops(self, indices: Sequence[int], ratios: Sequence[float]) -> list[Loops]:
         """Return the loops of some scenes at ratios of their stiffness, in the wall first; none out of its bounds."""
@@ -378,7 +386,8 @@ class _AtRest:
             for row, loop in zip(order, found, strict=True):
                 each[row].append(loop)
             stated = found.stated
-        return [Loops(tuple(some), stated) for some in each]
+        every = (with_doubt(some, self._doubts[index]) for some, index in zip(each, indices, strict=True))
+        return [Loops(tuple(some), stated) for some in every]
 
     def present(self) -> list[Verdict]:
         """Return the verdict on each scene."""
@@ -398,8 +407,8 @@ def _radius(verdict: Verdict) -> float:
     return math.nan if verdict.stable is None else verdict.spectral_radius
 
 
-def _margins(scene: WallScene) -> dict[str, float]:
-    """Return the figures of a scene's first law at rest.
+def _at_rest(scene: WallScene) -> tuple[dict[str, float], list[str]]:
+    """Return the figures of a scene's first law at rest, and why some are NaN or hold for a part of its laws.
 
     Laws that state no gains rest at the depth at which the scene's own wall carries the weight.
     """
@@ -414,4 +423,21 @@ def _margins(scene: WallScene) -> dict[str, float]:
     rest = stiffness if 1.0 < stiffness < 1e9 else scene.stiffness
     swing, force = hum(0.0, law=scene.controller(), stiffness=rest, duration=_TICKS * scene.period, **around)
     gain = margin * float(getattr(law, "stiffness", math.nan))
-    return dict(zip(_MARGINS, (stiffness, force.item(), swing.item(), radius, gain, margin), strict=True))
+    margins = dict(zip(_MARGINS, (stiffness, force.item(), swing.item(), radius, gain, margin), strict=True))
+    partial = partial_laws(scene.controller())
+    return margins, [
+        *_reasons(verdict, margins),
+        *[f"{' and '.join(partial)} as declared, without the rest"] * bool(partial),
+    ]
+
+
+def _reasons(verdict: Verdict, margins: Mapping[str, float]) -> Iterator[str]:
+    """Yield why a margin of a law is NaN."""
+    if math.isnan(margins["spectral_radius"]):
+        yield f"stability not computed: {next(loop.reason for loop in verdict.loops if loop.reason)}"
+    elif not margins["stiffness"]:
+        yield "no critical gain: the law has no stiffness at rest"
+    elif math.isnan(margins["margin"]):
+        yield "no critical gain: softer walls are unstable, or nothing changes up to the end of the search"
+    elif math.isnan(margins["critical_stiffness"]):
+        yield "no critical gain: the law has no gain called stiffness"

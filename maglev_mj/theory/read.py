@@ -22,7 +22,7 @@ from maglev_mj.lazy import loaded
 from maglev_mj.parameters import number, numbers, transport_delay
 from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
-from maglev_mj.theory.doubts import doubts
+from maglev_mj.theory.doubts import Doubt, doubts
 from maglev_mj.theory.linearise import Linearised, linearise, realise
 from maglev_mj.theory.loop import FREE, AtPose, Loop, Loops, memory_of
 from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, poses_of
@@ -436,6 +436,29 @@ def loops_at(
     else:
         found = Loops(tuple(_along(controllers, axis, poses, inertia, around)), False)
     return found if hand is None else found.replace(hand=hand)
+
+
+def scene_doubts(scenes: Sequence[Any], axis: int) -> list[Doubt | None]:
+    """Return what probes of one axis found in scenes that differ in gains alone; None for declared gains."""
+    controllers = [scene.controller() for scene in scenes]
+    own = [index for index, one in enumerate(controllers) if stated_gains(one) is None]
+    result: list[Doubt | None] = [None] * len(controllers)
+    if own:
+        first = scenes[own[0]]
+        around: Any = {"reach": first.body.bounded.range, "load": first.body.load, "axes": [axis]}
+        for index, found in zip(
+            own, doubts([controllers[one] for one in own], pose=first.start().pose, **around), strict=True
+        ):
+            result[index] = found.get(axis)
+    return result
+
+
+def with_doubt(loops: Sequence[Loop], doubt: Doubt | None) -> list[Loop]:
+    """Return the loops of one axis, not judged, or beside one that is not judged, where a probe gives a reason."""
+    if doubt is None or not doubt.reason or not loops:
+        return [*loops]
+    doubted = [replace(loop, reason=loop.reason or doubt.reason) for loop in loops]
+    return doubted if doubt.void else [*loops, doubted[0]]
 
 
 def _nothing(reason: str, start: Array, body: Array, around: Mapping[str, Any]) -> Loops:

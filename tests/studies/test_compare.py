@@ -342,7 +342,7 @@ def test_laws_have_the_labels_and_numbers_of_a_mapping() -> None:
 @pytest.fixture
 def no_margins(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the search of the margins, which takes most of the time."""
-    monkeypatch.setattr("maglev_mj.studies.compare._margins", lambda scene: dict.fromkeys(_MARGINS, 1.0))
+    monkeypatch.setattr("maglev_mj.studies.compare._at_rest", lambda scene: (dict.fromkeys(_MARGINS, 1.0), []))
 
 
 @pytest.mark.usefixtures("no_margins")

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AxisLaw, Controller, diagnose, gain, hold
+from maglev_mj import AxisLaw, Controller, compare, diagnose, gain, hold
 from maglev_mj.control import AdaptiveWindow, Gains, Law
 from maglev_mj.errors import KeywordError, ParameterError, TooManyCallsError
 from maglev_mj.frames import AXES
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.stability_check import stability_warning
+from maglev_mj.scenes.stability_check import stability_warning, wall_loops
 from maglev_mj.studies.compare import _chosen, _with_law
 from maglev_mj.theory.doubts import Doubt, doubts
-from maglev_mj.theory.verdict import stability
+from maglev_mj.theory.verdict import judge, stability
 
 
 class Own(AxisLaw):
@@ -350,3 +350,21 @@ def test_diagnose_says_for_which_motion_it_holds() -> None:
         diagnose(scene(Play, 2e4))
     with pytest.raises(KeywordError, match="valid_to"):
         diagnose(stiffness=1.0, damping=1.0, mass=1.0, rate=100.0, valid_to=1.0)
+
+
+def test_compare_gives_the_reason_of_each_missing_margin() -> None:
+    one = Drop(period=1e-3, delay=8e-4, stiffness=2e4, damping=80.0, duration=0.03)
+    found = compare(one, {"play": Play, "plain": Plain, "damper": Damper, "passivity": "passivity"}, phases=1)
+    assert found.verdicts == {"play": "not computed", "plain": "stable", "damper": "stable", "passivity": "stable"}
+    assert found.reasons == found.as_json()["reasons"]
+    assert found.reasons == {
+        "play": "stability not computed: the force at rest depends on the way there (hysteresis)",
+        "damper": "no critical gain: the law has no stiffness at rest",
+        "passivity": "PassivityController as declared, without the rest",
+    }
+    assert "play: stability not computed: the force at rest" in " ".join(str(found).split())
+
+
+@pytest.mark.parametrize("law", [Constant, EverySecond, Plain])
+def test_the_margin_of_a_wall_needs_a_law_without_doubts(law: Any) -> None:
+    assert (judge(wall_loops(scene(law, 2e4))).stable is None) == (law is not Plain)
