@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import chain
 from typing import Any, ClassVar
 
@@ -304,7 +305,7 @@ def sweep_laws(
             each = [chosen.replace(**{name: some[index][name] for name in vary}) for index in indices]
             variants = [_with_law(one, label, named[label], plant) for one in each]
             at_rest = _AtRest(variants)
-            radii = [*map(_radius, at_rest.present())]
+            radii = [*map(_radius, at_rest.present)]
             if shown == _MAPPED:
                 values = [ratio * one.stiffness for ratio, one in zip(at_rest.critical(), variants, strict=True)]
             else:
@@ -389,8 +390,9 @@ class _AtRest:
         every = (with_doubt(some, self._doubts[index]) for some, index in zip(each, indices, strict=True))
         return [Loops(tuple(some), stated) for some in every]
 
+    @cached_property
     def present(self) -> list[Verdict]:
-        """Return the verdict on each scene."""
+        """Verdict on each scene."""
         return verdicts(self.loops(range(len(self.scenes)), [1.0] * len(self.scenes)))
 
     def critical(self) -> list[float]:
@@ -398,7 +400,7 @@ class _AtRest:
 
         NaN if nothing changes up to the end of the search, or if not computed.
         """
-        ratios = critical_ratios(self.loops, len(self.scenes))
+        ratios = critical_ratios(self.loops, [verdict.loops for verdict in self.present])
         return [math.nan if ratio.beyond else float(ratio) for ratio in ratios]
 
 
@@ -413,7 +415,7 @@ def _at_rest(scene: WallScene) -> tuple[dict[str, float], list[str]]:
     Laws that state no gains rest at the depth at which the scene's own wall carries the weight.
     """
     at_rest = _AtRest([scene])
-    (verdict,), (margin,) = at_rest.present(), at_rest.critical()
+    (verdict,), (margin,) = at_rest.present, at_rest.critical()
     stiffness, radius = verdict.loops[0].total[0], _radius(verdict)
     margin = margin if margin > 0.0 else math.nan
     law: Any = scene.laws()[0]

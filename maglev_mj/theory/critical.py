@@ -24,7 +24,7 @@ LoopsAt: TypeAlias = Callable[[Sequence[int], Sequence[float]], Sequence[Loops]]
 """Function of indices and ratios of a gain that returns the loops of each; none for a gain out of bounds."""
 
 
-def critical_ratios(at: LoopsAt, count: int) -> list[Bound]:
+def critical_ratios(at: LoopsAt, present: Sequence[Loops]) -> list[Bound]:
     """Return the ratio of critical to present gain of N cases: all softer ones are stable.
 
     By the characteristic polynomial for laws that are affine in the gain, so that no crossing is missed; others by one
@@ -32,17 +32,18 @@ def critical_ratios(at: LoopsAt, count: int) -> list[Bound]:
 
     Args:
         at: Loops of some cases at ratios of their gain; a case is as stable as its worst loop.
-        count: Number of cases N.
+        present: Those of each case at its present gain, N.
 
     Returns:
         By case: `beyond` if nothing changes in the search, 0 if softer ones are unstable too, NaN if not judged.
     """
-    every = range(count)
-    each = [at(every, [ratio] * count) for ratio in _RATIOS]
-    exact = [_exact(list(three)) for three in zip(*each, strict=True)]
-    present = [_radius(loops) for loops in each[0]]
-    rest = [index for index in every if exact[index] is None and present[index] == present[index]]
-    scanned = dict(zip(rest, _scan(at, rest, present), strict=True))
+    count = len(present)
+    every = [*range(count)]
+    others = at(every * 2, [ratio for ratio in _RATIOS[1:] for _ in every])  # together
+    exact = [_exact(three) for three in zip(present, others[:count], others[count:], strict=True)]
+    radii = [_radius(loops) for loops in present]
+    rest = [index for index in every if exact[index] is None and radii[index] == radii[index]]
+    scanned = dict(zip(rest, _scan(at, rest, radii), strict=True))
     return [found if (found := exact[index]) is not None else scanned.get(index, Bound(math.nan)) for index in every]
 
 

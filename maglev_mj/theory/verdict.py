@@ -418,7 +418,7 @@ def critical_stiffness_of(loops: Loops, loop: Loop) -> _Critical:
     def at(_: Sequence[int], ratios: Sequence[float]) -> list[Loops]:
         return [_grown(loops, loop, ratio) for ratio in ratios]
 
-    (ratio,) = critical_ratios(at, 1)
+    (ratio,) = critical_ratios(at, [loops.only([loop])])
     return _Critical(ratio, ratio if ratio == 0.0 else Bound(total + (ratio - 1.0) * rise, ratio.beyond))
 
 

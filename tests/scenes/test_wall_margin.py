@@ -98,7 +98,7 @@ def test_critical_ratios_are_searched_together() -> None:
         gains = [ratio * stiffnesses[index] for index, ratio in zip(indices, ratios, strict=True)]
         return [Loops((replace(wall, stiffness=gain, reason="unknown" * math.isnan(gain)),)) for gain in gains]
 
-    found = critical_ratios(at, 4)
+    found = critical_ratios(at, at(range(4), [1.0] * 4))
     assert found[:3] == pytest.approx([1.7, 0.3, math.nan], rel=1e-4, nan_ok=True)
     assert [one.beyond for one in found] == [False, False, False, True] and found[3] == pytest.approx(10.7, rel=1e-2)
 

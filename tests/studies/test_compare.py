@@ -161,7 +161,7 @@ KNOWN: dict[str, tuple[dict[str, Any], float]] = {
 @pytest.mark.parametrize("law", [name for name in LAWS if name != "colgate"])
 def test_each_law_has_the_spectral_radius_of_its_equation(law: str) -> None:
     options, radius = KNOWN[law]
-    assert loop_of(law, **options).present()[0].spectral_radius == pytest.approx(
+    assert loop_of(law, **options).present[0].spectral_radius == pytest.approx(
         radius, abs=3e-5 if law == "half-sample" else 1e-6
     )
 
@@ -186,7 +186,7 @@ def test_a_virtual_coupling_in_free_air_is_linearised_with_its_virtual_mass(
 
 def test_a_law_that_is_stable_in_the_wall_alone_is_not_stable() -> None:
     unstable = _AtRest([_with_law(Drop(), "light", LAWS["virtual-coupling"]._replace(make=light), "exact")])
-    assert unstable.present()[0].stable is not True  # in free air, where the light mass is dragged
+    assert unstable.present[0].stable is not True  # in free air, where the light mass is dragged
 
 
 def light(stiffness: float, damping: float, axes: str, period: float) -> VirtualCoupling:
