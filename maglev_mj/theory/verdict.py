@@ -28,7 +28,7 @@ from maglev_mj.theory.read import JUMPS, UNKNOWN, of_scene
 
 _ROUNDING = 1e-9
 """Tolerance of a spectral radius."""
-_LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 12
+_LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 22
 """Longest delay and finest step of a margin [s], delays per period, and bisections."""
 _SLIGHT = 1e-3
 """Relative change of a gain that shows the stiffness of an axis that it adds."""
@@ -398,7 +398,7 @@ def critical_stiffness_of(loops: Loops, loop: Loop) -> _Critical:
     total, grown = loop.total[0], loops.grown
     if len(loop.axes) > 1 or not total > 0.0:
         return _UNKNOWN
-    rise, other = total, loop
+    rise, other = loop.stiffness, loop
     if grown is not None:
         try:
             other = grown(loop, 1.0 + _SLIGHT)
@@ -406,12 +406,12 @@ def critical_stiffness_of(loops: Loops, loop: Loop) -> _Critical:
             other = grown(loop, 1.0 - _SLIGHT)
         change = other.total[0] - total
         rise = abs(change) / _SLIGHT if abs(change) > _ROUNDING * total else total
-    if loop.linear is None and loop.law is None and loop.device is None:
-        if other == replace(loop, stiffness=other.stiffness):  # the other gains unchanged
-            array = loop.array()
-            found = float(boundary_of(array, np.asarray(loop.damping)))
-            beyond, ratio = found >= float(highest_of(array)) * (1.0 - _ROUNDING), 1.0 + (found - total) / rise
-            return _Critical(Bound(max(ratio, 0.0), beyond), Bound(found, beyond))
+    # the host's stiffness alone changes, so that no crossing is missed
+    if loop.linear is None and loop.stiffness and other == replace(loop, stiffness=other.stiffness):
+        array = loop.array()
+        found = float(boundary_of(array, np.asarray(loop.damping)))
+        beyond, ratio = found >= float(highest_of(array)) * (1.0 - _ROUNDING), 1.0 + (found - loop.stiffness) / rise
+        return _Critical(Bound(max(ratio, 0.0), beyond), Bound(found + total - loop.stiffness, beyond))
     if grown is None:
         return _UNKNOWN
 
