@@ -105,3 +105,12 @@ def test_the_least_passive_damping_is_that_of_a_dense_grid() -> None:
 def test_the_note_on_a_mode_names_the_first_rate_that_is_unstable() -> None:
     loop = SampledLoop(period=0.005, delay=0.0015, mass=0.7, mode=Mode(1100.0, 0.01, -1.0))
     assert "unstable with this mode above 2149 Hz" in rigid_note(loop)
+
+
+def test_a_peak_narrower_than_the_steps_of_the_grid_is_found() -> None:
+    random = np.random.default_rng(4)
+    for _ in range(50):
+        poles = (1.0 - 10.0 ** random.uniform(-6.0, -3.0, 3)) * np.exp(1j * random.uniform(0.02, 3.0, 3))
+        size = lambda x: np.abs(1.0 / (np.exp(1j * x)[..., None] - poles)).sum(axis=-1)  # noqa: B023, E731
+        angle, height = peak(size, angles_of(poles))
+        assert height >= size(np.angle(poles)).max() and np.abs(angle - np.angle(poles)).min() < 1e-3
