@@ -540,8 +540,10 @@ def lag_of(device: Device) -> float:
     """Return the time constant of a device's drivers that enters its loops [s].
 
     The published joystick's 80 µs are part of its published delay of 1.5 ms: the paper's own analysis has no other lag.
+    So they are where it is calibrated, with the same drivers and loop.
     """
-    return 0.0 if device.published else device.driver.time_constant
+    own = published_device()
+    return 0.0 if (device.driver, device.loop) == (own.driver, own.loop) else device.driver.time_constant
 
 
 class OnDevice(Parameters):
