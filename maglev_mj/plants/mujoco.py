@@ -108,6 +108,8 @@ class MuJoCoPlant(SampledPlant):
         "device",
     )
 
+    _steps: engine.Steps | engine.LaggingSteps
+
     def __init__(
         self,
         timing: Timing | None = None,
@@ -171,6 +173,7 @@ class MuJoCoPlant(SampledPlant):
             self._reach = float(self.device.range[:3].min()), float(self.device.range[3])
         if lag:
             factors = engine.LagFactors(lag, integrator)
+            assert isinstance(self._steps, engine.Steps)
             self._steps = engine.LaggingSteps(self._steps, factors, self._timeline.acting[1])
             if self._run != self._run_in_pieces:
                 self._run = self._carry

@@ -320,7 +320,7 @@ def rigid_note(loop: SampledLoop) -> str:
         return f"{text} unstable with this mode at this rate"
     rough = bisect(lambda rate: unstable(rate[None])[0], low, high, _STEPS)
     fails = lambda rate: np.asarray(not _holds(replace(loop, period=1.0 / rate), stiffest_of))  # noqa: E731
-    rate = float(bisect(fails, *(rough * (1.0 + side * _COARSE) for side in (-1.0, 1.0)), _FINER_STEPS))
+    rate = float(bisect(fails, rough * (1.0 - _COARSE), rough * (1.0 + _COARSE), _FINER_STEPS))
     return f"{text} unstable with this mode above {rate:.0f} Hz at this delay"
 
 
@@ -501,6 +501,6 @@ def least_passive_damping(
         return np.asarray(0.5 * (real + np.sqrt(real**2 + share * (1.0 - share) * (step * np.abs(wall)) ** 2)))
 
     shape = np.broadcast_shapes(k.shape, b.shape, step.shape, late.shape, law.direct.shape)[:-1]
-    poles = np.linalg.eigvals(law.advance)  # of the law; those of all gains have one axis more
+    poles = np.asarray(np.linalg.eigvals(law.advance))  # of the law; those of all gains have one axis more
     grid = angles_of(poles if poles.ndim == 1 else poles[..., 0, :], _ANGLES)
     return peak(needed, np.broadcast_to(grid, (*shape, grid.shape[-1])))[1]

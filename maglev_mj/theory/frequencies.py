@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maglev_mj.frames import Array
 
@@ -24,7 +25,7 @@ _MAXIMA, _HALVINGS, _FINEST = 3, 14, 50
 _ALIASES, _NEAR = 24, np.array([0.99, 1.0, 1.01])
 
 
-def angles_of(poles: Array, grid: Array | None = None) -> Array:
+def angles_of(poles: ArrayLike, grid: Array | None = None) -> Array:
     """Return a grid of angles that contains those of poles and of their peaks, ascending.
 
     Args:
@@ -34,6 +35,7 @@ def angles_of(poles: Array, grid: Array | None = None) -> Array:
     Returns:
         The angles, (..., F + 5 n); some may be equal.
     """
+    poles = np.asarray(poles)
     common = np.array([0.0, *np.geomspace(_LOWEST, HIGHEST, _COUNT)]) if grid is None else grid
     width = -np.log(np.clip(np.abs(poles), 1e-3, 1.0 - 1e-12))
     own = np.abs(np.angle(poles))[..., None] + width[..., None] * _BESIDE

@@ -112,7 +112,7 @@ def test_a_twin_lags_as_its_device_file_says(plant: str) -> None:
         body = Twin(TwinParameters(calibration=truth, plant=plant, pose=[0.0] * 6)).plant
         for _ in range(2):
             body.read()
-            body.drive(truth.coils.currents([0.0, 0.0, 6.0, 0.0, 0.0, 0.0]).tolist(), after=0.0)
+            body.drive(truth.coils.currents(np.array([0.0, 0.0, 6.0, 0.0, 0.0, 0.0])).tolist(), after=0.0)
         moved.append((float(body.state()[1][2]) + 9.81 * own.period) * own.mass)
     # behind a lag tau the momentum after a time t is f (t - tau (1 - exp(-t / tau)))
     assert moved == pytest.approx([6e-3, 6.0 * (1e-3 - 1e-3 * (1.0 - np.exp(-1.0)))], rel=1e-6)
