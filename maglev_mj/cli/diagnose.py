@@ -18,9 +18,9 @@ from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
 _SOURCES = {
     "stiffness": "from the scene or recording, else required",
     "damping": "from the scene or recording, else required",
-    "period": "from the scene, recording or device, else required",
-    "delay": "from the scene, recording or device, else one period",
-    "mass": "from the scene, recording or device, else mass or inertia is required",
+    "period": "from the scene, recording or device, else that of the log, or required",
+    "delay": "from the scene, recording or device, else fitted to a log, or one period",
+    "mass": "from the scene, recording or device, else fitted to a log; or mass or inertia is required",
     "inertia": "from the scene or recording, else none",
     "cutoff": "from the scene, else none",
 }

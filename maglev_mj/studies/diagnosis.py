@@ -263,8 +263,8 @@ class Diagnosis(NoTruthValue, Result):
         """Spectral radius, ringing frequency and growth in words."""
         text = f"spectral radius {self.spectral_radius:.4f}"
         if self.frequency:
-            text += f", rings at {self.frequency:.3g} Hz"
-            text += f" (measured {self.measured.frequency:.3g} Hz)" if self.measured else ""
+            text += f", rings at {_hertz(self.frequency)}"
+            text += f" (measured {_hertz(self.measured.frequency)})" if self.measured else ""
         word = "halves" if self.doubling_time < 0.0 else "doubles"
         if math.isfinite(self.doubling_time):
             span = abs(self.doubling_time)
@@ -378,7 +378,7 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
         values = {name: own[name] for name in own if name != "mass" or not rotary} | values
     if measured is not None and "period" not in values:
         values = values | {"period": 1.0 / measured.rate}
-        assumptions.append(f"the rate of the loop is that of the log, {measured.rate:.4g} Hz")
+        assumptions.append(f"the rate of the loop is that of the log, {measured.rate:.6g} Hz")
     if values.get("device_stiffness"):  # alone, or beside that of the host
         values = {"stiffness": 0.0, "damping": 0.0} | values
     given = {name for name, value in values.items() if value is not None}
@@ -503,7 +503,8 @@ def _explained(loop: DiagnosedLoop, seen: Oscillation, given: set[str], assumpti
     found = explain(seen, replace(loop.loop_in_question, axis=axis), stated, tuple(assumptions))
     assumptions[:] = found.assumptions
     fitted = {word: getattr(found.loop, name) for name, word in names.items() if name not in stated}
-    return loop.trial(**fitted), found.oscillation, found.remarks
+    how = found.remarks if loop.on_host else tuple(text.replace("delay", "device delay") for text in found.remarks)
+    return loop.trial(**fitted), found.oscillation, how
 
 
 def _diagnosed(
@@ -810,6 +811,10 @@ def _interval(ends: tuple[float, float] | None, unit: str) -> str:
     if low and high:
         return f"{ends[0]:.4g} to {ends[1]:.4g} {unit}"
     return f"from {ends[0]:.4g} {unit}" if low else f"up to {ends[1]:.4g} {unit}" if high else "no limit found"
+
+
+def _hertz(value: float) -> str:
+    return f"{value:.0f} Hz" if value >= 1000.0 else f"{value:.3g} Hz"
 
 
 def _milliseconds(value: float) -> str:

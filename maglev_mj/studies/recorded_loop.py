@@ -21,7 +21,7 @@ _PAIRS = ("inertia", "delay"), ("own_damping", "delay"), ("inertia", "own_dampin
 _FIELDS = {"inertia": "mass", "delay": "delay", "own_damping": "own_damping"}  # keywords of `Loop.array`
 _AGREES = 0.05  # largest change of a stated value that is put down to noise
 _CLOSE, _SURE = 0.003, 5.0  # distance of two poles: relative, in standard errors
-_SPREAD = 2.0  # standard errors in half an interval
+_SPREAD, _FINEST = 2.0, 1e-4  # half an interval: in standard errors, and the least that is printed, relative
 _LONGEST, _STARTS = 10, 4  # periods of delay searched, and starts in each
 _STEPS, _SHIFT, _DAMPED, _STILL, _SAME = 25, 1e-6, 1e-5, 1e-3, 0.01
 _LIMITS = {"inertia": (1e-4, 1e4), "delay": (0.0, _LONGEST - _SHIFT), "own_damping": (0.0, 10.0)}  # in their scales
@@ -71,10 +71,10 @@ def explain(seen: Oscillation, loop: Loop, given: Collection[str], assumptions: 
         own = _rate(loop)
         for alias in _aliases(seen, 1.0 / loop.period):
             if abs(own - _target(alias)) <= _tolerance(alias):
-                seen_as = f", which a log at {seen.rate:.4g} Hz shows at {seen.frequency:.4g} Hz" * (alias != seen)
+                seen_as = f", which a log at {seen.rate:.6g} Hz shows at {seen.frequency:.4g} Hz" * (alias != seen)
                 return Explained(loop, alias, (f"the loop as given explains the oscillation{seen_as}",), assumptions)
     if loop.period * seen.rate < 0.98:
-        assumptions += (f"a frequency below half the log's rate, {0.5 * seen.rate:.4g} Hz",)
+        assumptions += (f"a frequency below half the log's rate, {0.5 * seen.rate:.6g} Hz",)
     start = loop if "own_damping" in given else replace(loop, own_damping=0.0)
     pairs = _PAIRS[:1] if "own_damping" in given else [x for x in _PAIRS if {*_PAIRS[0]} <= {*x, *given}]
     tried: dict[tuple[str, str], list[_Candidate]] = {}
@@ -150,6 +150,7 @@ def _values(loop: Loop, names: Iterable[str], errors: Mapping[str, float] | None
         value, error = factor * getattr(loop, name), factor * (errors or {}).get(name, 0.0)
         number = f"{value:.4g}"
         if 0.0 < error < math.inf:
+            error = max(error, _FINEST * value)
             number = f"{round(value, -math.floor(math.log10(error))):.10g} ± {error:.1g}"
         texts.append(f"{_word(name, loop)} {number} {units.get(name, 'ms')}")
     return ", ".join(texts)
@@ -187,14 +188,13 @@ def _aliases(seen: Oscillation, rate: float) -> list[Oscillation]:
 
 
 def _least(name: str, stated: Loop) -> float:
-    """Return a stated value, or what counts as small beside it: half a period of delay, a damping of m/(100 T)."""
-    least = {"delay": 0.5 * stated.period, "own_damping": 0.01 * stated.inertia / stated.period}.get(name, 0.0)
-    return max(getattr(stated, name), least)
+    """Return a stated inertia or delay, or half a period if the delay is shorter."""
+    return max(stated.delay, 0.5 * stated.period) if name == "delay" else stated.inertia
 
 
 def _change(name: str, loop: Loop, stated: Loop) -> float:
-    """Return the relative change of a stated value."""
-    return abs(getattr(loop, name) - getattr(stated, name)) / _least(name, stated)
+    """Return the relative change of a stated inertia or delay."""
+    return float(abs(getattr(loop, name) - getattr(stated, name)) / _least(name, stated))
 
 
 def _candidates(seen: Oscillation, loop: Loop, pair: tuple[str, str], given: Collection[str]) -> list[_Candidate]:
@@ -203,7 +203,7 @@ def _candidates(seen: Oscillation, loop: Loop, pair: tuple[str, str], given: Col
     body = loop.inertia if "inertia" in given else _body(loop, z)
     about = replace(loop, inertia=body)
     for values in _roots(about, pair, z, _starts(about, pair, z)):
-        one = replace(loop, **values)
+        one = replace(loop, **values)  # type: ignore[arg-type]
         if abs(_rate(one) - _target(seen)) <= _tolerance(seen):
             errors = _errors(one, pair, z, seen.error)
             kept = [name for name in pair if name in given]
@@ -215,7 +215,7 @@ def _candidates(seen: Oscillation, loop: Loop, pair: tuple[str, str], given: Col
 
 def _body(loop: Loop, z: complex) -> float:
     """Return the inertia that balances the stiffness at a pole: a scale."""
-    return loop.stiffness / abs(np.log(z) / loop.period) ** 2
+    return float(loop.stiffness / abs(np.log(z) / loop.period) ** 2)
 
 
 def _starts(loop: Loop, pair: tuple[str, str], z: complex) -> list[dict[str, float]]:

@@ -153,8 +153,8 @@ def values_of(hint: Any) -> Iterator[Any]:
     elif isinstance(hint, UnionType) or get_origin(hint) is Union:
         yield from (value for part in parts for value in values_of(part))
     elif isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields"):
-        known = get_type_hints(hint)
-        yield hint(*(next(values_of(known[name]), None) for name in hint._fields))
+        made: Any = hint
+        yield made(*(next(values_of(part), None) for part in get_type_hints(hint).values()))
     elif get_origin(hint) is tuple:
         yield tuple(next(values_of(part), None) for part in parts if part is not ...)
     elif get_origin(hint) is np.ndarray:

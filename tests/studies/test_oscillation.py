@@ -53,7 +53,9 @@ def pole_of(*values: float) -> complex:
 
 def explained(seen: Oscillation, *values: float, **stated: float) -> Explained:
     """Return the loop with stated gains and period, and what else is stated."""
-    return explain(seen, replace(loop_of(*values, 1.0, 0.0), **stated), {*stated})  # type: ignore[arg-type]
+    stiffness, damping, period = values
+    loop = loop_of(stiffness, damping, period, 1.0, 0.0)
+    return explain(seen, replace(loop, **stated), {*stated})  # type: ignore[arg-type]
 
 
 def loops(seed: int, count: int) -> Iterator[Values]:
@@ -91,7 +93,7 @@ def measured(loop: Values, *, count: int = 0, seed: int = 0, start: float = 0.0,
 
 
 @pytest.mark.parametrize(("pole", "loop"), POLES)
-def test_published_poles(pole: complex, loop: Loop) -> None:
+def test_published_poles(pole: complex, loop: Values) -> None:
     exact = pole_of(*loop)
     assert abs(exact - pole) < 1e-6
     found = explained(ringing(exact, loop[2]), *loop[:3]).loop

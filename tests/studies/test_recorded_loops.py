@@ -28,7 +28,7 @@ def random_loop(rng: np.random.Generator) -> dict[str, Any]:
 
     rotary, period = chance(0.25), 10.0 ** rng.uniform(-3.3, -2.1)
     mass, turn = 10.0 ** rng.uniform(-1.2, 0.3) * (0.02 if rotary else 1.0), rng.uniform(0.05, 0.6)
-    hand = [mass * rng.uniform(0.1, 0.8)] if chance(0.35) else []
+    hand = [max(mass * rng.uniform(0.1, 0.8), 1.1e-3)] if chance(0.35) else []
     hand += [hand[0] * rng.uniform(2.0, 20.0), hand[0] * rng.uniform(50.0, 400.0)] if hand else []
     hand += [mass * rng.uniform(1.0, 20.0), mass * rng.uniform(500.0, 5000.0)] if hand and chance(0.4) else []
     total, ring = mass + (hand[0] if len(hand) == 3 else 0.0), turn / period / (2.0 * math.pi)
@@ -114,7 +114,7 @@ class Case:
         near = abs(loop.body / values[self.body] - 1.0) < 0.05
         near &= abs(loop.delay - values["delay"]) < 0.1 * values["period"]
         least = 0.05 * (values["damping"] + own) + 0.01 * values[self.body] / values["period"]
-        return near and abs(loop.own_damping - own) < least
+        return bool(near and abs(loop.own_damping - own) < least)
 
 
 def said(found: Diagnosis) -> bool:

@@ -348,7 +348,7 @@ def said_by(*commands: str, page: str = "") -> str:
             if command.startswith("bridge"):
                 address = flight.enter_context(lockstep_twin(TwinParameters(delay=0.0025)))
                 command = re.sub(r"udp://\S+", address, command)
-            main(re.sub(r"(?<=--workers )\d+", "0", re.sub(r" --out \S+", "", command)).split())
+            main(re.sub(r"(?<=--workers )\d+", "0", re.sub(r" --out (?!\S+\.maglev)\S+", "", command)).split())
     return out.getvalue()
 
 
