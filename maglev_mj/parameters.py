@@ -34,7 +34,7 @@ from maglev_mj.errors import MaglevError, ParameterError, check_one_of, choice_m
 from maglev_mj.files import parse_json, read_text
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.keywords import check_constructor, checked, with_period
-from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
+from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
 
 _NOT_NUMBERS = bool, np.bool_, str, bytes
 """Types that float() accepts but `number` rejects."""
@@ -85,7 +85,8 @@ def number(
         limits = " and ".join(f"{word} {bound:g}" for word, bound in bounds.items() if math.isfinite(bound))
         limits = re.sub(r"e\+?(-?)0?(?=\d)", r"e\1", re.sub(r"^at least (\S+ and) at most", r"between \1", limits))
         allowed = [*["a finite number"] * (not limits or not math.isfinite(result)), *[limits] * bool(limits), unit]
-        guesses = {f"{result * 1e-3:g} s": result * 1e-3} if unit[:2] in ("s", "s,") and result >= 0.01 else {}
+        least = 0.5 if "delay" in name else 0.01  # networks delay by 20 to 200 ms
+        guesses = {f"{result * 1e-3:g} s": result * 1e-3} if unit[:2] in ("s", "s,") and result >= least else {}
         if name == "period" and result > 0.0:
             guesses[f"a rate of {result:g} Hz"] = 1.0 / result
         near = [text for text, guess in guesses.items() if at_least <= guess <= at_most]
@@ -184,8 +185,10 @@ def _has_shape(shape: tuple[int, ...], allowed: str) -> bool:
     return len(shape) == len(sizes) and all(name in (str(size), "N", "L", "M", "P") for size, name in zip(shape, sizes))
 
 
-def transport_delay(value: ArrayLike, period: ArrayLike, name: str = "delay") -> Array:
-    """Return checked delays [s], (...,), of at most ten of the periods [s], (...,); `name` is for messages.
+def transport_delay(value: ArrayLike, period: ArrayLike, name: str = "delay", where: str = "in a simulation") -> Array:
+    """Return checked delays [s], (...,), of at most ten of the periods [s], (...,), as plants simulate them.
+
+    Name and place are for messages. See `loop_delay` for those of theory.
 
     Raises:
         ParameterError: If one is not a number, is negative or too long, or the shapes do not match.
@@ -194,7 +197,18 @@ def transport_delay(value: ArrayLike, period: ArrayLike, name: str = "delay") ->
     shape = common_shape("period and delay", periods.shape, delays.shape)
     if ((ratio := delays / periods) > MAX_DELAY_PERIODS * (1.0 + 1e-9)).any():
         delay, time = (float(np.broadcast_to(part, shape).flat[np.argmax(ratio)]) for part in (delays, periods))
-        number(name, delay, at_most=MAX_DELAY_PERIODS * time, unit=f"s, {MAX_DELAY_PERIODS} periods")
+        number(name, delay, at_most=MAX_DELAY_PERIODS * time, unit=f"s, {MAX_DELAY_PERIODS} periods {where}")
+    return delays
+
+
+def loop_delay(value: ArrayLike, period: ArrayLike) -> Array:
+    """Return checked delays of a loop in theory [s], (...,), of at most 1 s.
+
+    Raises:
+        ParameterError: If one is not a number, is negative or too long, or the shapes do not match.
+    """
+    delays = numbers("delay", value, at_least=0.0, at_most=MAX_DELAY, unit="s")
+    common_shape("period and delay", np.shape(period), delays.shape)
     return delays
 
 

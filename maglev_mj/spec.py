@@ -62,8 +62,8 @@ ESCAPE = 10.0 * Spec.translation_range.value
 RESOLUTION = (*[Spec.translation_resolution.value] * 3, *[Spec.rotation_resolution.value] * 3)
 """Sensor resolution on the six axes [m, rad]."""
 
-MIN_PERIOD, MAX_PERIOD, MAX_DELAY_PERIODS = 1e-6, 0.1, 10
-"""Bounds of sample periods [s], and of delays in sample periods, everywhere."""
+MIN_PERIOD, MAX_PERIOD, MAX_DELAY, MAX_DELAY_PERIODS = 1e-6, 0.1, 1.0, 10
+"""Bounds of sample periods [s], of delays [s], and of simulated delays in sample periods."""
 
 DEVICE_PERIOD, DEVICE_DELAY = 1e-3, 2e-4
 """Sample period of laws on the device, and delay to their effect [s]; assumed."""

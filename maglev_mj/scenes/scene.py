@@ -18,13 +18,13 @@ from maglev_mj.device import OnDevice, sample_period
 from maglev_mj.errors import ParameterError, check_instance, named, one_line
 from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.keywords import checked, rate_of
-from maglev_mj.parameters import Turn, axis_indices, param, store, transport_delay
+from maglev_mj.parameters import Turn, axis_indices, param, store
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.hand import GuidedHand, HandForce, SpringHand, Trajectory
 from maglev_mj.plants.model import Body, body_of
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.scenes.results import RunResult
-from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD
+from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
 
 if TYPE_CHECKING:  # which loads MuJoCo
     from maglev_mj.plants.shapes import Shape
@@ -100,8 +100,7 @@ class Scene(OnDevice):
         band_phases: Number of sampling phases in the bands of the plots; 0 for none.
 
     Raises:
-        ParameterError: If a parameter is outside its bounds, the delay has more than ten periods, or a run more than a
-            million.
+        ParameterError: If a parameter is outside its bounds, or a run has more than a million periods.
 
     Example:
         >>> from maglev_mj import Hold, Scene, Start, param, run
@@ -144,7 +143,7 @@ class Scene(OnDevice):
         default=None,
         derive=attrgetter("hardware.delay"),
         at_least=0.0,
-        at_most=MAX_DELAY_PERIODS * MAX_PERIOD,
+        at_most=MAX_DELAY,
         live=DELAY,
     )
 
@@ -162,7 +161,6 @@ class Scene(OnDevice):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        transport_delay(self.delay, self.period)
         if self.end / self.period > _MOST_PERIODS:
             raise ParameterError(f"duration must be at most {_MOST_PERIODS} periods (got {self.end:g} s)")
 
@@ -190,6 +188,12 @@ class Scene(OnDevice):
     def timing(self, phase: Component = 0.0) -> Timing:
         """Return the timing of samples and commands."""
         return Timing(period=self.period, delay=self.delay, phase=phase)
+
+    @property
+    def device_clock(self) -> tuple[float, float]:
+        """Sample period and delay of walls on the device [s], also at a delay that no plant simulates."""
+        simulated = self.delay <= MAX_DELAY_PERIODS * self.period
+        return (self if simulated else self.replace(delay=0.0)).timing().device
 
     def plant_options(self) -> dict[str, Any]:
         """Return keywords of the plant: mass, limits, sensor; `longest_step` may be a function of the plant's name."""

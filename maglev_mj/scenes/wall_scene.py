@@ -172,7 +172,7 @@ class WallScene(Scene):
         if self.device_damping and self.wall_on == "device":
             raise ParameterError(f"device_damping must be None for a wall on the device (got {self.device_damping:g})")
         if self.device_period is not None or self.device_delay is not None:
-            self.timing()
+            self.device_clock  # noqa: B018 - checks it
 
     def timing(self, phase: Component = 0.0) -> Timing:
         """See `Scene`."""

@@ -28,19 +28,19 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import common_shape, number, numbers
-from maglev_mj.spec import MAX_DELAY_PERIODS
+from maglev_mj.plants.hand import Mode
+from maglev_mj.spec import MAX_DELAY_PERIODS, MIN_PERIOD
 from maglev_mj.theory.closed_loop import (
     ROUNDING,
     Design,
     LoopKeywords,
     SampledLoop,
     bisect,
-    bracket,
     is_stable,
     pd,
     rendered_stiffness,
 )
-from maglev_mj.theory.frequencies import aliases, angles_of, peak
+from maglev_mj.theory.frequencies import angles_of, peak
 
 _HIGHEST, _HIGHER = 8.0, 64.0
 """Largest stiffness searched, and largest one beside a device law [m/T²]."""
@@ -50,8 +50,8 @@ _ALIKE = 2e-15  # spectral radii equal to within rounding
 _EVEN = np.array([0.0, 0.3, 0.7, 1.0])
 _LOWEST, _ROUGH, _FINEST = 8e-5, 1e-5, 1e-7
 _SCANNED, _HALVINGS = 240, 40
-_MODES, _RATES, _STEPS, _FINER_STEPS, _COARSER = 20.0, 25, 10, 6, 8
-_COARSE = 2e-3  # largest error of a rate by the coarse grid of dampings
+_MODES, _RATES, _FINE_RATES, _STEPS, _COARSER = 20.0, 25, 16, 8, 8
+_ALIASES, _CLUSTER = 12, np.linspace(-0.03, 0.03, 25)
 _GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 720)])
 _FINER, _FLAT = 16, 1e-10
 _SOFTEST = 1e-9
@@ -59,6 +59,7 @@ _SOFTEST = 1e-9
 _AROUND, _BESIDE, _FALL = 1e-2 * np.linspace(-1.0, 1.0, 9), 1e-6 * np.linspace(-1.0, 1.0, 5), 1e-3
 _LEAST, _TRIM = 1e-11, 1e-10
 _ANGLES = np.geomspace(1e-5, np.pi, 1000)
+_PER_TURN, _TURNS, _BESIDES, _CROSSINGS, _ILLINOIS, _LEAST_ANGLE = 0.25, 300.0, 40, 6, 60, 1e-7
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 
 
@@ -98,7 +99,9 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
         limit: Spectral radius allowed.
     """
     (stiff, damp), highest = scales(loop), _HIGHEST if loop.device is None else _HIGHER
-    if loop.affine:
+    if _is_delayed(loop):
+        crossed = np.minimum(_delayed(loop, damping, limit) / np.broadcast_to(stiff, damping.shape)[:, None], highest)
+    elif loop.affine:
         crossed = np.minimum(crossings(characteristic(loop, limit), damping / damp), highest)
     else:
         crossed = _scanned(loop, damping, limit)
@@ -108,8 +111,92 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
     rows, column = np.nonzero(high > low)
     good = np.zeros(low.shape, dtype=bool)
     middle = 0.5 * (low + high)[rows, column]
-    good[rows, column] = is_stable(loop.part(damping.shape, rows).spectral_radius(middle, damping[rows]), limit)
+    good[rows, column] = loop.part(damping.shape, rows).stable(middle, damping[rows], limit)
     return edges, good
+
+
+def _is_delayed(loop: SampledLoop) -> bool:
+    """Return True above ten periods of delay, where the polynomial is too long."""
+    return loop.affine and bool((loop.periods > MAX_DELAY_PERIODS).any())
+
+
+def _delayed(loop: SampledLoop, damping: Array, limit: float) -> Array:
+    """Return the lowest stiffnesses at which a pole crosses a circle [N/m], (N, c), ascending, padded with infinity.
+
+    At a delay of q periods the loop z^q + L(z) = 0 is linear in the gains, L = L0 + k L1 + b L2, so that k is explicit
+    at each angle: -(z^q + L0 + b L2)/L1, where it is real. Its zeros are bracketed on a grid of angles that resolves
+    z^q, up to 300 turns of it and beside the poles of the loop that is cut, and refined by the method of Illinois.
+    """
+    batched = [np.broadcast_to(value, damping.shape) for value in loop.batched()]
+    kinds, place = np.unique(np.array([*batched, np.zeros(damping.shape)]), axis=1, return_inverse=True)
+    found: list[tuple[Array, Array]] = []
+    for kind in range(kinds.shape[1]):
+        rows = np.flatnonzero(place.reshape(-1) == kind)
+        found.append((rows, _lowest(loop.part(damping.shape, rows[:1]), damping[rows], limit)))
+    result = np.full((len(damping), max(part.shape[1] for _, part in found)), np.inf)
+    for rows, part in found:
+        result[rows, : part.shape[1]] = part
+    return result
+
+
+def _lowest(loop: SampledLoop, damping: Array, limit: float) -> Array:
+    """Return the crossings of one loop, (N, c); see `_delayed`."""
+    stiff, damp = (float(np.asarray(unit).reshape(-1)[0]) for unit in scales(loop))
+    cut, whole, _ = loop.cut_at_delay(_PAIRS[0] * stiff, _PAIRS[1] * damp)
+    free, first, second, both = give = cut.give
+    whole, alike = float(whole[0]), np.ptp(cut.advance, axis=0).max() == np.ptp(cut.take, axis=0).max() == 0.0
+    if not alike or not np.allclose(both + 3.0 * free, 2.0 * (first + second), atol=1e-9 * np.abs(give).max()):
+        raise ParameterError("design must have a characteristic polynomial that is linear in its gains")
+    parts = np.stack([free, (first - free) / stiff, (second - free) / damp])
+    step = _PER_TURN / max(whole, 1.0)
+    own = np.abs(np.angle(np.linalg.eigvals(cut.advance[0])))
+    beside = own[own > 2.0 * _LEAST_ANGLE, None] + step * np.arange(-_BESIDES, _BESIDES + 1)
+    even = step * np.arange(1, math.ceil(min(np.pi, _TURNS * 2.0 * np.pi / whole) / step))
+    grid = np.concatenate([np.geomspace(_LEAST_ANGLE, step, 60)[:-1], even, beside.reshape(-1)])
+    grid = np.append(np.unique(grid[(grid > 0.0) & (grid < np.pi)]), np.pi)
+
+    def terms(angles: Array) -> tuple[Array, Array, Array]:
+        z = limit * np.exp(1j * angles)
+        size = len(cut.take[0])
+        states = np.linalg.solve(z[:, None, None] * np.eye(size) - cut.advance[0], cut.take[0][:, None])[..., 0]
+        own, sprung, damped = parts @ states.T
+        turned = np.exp(1j * whole * angles) * limit**whole
+        return turned + own, sprung, damped
+
+    def held(angles: Array, dampings: Array) -> tuple[Array, Array]:
+        """Return the imaginary part that vanishes at a crossing, and the stiffness there."""
+        rest, sprung, damped = terms(angles)
+        ratio = -(rest + dampings * damped) / sprung
+        return ratio.imag, ratio.real
+
+    imaginary, stiffness = held(grid, damping[:, None])
+    imaginary[:, -1] = 0.0  # at half the rate all is real
+    rows, column = np.nonzero(np.sign(imaginary[:, 1:-1]) != np.sign(imaginary[:, :-2]))
+    share = imaginary[rows, column] / (imaginary[rows, column] - imaginary[rows, column + 1])
+    rough = stiffness[rows, column] + share * (stiffness[rows, column + 1] - stiffness[rows, column])
+    room = np.abs(stiffness[rows, column + 1] - stiffness[rows, column])
+    kept = rough + room > 0.0
+    rows, column, rough = rows[kept], column[kept], rough[kept]
+    order = np.lexsort((rough, rows))
+    rank = np.arange(len(rows)) - np.searchsorted(rows[order], rows[order])
+    chosen = order[rank < _CROSSINGS]
+    rows, column = rows[chosen], column[chosen]
+    low, high, below, above = grid[column], grid[column + 1], imaginary[rows, column], imaginary[rows, column + 1]
+    for _ in range(_ILLINOIS):
+        middle = (low * above - high * below) / (above - below)
+        value, _ = held(middle, damping[rows])
+        beyond = np.sign(value) == np.sign(below)
+        above, below = np.where(beyond, 0.5 * above, value), np.where(beyond, value, 0.5 * below)
+        low, high = np.where(beyond, middle, low), np.where(beyond, high, middle)
+        if not ((high - low > 1e-15 * high) & (value != 0.0)).any():
+            break
+    _, exact = held(middle if len(rows) else low, damping[rows])
+    result = np.full((len(damping), _CROSSINGS + 2), np.inf)
+    result[:, -1] = stiffness[:, -1]
+    if limit < 1.0:  # a real pole; at 1 the stiffness is 0
+        result[:, -2:-1] = held(np.zeros(1), damping[:, None])[1]
+    result[rows, rank[rank < _CROSSINGS]] = exact
+    return np.sort(np.where(result > _LEAST * stiff, result, np.inf), axis=-1)
 
 
 def _scanned(loop: SampledLoop, damping: Array, limit: float) -> Array:
@@ -208,6 +295,8 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     flat, b, shape = flattened(loop, damping)
     edges, good = spans(flat, b, 1.0)
     rough, first = first_end(edges, good)
+    if _is_delayed(flat):
+        return rough.reshape(shape)
     wide, b = flat.widened(), b[:, None]
     midpoints = 0.5 * (edges[:, :-1] + edges[:, 1:])
     rows = np.arange(len(edges))
@@ -273,7 +362,7 @@ def stiffest_of(loop: SampledLoop, finest: float | None = None) -> StiffestWall:
 def _stiffest(loop: SampledLoop, finest: float | None = None) -> tuple[float, float, bool]:
     """Return stiffness, damping and `on_jump` of one loop's stiffest wall."""
     stiff, damp = scales(loop)
-    grid = _GRID * float(damp)
+    grid = _GRID * float(damp) * loop.narrowed
 
     def beside(positions: Array, shares: Array) -> Array:
         return np.unique(np.maximum(positions + np.maximum(positions, grid[1]) * shares, 0.0))
@@ -281,7 +370,7 @@ def _stiffest(loop: SampledLoop, finest: float | None = None) -> tuple[float, fl
     def crossing(dampings: Array) -> Array:
         return first_end(*spans(loop, dampings, 1.0))[0]
 
-    if finest is not None or not loop.affine:
+    if finest is not None or not loop.affine or _is_delayed(loop):
         rough = maxima(crossing, grid[::_COARSER], finest or _ROUGH, peaks=1)
         top = float(crossing(rough)[0])
         return (top, float(rough[0]), False) if top > _SOFTEST * float(stiff) else (0.0, 0.0, False)
@@ -296,46 +385,56 @@ def _stiffest(loop: SampledLoop, finest: float | None = None) -> tuple[float, fl
     return most, float(near[np.argmax(exact)]), bool(exact.min() < most * (1.0 - _FALL))
 
 
+def rates_beside(mode: Mode) -> Array:
+    """Return sample rates at and beside twice a mode's frequency and its fractions, where it aliases [Hz].
+
+    Loops may be unstable in a narrow range of rates there.
+    """
+    aliased = 2.0 * float(mode.values[0]) / np.arange(1.0, _ALIASES + 1.0)
+    return np.asarray(np.unique(aliased[:, None] * (1.0 + _CLUSTER)))
+
+
 def rigid_note(loop: SampledLoop) -> str:
     """Return in words up to which sample rate half of the rigid device's limit holds with the mode of a single loop.
 
     The delay stays the same, a device law is left out. Half of the stiffest wall's stiffness, at its damping, is tried
-    at rates from the present one to 20 times the mode's frequency, or ten periods of the delay.
+    at rates from the present one to 20 times the mode's frequency, and beside those at which the mode aliases. The
+    stiffest wall is interpolated between rates; the rate at which stability changes is refined with that of its own.
     """
     mode, loop = loop.mode, replace(loop, device=None)
     assert mode is not None
-    period, late = float(np.asarray(loop.period)), float(np.asarray(loop.delay))
-
-    def unstable(rates: Array) -> Mask:
-        return np.array([not _holds(replace(loop, period=1.0 / rate)) for rate in rates.tolist()])
-
-    fastest = min(_MODES * float(mode.values[0]), MAX_DELAY_PERIODS / late if late else math.inf)
-    rates = np.geomspace(1.0 / period, max(fastest, 1.0 / period), _RATES)
-    rates = np.unique([*rates, *aliases(float(mode.values[0]), rates[0], rates[-1])])
-    low, high = bracket(rates, unstable(rates))
+    rigid, own = replace(loop, mode=None), 1.0 / float(np.asarray(loop.period))
+    fastest = max(min(_MODES * float(mode.values[0]), 1.0 / MIN_PERIOD), own)
+    coarse = np.geomspace(own, fastest, _RATES if fastest > own else 1)
     text = "rigid device: half of its stiffness limit is"
-    if not np.isfinite(high):
-        return f"{text} stable with this mode up to {rates[-1]:.0f} Hz at this delay"
-    if high == rates[0]:
+
+    def half(rate: float) -> Array:
+        """Return the gains of half of the stiffest wall."""
+        stiffness, damping, _ = stiffest_of(replace(rigid, period=1.0 / rate), _ROUGH)
+        return np.array([0.5 * stiffness, damping])
+
+    def unstable(rate: Array) -> Mask:
+        return ~replace(loop, period=1.0 / float(rate)).stable(*half(float(rate)))
+
+    ends, aliased = half(own), rates_beside(mode)
+    if not replace(loop, period=1.0 / own).stable(*ends):
         return f"{text} unstable with this mode at this rate"
-    rough = bisect(lambda rate: unstable(rate[None])[0], low, high, _STEPS)
-    fails = lambda rate: np.asarray(not _holds(replace(loop, period=1.0 / rate), stiffest_of))  # noqa: E731
-    rate = float(bisect(fails, rough * (1.0 - _COARSE), rough * (1.0 + _COARSE), _FINER_STEPS))
-    return f"{text} unstable with this mode above {rate:.0f} Hz at this delay"
-
-
-def _roughly_stiffest(loop: SampledLoop) -> StiffestWall:
-    """Return the stiffest wall of a coarse grid of dampings."""
-    damping = _GRID[::_COARSER] * float(scales(loop)[1])
-    limits, _ = first_end(*spans(loop, damping, 1.0))
-    best = int(limits.argmax())
-    return StiffestWall(limits[best], damping[best], np.asarray(False))
-
-
-def _holds(loop: SampledLoop, stiffest: Callable[[SampledLoop], StiffestWall] = _roughly_stiffest) -> bool:
-    """Return True if half of the rigid device's stiffest wall is stable with the mode."""
-    wall = stiffest(replace(loop, mode=None))
-    return bool(is_stable(loop.spectral_radius(0.5 * wall.stiffness, wall.damping)))
+    last = own
+    for low, high in zip(coarse[:-1].tolist(), coarse[1:].tolist()):
+        rates = np.concatenate([np.geomspace(low, high, _FINE_RATES), aliased[(aliased > low) & (aliased < high)]])
+        rates.sort()
+        starts, ends = ends, half(high)
+        share = np.log(rates / low) / math.log(high / low)
+        gains = starts[:, None] + (ends - starts)[:, None] * share
+        delay = np.broadcast_to(np.asarray(loop.delay), rates.shape)
+        good = replace(loop, period=1.0 / rates, delay=delay).stable(*gains)
+        if not good.all():
+            first = int(np.argmin(good))
+            below = rates[first - 1] if first else np.asarray(last)
+            edge = float(bisect(unstable, below, rates[first], _STEPS))
+            return f"{text} unstable with this mode above {edge:.0f} Hz at this delay"
+        last = float(rates[-2])
+    return f"{text} stable with this mode up to {fastest:.0f} Hz at this delay"
 
 
 def maxima(function: Callable[[Array], Array], grid: Array, finest: float, peaks: int = 3) -> Array:

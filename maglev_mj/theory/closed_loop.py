@@ -7,26 +7,32 @@ stable if all eigenvalues of the matrix are inside the unit circle.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias, TypedDict, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import checked, rate_of
-from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, number, numbers, store, transport_delay
+from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, loop_delay, number, numbers, store
 from maglev_mj.plants.hand import Hand, Mode, get_hand, hand_of, motion, transition
 from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
+from maglev_mj.theory.delay import AnyDelay, Cut, CutOf, dominant_poles, first_delays
 from maglev_mj.theory.frequencies import angles_of, peak
 from maglev_mj.theory.two_rates import DeviceLaw, TwoRates, rates_of
 
-_CHUNK = 1 << 16
+_CHUNK, _LOOPS, _LONG, _MOST_PERIODS = 1 << 16, 256, 30, 1000
+"""Loops computed at once, by matrices and at any delay; periods of delay up to which a matrix is used, and allowed."""
 _TOGETHER = 1024
+_DIVIDES = "device period must divide the host's, {0} s (got {1.period:g})"
+_ALMOST = 1.0 - 2e-9
+"""Largest fraction of a period that is no whole period."""
 _BATCHED = "period", "delay", "mass", "prediction", "own_damping"
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
@@ -112,7 +118,7 @@ class SampledLoop:
 
     Args:
         period: Sample period T [s]; or `rate`, its reciprocal [Hz].
-        delay: Time from a sample to the effect of its command [s], up to 10 periods.
+        delay: Time from a sample to the effect of its command [s], up to 1 s.
         mass: Mass of the flotor with its handle [kg].
         hand: Hand on the flotor, or a text for `get_hand`; None for a free flotor.
         driver_lag: Time constant of the current drivers [s]; 0 for none.
@@ -145,7 +151,7 @@ class SampledLoop:
 
     def __post_init__(self) -> None:
         period = numbers("period", self.period, **SAMPLE_PERIOD)
-        store(self, period=period, delay=transport_delay(self.delay, period), hand=get_hand(self.hand))
+        store(self, period=period, delay=loop_delay(self.delay, period), hand=get_hand(self.hand))
         store(self, mass=numbers("mass", self.mass, above=0.0))
         store(self, prediction=numbers("prediction", self.prediction, at_least=0.0))
         store(self, own_damping=numbers("own_damping", self.own_damping, at_least=0.0))
@@ -159,7 +165,16 @@ class SampledLoop:
 
         Its state is that of `motion`, then the delayed commands, newest first, then the controller's state; beside a
         device law that of `TwoRates`.
+
+        Raises:
+            ParameterError: If the delay is above 1000 periods.
         """
+        if self.periods.max(initial=0.0) > _MOST_PERIODS:
+            most = _MOST_PERIODS * float(np.min(self.period))
+            raise ParameterError(
+                f"delay must be at most {most:g} s, {_MOST_PERIODS} periods, for the matrix of the closed loop "
+                f"(got {float(np.max(self.delay)):g})"
+            )
         k, b = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
         if self.device is not None:
             return self._hyperperiod(k, b)[..., :-1, :-1]
@@ -210,11 +225,94 @@ class SampledLoop:
         rates = [rates_of(period, self.device) for period in np.unique(self.period).tolist()]
         return all(one.host == len(one.phases) == 1 for one in rates)
 
+    @property
+    def periods(self) -> Array:
+        """Whole periods of delay, (...,)."""
+        return np.asarray(split_delay(np.asarray(self.delay), np.asarray(self.period))[0])
+
+    @property
+    def long(self) -> bool:
+        """True if the delay of a loop is above 30 periods, where the poles are not computed by a matrix."""
+        return bool((self.periods > _LONG).any()) and self.affine
+
+    @property
+    def narrowed(self) -> float:
+        """Share of the range of dampings, up to 8 m/T, that is searched at a long delay: stable ones are below m/delay."""
+        return min(1.0, 10.0 / float(self.periods.max())) if self.long else 1.0
+
+    def batched(self) -> list[Array]:
+        """Return the values that may be arrays."""
+        values = [np.asarray(getattr(self, name)) for name in _BATCHED]
+        for part in (self.hand, self.mode):
+            values += [] if part is None else [np.asarray(value) for value in part.values]
+        return values
+
+    def cut_at_delay(self, stiffness: Array, damping: Array) -> tuple[Cut, Array, Mask]:
+        """Return the cut loops of gains (P,) at the fraction of the own delay, whole periods (P,), and `cuts`' mask."""
+        shape, period = stiffness.shape, np.asarray(self.period)
+        whole, rest = split_delay(np.asarray(self.delay), period)
+        index = np.arange(stiffness.size)
+        cut_of, free = self.cuts(stiffness, damping)
+        shares = np.broadcast_to(np.asarray(rest) / period, shape).reshape(-1)
+        return cut_of(index, shares), np.broadcast_to(np.asarray(whole), shape).reshape(-1), free
+
+    def unstable_poles(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
+        """Return the number of unstable poles, broadcast over gains and loop, at any delay.
+
+        Raises:
+            ParameterError: If the rate of a device law is no multiple of the host's.
+        """
+        k, b = self.broadcast(stiffness, damping)
+        if not self.affine:
+            raise ParameterError(_DIVIDES.format(self.period, self.device))
+        cut, whole, free = self.cut_at_delay(k, b)
+        return AnyDelay(cut, free).unstable(whole).reshape(k.shape)
+
+    def stable(self, stiffness: ArrayLike, damping: ArrayLike, limit: float = 1.0) -> Mask:
+        """Return True where the spectral radius is below a limit, broadcast over gains and loop."""
+        if not (self.affine and self.periods.max(initial=0.0) > MAX_DELAY_PERIODS):
+            return is_stable(self.spectral_radius(stiffness, damping), limit)
+        k, b = self.broadcast(stiffness, damping)
+        result = np.empty(k.size, dtype=bool)
+        flat = (gain.reshape(-1) for gain in (k, b))
+        stiff, damp = flat
+        for start in range(0, k.size, _LOOPS):
+            part = slice(start, start + _LOOPS)
+            cut, whole, _ = self.part(k.shape, part).cut_at_delay(stiff[part], damp[part])
+            none = np.zeros(len(whole), dtype=bool)
+            cut = cut.outside(np.full(len(whole), limit * (1.0 - ROUNDING)), whole)
+            result[part] = AnyDelay(cut, none).unstable(whole) == 0
+        return result.reshape(k.shape)
+
+    def poles(self, stiffness: ArrayLike, damping: ArrayLike, free: ArrayLike | None = None) -> NDArray[np.complex128]:
+        """Return the poles, (..., n).
+
+        Above 30 periods of delay these are the dominant pair and the poles of free motion, at 1, 0 for those there are
+        not, (..., 4). Their number is that of declared gains by default.
+        """
+        if not self.long:
+            return np.asarray(np.linalg.eigvals(self.matrix(stiffness, damping)).astype(np.complex128))
+        k, b = self.broadcast(stiffness, damping)
+        own = np.broadcast_to(self.free_poles(k, b) if free is None else free, k.shape).reshape(-1)
+        cut, whole, _ = self.cut_at_delay(k, b)
+        poles = dominant_poles(cut, whole, own)
+        return np.stack([poles, poles.conj(), 1.0 * (own > 0), 1.0 * (own > 1)], axis=-1).reshape(*k.shape, 4)
+
+    def free_poles(self, stiffness: Array, damping: Array) -> NDArray[np.int64]:
+        """Return the number of poles at 1 of free motion: without stiffness one, without damping two."""
+        beside, held = self.device or DeviceLaw(), self.hand is not None
+        moves = (stiffness + beside.stiffness <= 0.0) & ~np.asarray(held)
+        still = (damping + beside.damping <= 0.0) & (np.asarray(self.own_damping) <= 0.0)
+        return np.where(moves, 1 + still, 0)
+
     def pole(self, stiffness: float, damping: float) -> tuple[float, float]:
         """Return the spectral radius of a single loop, and the frequency of its dominant pole [Hz].
 
         Beside a device law the frequency is the mean over the hyperperiod, from event to event.
         """
+        if self.long:
+            (one, *_), period = self.poles(stiffness, damping), float(np.asarray(self.period))
+            return float(np.abs(one)), abs(float(np.angle(one))) / (2.0 * np.pi * period)
         poles, vectors = np.linalg.eig(self.matrix(stiffness, damping))
         worst = np.argmax(np.abs(poles))
         radius, period = float(self.spectral_radius(stiffness, damping)), float(np.asarray(self.period))
@@ -236,6 +334,8 @@ class SampledLoop:
             span: Duration [s].
         """
         law, period = self.law(np.asarray(stiffness), np.asarray(damping)), float(np.asarray(self.period))
+        if self.long and state is None:
+            return self._delayed_response(np.asarray(stiffness), np.asarray(damping), span)
         if self.device is None:
             steps, durations = [self.matrix(stiffness, damping)], np.array([period])
             memories = [(len(steps[0]) - law.advance.shape[-1], law)]
@@ -255,6 +355,20 @@ class SampledLoop:
                 times.append(times[-1] + duration)
                 positions.append(state[0])
         return np.array(times), np.array(positions)
+
+    def _delayed_response(self, stiffness: Array, damping: Array, span: float) -> tuple[Array, Array]:
+        """Return the response to a displacement, sample by sample; see `response`."""
+        cut, (whole,), _ = self.cut_at_delay(stiffness, damping)
+        (advance,), (take,), (give,), period = *cut, float(np.asarray(self.period))
+        late, law = int(whole), self.law(stiffness, damping)
+        states, count = len(law.take), max(math.ceil(span / period), 1) + 1
+        state, positions, commands = np.zeros(len(take)), np.zeros(count), np.zeros(count)
+        state[0] = 1.0
+        state[len(take) - states :] = np.linalg.solve(np.eye(states) - law.advance, law.take)
+        for index in range(count):
+            positions[index], commands[index] = state[0], -give @ state
+            state = advance @ state + take * (commands[index - late] if index >= late else 0.0)
+        return period * np.arange(count), positions
 
     def compliances(self, stiffness: ArrayLike, damping: ArrayLike, frequencies: Sequence[float]) -> Iterator[Array]:
         """Yield the compliance, sampled position over hand force, at each frequency [m/N], complex (...,).
@@ -283,9 +397,7 @@ class SampledLoop:
             inputs[..., : push.shape[-2]] = push[..., 1]
         else:
             if not self.affine:
-                raise ParameterError(
-                    f"device period must divide the host's, {self.period} s (got {self.device.period:g})"
-                )
+                raise ParameterError(_DIVIDES.format(self.period, self.device))
             whole = self._hyperperiod(*(np.asarray(gain, dtype=np.float64) for gain in (stiffness, damping)))
             matrix, inputs = whole[..., :-1, :-1], whole[..., :-1, -1]
         return Forced(matrix, np.broadcast_to(inputs, matrix.shape[:-1]))
@@ -313,11 +425,65 @@ class SampledLoop:
         waiting = int((whole + (remainder > 0.0)).max())
         return after @ before, (after @ old)[..., 0], new[..., 0], whole, waiting
 
+    def cut(self, stiffness: Array, damping: Array, fractions: Array) -> Cut:
+        """Return the loop of gains (P,), cut at the host's command, with fractions of a period as delay, (P,).
+
+        The own delay does not matter. Beside a device law its rate must be a multiple of the host's.
+        """
+        period = np.broadcast_to(np.asarray(self.period), fractions.shape)
+        law = self.law(stiffness, damping)
+        count, states = len(fractions), law.advance.shape[-1]
+        if self.device is None:
+            a, b = self.motion()
+            before, old = transition(a, b[..., :1], fractions * period)
+            after, new = transition(a, b[..., :1], (1.0 - fractions) * period)
+            size = before.shape[-1]
+            beside, command = np.zeros((count, size + 1, size + 1)), np.ones((count, size + 1))
+            beside[:, :size, :size], beside[:, :size, size:] = after @ before, after @ old
+            command[:, :size] = new[..., 0]
+        else:
+            beside, command = self._beside_device(fractions)
+            size = beside.shape[-1] - 1
+        advance = np.zeros((count, size + 1 + states, size + 1 + states))
+        advance[:, : size + 1, : size + 1], advance[:, size + 1 :, 0] = beside, law.take
+        advance[:, size + 1 :, size + 1 :] = law.advance
+        give = np.zeros((count, size + 1 + states))
+        give[:, 0], give[:, size + 1 :] = -law.direct, -law.give
+        return Cut(advance, np.pad(command, ((0, 0), (0, states))), give)
+
+    def cuts(self, stiffness: Array, damping: Array) -> tuple[CutOf, Mask]:
+        """Return the cut loops of gains as `CutOf`, flattened, and whether each has poles of free motion."""
+        shape, (k, b) = stiffness.shape, (gain.reshape(-1) for gain in (stiffness, damping))
+        held = 0.0 if self.device is None else self.device.stiffness
+        return lambda index, fractions: self.part(shape, index).cut(k[index], b[index], fractions), k + held <= 0.0
+
+    def _beside_device(self, fractions: Array) -> tuple[Array, Array]:
+        """Return the maps of flotor, device law and host's command in effect over a host period, and of a command."""
+        shape, maps = fractions.shape, None
+        late = np.minimum(fractions, _ALMOST) * np.asarray(self.period)  # of a whole period there are more states
+        for rows, loop in replace(self, delay=late).uniform(shape):
+            both = loop.two_rates()
+            (between,), own = both.between(), both.of_host
+            kept = np.delete(np.arange(between.shape[-1] - 1), own[1:])
+            part = np.broadcast_to(between, (len(np.arange(len(fractions))[rows]), *between.shape[-2:]))
+            maps = np.zeros((len(fractions), len(kept), len(kept) + 1)) if maps is None else maps
+            maps[rows] = part[:, kept[:, None], np.append(kept, own[1])]
+        return maps[..., :-1], maps[..., -1]
+
     def spectral_radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
         """Return the spectral radius, broadcast over gains and loop."""
         gains = self.broadcast(stiffness, damping)
         shape, (k, b) = gains[0].shape, (gain.reshape(-1) for gain in gains)
         result = np.empty(k.size)
+        if self.long:
+            far = np.broadcast_to(self.periods > _LONG, shape).reshape(-1)
+            for rows in filter(len, np.array_split(np.flatnonzero(far), 1 + far.size // _LOOPS)):
+                cut, whole, _ = self.part(shape, rows).cut_at_delay(k[rows], b[rows])
+                none = np.zeros(len(rows))
+                result[rows] = np.abs(dominant_poles(cut, whole, none))
+            if (rows := np.flatnonzero(~far)).size:
+                result[rows] = self.part(shape, rows).spectral_radius(k[rows], b[rows])
+            return result.reshape(shape)
         if self.device is not None:
             for rows, loop in self.uniform(shape):
                 rates, law = rates_of(float(np.asarray(loop.period)), self.device), loop.law(k[rows], b[rows])
@@ -441,7 +607,7 @@ def loop_matrix(
 
 
 ROUNDING = 1e-12
-_SECTIONS, _HALVED = (12, 15), (45, 1)  # steps and points of a refinement to rounding
+_HALVED = 45, 1  # steps and points of a refinement to rounding
 
 
 def bracket(grid: Array, true: Mask) -> tuple[Array, Array]:
@@ -508,8 +674,9 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         loop: Keywords of `SampledLoop` except the delay; they broadcast with the gains.
 
     Returns:
-        The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable up to 10 periods. The free
-        motion of a wall without stiffness is no instability.
+        The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable at any delay (the loop gain
+        is below 1 at every frequency). NaN above 10 periods beside a device law at a rate that is no multiple of the
+        host's. The free motion of a wall without stiffness is no instability.
 
     Raises:
         ParameterError: If a value is outside its bounds, or a delay is passed.
@@ -523,7 +690,29 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         raise ParameterError(f"critical_delay accepts no delay, because it returns one (got {loop['delay']!r})")
     loop["delay"] = 0.0
     around = SampledLoop(**loop)
-    k, b = (gain[..., None] for gain in around.broadcast(stiffness, damping))
+    return critical_delay_of(around, *around.broadcast(stiffness, damping))
+
+
+def critical_delay_of(around: SampledLoop, stiffness: Array, damping: Array, free: Mask | None = None) -> Array:
+    """Return the critical delay of a SampledLoop without delay [s], for gains of its shape; see `critical_delay`.
+
+    `free` is True where poles at 1 of free motion do not count, (N,); by default without stiffness.
+    """
+    if not around.affine:
+        return _stepped_delay(around, stiffness, damping)
+    cut_of, moves = around.cuts(stiffness, damping)
+    free = moves if free is None else free
+    starts = range(0, free.size, _LOOPS)
+    parts = [
+        first_delays(lambda index, shares, start=start: cut_of(index + start, shares), free[start : start + _LOOPS])
+        for start in starts
+    ]
+    return np.concatenate(parts or [np.zeros(0)]).reshape(stiffness.shape) * around.period
+
+
+def _stepped_delay(around: SampledLoop, stiffness: Array, damping: Array) -> Array:
+    """Return the critical delay by a grid of up to ten periods and bisection; NaN above."""
+    k, b = stiffness[..., None], damping[..., None]
     shape = k.shape[:-1]
     limit = np.where(k > 0.0, 1.0, 1.0 + 1e-6)  # free motion is a root at 1
     wide = around.widened()
@@ -539,7 +728,8 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     def unstable_at(delay: Array) -> Mask:
         return ~is_stable(replace(wide, delay=delay[..., None]).spectral_radius(k, b), limit)[..., 0]
 
-    return bisect(unstable_at, low, high, *(_SECTIONS if wide.device is None else _HALVED))
+    found = bisect(unstable_at, low, high, *_HALVED)
+    return np.where(np.isfinite(found), found, np.nan)
 
 
 @checked

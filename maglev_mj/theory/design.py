@@ -17,7 +17,7 @@ from maglev_mj.device import lag_of, sample_period
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.keywords import checked, rate_of
-from maglev_mj.parameters import param, param_range, transport_delay
+from maglev_mj.parameters import loop_delay, param, param_range
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
 from maglev_mj.theory.closed_loop import SampledLoop, least_dynamic_stiffness
@@ -81,7 +81,7 @@ class WallRequirements(DeviceParameters):
     def check(self) -> None:
         """See `Parameters`."""
         super().check()
-        transport_delay(self.delay, self.period)
+        loop_delay(self.delay, self.period)
         if not self.hands or len(set(self.hands)) != len(self.hands):
             raise ParameterError(
                 f"hands must be at least one, without duplicates (got {', '.join(self.hands) or 'none'})"

@@ -102,7 +102,7 @@ class Linearised(Result):
         """Return the closed loop of flotor and linearised controller.
 
         Args:
-            delay: Transport delay [s], up to 10 periods.
+            delay: Transport delay [s], up to 1000 periods.
             inertia: Mass and moments of inertia [kg, kg m²], (6,).
             axes: Names from AXES, as one loop; all six by default.
 
@@ -206,6 +206,12 @@ class StateSpace(LinearController):
         size = root[:, None] / period**2
         return StateSpace(self.advance, self.take * root, self.give * size, self.direct * size * root)
 
+    def single(self, stiffness: Array, damping: Array, period: Array) -> LinearController:
+        """Return the controllers of one axis with given indices, as a `Design` whose stiffness is the index."""
+        rows = np.asarray(stiffness).astype(int) + 0 * np.asarray(damping).astype(int)
+        advance, take, give, direct = (part[rows] for part in self)
+        return LinearController(advance, take[..., 0], give[..., 0, :], direct[..., 0, 0])
+
     def moments(self) -> tuple[Array, Array]:
         """Return the sums of the response and of age times response, (n, n) each.
 
@@ -224,7 +230,7 @@ class StateSpace(LinearController):
 
         Args:
             period: Sample period [s].
-            delay: Transport delay [s], up to 10 periods.
+            delay: Transport delay [s], up to 1000 periods.
             inertia: Mass or moments of inertia [kg, kg m²], (n,).
             hand: Hand on each of the axes; None for a free flotor.
             driver_lag: Time constant of the drivers [s].

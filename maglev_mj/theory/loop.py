@@ -10,14 +10,15 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import LinearController, VelocityEstimator
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.lazy import loaded
 from maglev_mj.plants.hand import Hand, Mode
-from maglev_mj.spec import MAX_DELAY_PERIODS
-from maglev_mj.theory.closed_loop import SampledLoop, critical_delay, pd
+from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
+from maglev_mj.theory.closed_loop import SampledLoop, critical_delay_of, pd
+from maglev_mj.theory.delay import stable_intervals
 from maglev_mj.theory.linearise import Linearised, StateSpace
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
 
@@ -35,24 +36,82 @@ FREE, _PAIR = 1e-6, 1e-8
 class Bound(float):
     """Value at which stability changes, or, if `beyond`, the end of a search without a change: more than that.
 
-    0 if it is unstable from the start.
+    0 if it is unstable from the start. `largest_gain` is the largest loop gain where it is below 1 at every frequency,
+    which proves that any delay is stable; None without such a proof.
     """
 
     beyond: bool
+    largest_gain: float | None
 
-    def __new__(cls, value: float, beyond: bool = False) -> Bound:
+    def __new__(cls, value: float, beyond: bool = False, largest_gain: float | None = None) -> Bound:
         """Return the bound."""
         self = super().__new__(cls, value)
-        self.beyond = beyond
+        self.beyond, self.largest_gain = beyond, largest_gain
         return self
 
-    def as_json(self) -> float | dict[str, float]:
-        """Return the value, or it as `more_than`."""
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the parts of a pickle."""
+        return type(self), (float(self), self.beyond, self.largest_gain)
+
+    @property
+    def proved(self) -> bool:
+        """True if any delay is stable."""
+        return self.largest_gain is not None
+
+    @classmethod
+    def least(cls, bounds: Iterable[Bound]) -> Bound:
+        """Return the smallest of some bounds; NaN if there is one."""
+        return min(bounds, key=lambda one: (-math.inf if math.isnan(one) else float(one), one.beyond, one._rank))
+
+    @property
+    def _rank(self) -> float:
+        return 0.0 if self.largest_gain is None else 2.0 - self.largest_gain
+
+    def as_json(self) -> float | dict[str, float | bool]:
+        """Return the value, or it as `more_than`, or `any` with the largest gain."""
+        if self.largest_gain is not None:
+            return {"any": True, "largest_gain": self.largest_gain}
         return {"more_than": float(self)} if self.beyond else float(self)
 
     def text(self, unit: str, scale: float = 1.0) -> str:
         """Return the bound in words."""
+        if self.largest_gain is not None:
+            return f"any (proved: largest loop gain {self.largest_gain:.3g})"
         return f"{'more than' if self.beyond else 'up to'} {scale * self:.4g} {unit}"
+
+
+class StableDelays(NamedTuple):
+    """All stable delays of a loop.
+
+    Attributes:
+        intervals: Lower and upper end of each interval [s]; the last may be the end of the search.
+        searched_to: End of the search [s].
+        largest_gain: See `Bound`.
+    """
+
+    intervals: tuple[tuple[float, float], ...]
+    searched_to: float
+    largest_gain: float | None = None
+
+    @property
+    def bound(self) -> Bound:
+        """Critical delay."""
+        first = self.intervals[0] if self.intervals else (1.0, 0.0)
+        if first[0] > 0.0:
+            return Bound(0.0)
+        return Bound(first[1], first[1] >= self.searched_to, self.largest_gain)
+
+    @property
+    def text(self) -> str:
+        """The intervals in words."""
+        later = [(low, high) for low, high in self.intervals if low > 0.0]
+        open_end = bool(later) and later[-1][1] >= self.searched_to
+        words = [f"from {1e3 * low:.4g} to {1e3 * high:.4g} ms" for low, high in later[: len(later) - open_end]]
+        if open_end:
+            words.append(f"from {1e3 * later[-1][0]:.4g} ms (searched to {1e3 * self.searched_to:.4g} ms)")
+        words = [self.bound.text("ms", 1e3)] * bool(self.bound) + words
+        ranges = " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+        return ", stable ".join(["unstable without delay"] * (not self.bound) + [ranges] * bool(ranges))
 
 
 class AtPose(NamedTuple):
@@ -351,6 +410,11 @@ def _poles(loops: Sequence[Loop]) -> list[NDArray[np.complex128]]:
         own = [one.linear for one in loops if one.linear is not None]
         inertia = np.array(first.body)[list(first.linear.axes)]
         system = StateSpace(*map(np.array, zip(*(one.states for one in own)))).with_units(first.period, inertia)
+        if len(inertia) == 1:
+            single = SampledLoop(mass=inertia[0], design=system.single, **around)
+            if single.long:
+                rows = np.arange(float(len(own)))
+                return [*single.poles(rows, 0.0, [one.still for one in own])]
         matrices = system.closed_loop(inertia=inertia, **around)
         return [*np.linalg.eigvals(matrices).astype(np.complex128)]
     more = {name: getattr(first, name) for name in ("velocity", "mode", "own_damping")}
@@ -366,12 +430,12 @@ def _poles(loops: Sequence[Loop]) -> list[NDArray[np.complex128]]:
 @lru_cache(maxsize=512)  # rotations are the same in every hand
 def _pd_poles(gains: tuple[tuple[float, float, float], ...], **around: Any) -> NDArray[np.complex128]:
     stiffness, damping, inertia = np.array(gains).T
-    return np.linalg.eigvals(SampledLoop(mass=inertia, **around).matrix(stiffness, damping)).astype(np.complex128)
+    return SampledLoop(mass=inertia, **around).poles(stiffness, damping)
 
 
 def _law_poles(gains: tuple[tuple[float, float, float], ...], loop: Loop) -> NDArray[np.complex128]:
     stiffness, damping, inertia = np.array(gains).T
-    return np.linalg.eigvals(loop.array(mass=inertia).matrix(stiffness, damping)).astype(np.complex128)
+    return loop.array(mass=inertia).poles(stiffness, damping)
 
 
 @lru_cache(maxsize=512)
@@ -382,19 +446,52 @@ def _two_rate_poles(
     if not (stiffness or damping):
         around["delay"] = 0.0  # without gains on the host its delay does not matter
     loop, rates = SampledLoop(mass=inertia, device=law, **around), rates_of(around["period"], law)
+    if loop.long:
+        return np.asarray(loop.poles(stiffness, damping) ** (1.0 / rates.host))
     controller = loop.law(np.asarray(stiffness), np.asarray(damping))
     each = [np.linalg.eigvals(loop.two_rates(phase).matrix(controller)[:-1, :-1]) for phase in rates.phases]
     worst = max(each, key=lambda poles: float(np.abs(poles).max()))
     return np.asarray(worst.astype(np.complex128) ** (1.0 / rates.host))
 
 
+def stable_delays(loop: SampledLoop, stiffness: float, damping: float, *, free: bool | None = None) -> StableDelays:
+    """Return all stable delays of a single loop up to 1 s.
+
+    Beside a device law at a rate that is no multiple of the host's only the first interval is searched, to ten periods.
+
+    Args:
+        loop: The loop.
+        stiffness: Its stiffness.
+        damping: Its damping.
+        free: True if its free motion has poles at 1; None for that of the stiffness.
+    """
+    undelayed, period = replace(loop, delay=0.0), float(np.asarray(loop.period))
+    k, b = undelayed.broadcast(stiffness, damping)
+    if undelayed.affine:
+        cut_of, moves = undelayed.cuts(k, b)
+        ends, searched, gain = stable_intervals(cut_of, bool(moves[0]) if free is None else free, MAX_DELAY / period)
+        return StableDelays(tuple((low * period, high * period) for low, high in ends), searched * period, gain)
+    found, searched = float(critical_delay_of(undelayed, k, b)), MAX_DELAY_PERIODS * period
+    end = searched if math.isnan(found) else found
+    return StableDelays(((0.0, end),) if end else (), searched)
+
+
 def delay_bound(loop: SampledLoop, stiffness: float, damping: float) -> Bound:
-    """Return the critical delay of a single loop; more than ten periods where the search ends."""
-    values: Any = {name: getattr(loop, name) for name in ("period", "mass", "hand", "driver_lag", "velocity")}
-    values |= {name: getattr(loop, name) for name in ("prediction", "design", "own_damping", "mode", "device")}
-    found = float(critical_delay(stiffness, damping, **values))
-    period = float(np.asarray(loop.period))
-    return Bound(found) if math.isfinite(found) else Bound(MAX_DELAY_PERIODS * period, True)
+    """Return the critical delay of a single loop."""
+    return delay_bounds(loop, stiffness, damping)[0]
+
+
+def delay_bounds(loop: SampledLoop, stiffness: ArrayLike, damping: ArrayLike, free: Mask | None = None) -> list[Bound]:
+    """Return the critical delay for each pair of gains of a single loop; see `stable_delays`."""
+    undelayed = replace(loop, delay=0.0)
+    k, b = (np.atleast_1d(gain) for gain in undelayed.broadcast(stiffness, damping))
+    found = np.atleast_1d(critical_delay_of(undelayed, k, b, free))
+    return [
+        Bound(delay)
+        if delay <= MAX_DELAY
+        else stable_delays(undelayed, k[row], b[row], free=None if free is None else bool(free[row])).bound
+        for row, delay in enumerate(found.tolist())
+    ]
 
 
 class AffineLaw(NamedTuple):

@@ -19,7 +19,7 @@ from maglev_mj.errors import KeywordError, ParameterError, TooManyCallsError, ch
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.keywords import with_period
 from maglev_mj.lazy import loaded
-from maglev_mj.parameters import number, numbers, transport_delay
+from maglev_mj.parameters import loop_delay, number, numbers
 from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
 from maglev_mj.theory.doubts import Doubt, doubts
@@ -181,7 +181,7 @@ def of_controller(
 ) -> Loops:
     """Return the loops of a controller on all axes; see `judge`."""
     start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
-    transport_delay(number("delay", delay), controller.period)
+    loop_delay(number("delay", delay), controller.period)
     clock: Any = numbers("device", device, shape="(2,)").tolist()
     around: Any = {"period": controller.period, "delay": float(delay), "driver_lag": driver_lag}
     gains = stated_gains(controller)
@@ -403,7 +403,7 @@ def loops_at(
         controllers: Controllers of equal laws with other gains, for one device each; none is changed.
         axis: Index into AXES; coupling to the other axes is ignored.
         poses: Pose of each [m, rad], (N, 6).
-        delay: Transport delay [s], up to 10 periods.
+        delay: Transport delay [s], up to 1 s.
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
         hand: The hand on the axis; None for a free flotor.
         device: See `judge`.

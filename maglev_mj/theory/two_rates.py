@@ -11,6 +11,7 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maglev_mj.control import FiniteDifference, LinearController, LowPass
 from maglev_mj.control.controller import Controller
@@ -57,7 +58,7 @@ class DeviceLaw:
         number("device stiffness", self.stiffness, at_least=0.0)
         number("device damping", self.damping, at_least=0.0)
         number("device period", self.period, **SAMPLE_PERIOD)
-        transport_delay(number("device delay", self.delay), self.period)
+        transport_delay(number("device delay", self.delay), self.period, where="on a device")
         if self.cutoff is not None:
             number("device cutoff", self.cutoff, above=0.0)
 
@@ -107,7 +108,7 @@ class DeviceParameters(OnDevice):
 
     def check(self) -> None:
         """See `Parameters`."""
-        transport_delay(self.device_delay, self.device_period)
+        transport_delay(self.device_delay, self.device_period, "device_delay", "on a device")
         get_mode(self.mode)
 
     @property
@@ -218,7 +219,7 @@ class TwoRates:
         sizes = 1 + waiting + np.array([states, controller.advance.shape[-1]])
         starts, size = np.array([order, order + sizes[0]]), order + int(sizes.sum()) + 1
         self._places = [(int(start), int(count), size) for start, count in zip(starts, waiting)]
-        self._controller, total = controller, period * rates.host
+        self._controller, self._states, total = controller, states, period * rates.host
         events: list[tuple[float, Array | None]] = []
         for index, count in enumerate(rates[:2]):
             effect = np.eye(size)
@@ -245,13 +246,23 @@ class TwoRates:
         """Return the index of the first state of each controller, the host's given, with the controller."""
         return [(start + 1 + waiting, one) for (start, waiting, _), one in zip(self._places, (law, self._controller))]
 
-    def matrix(self, law: LinearController) -> Array:
-        """Return the map over the hyperperiod for a host's controller (...,), (..., n, n)."""
-        between: list[Array] = []  # maps from just after a host sample to the next one: without the gains
+    @property
+    def of_host(self) -> NDArray[np.int64]:
+        """Indices of the host's states: command in effect, last commands, newest first, and those of its controller."""
+        start, waiting, _ = self._places[0]
+        return np.arange(start, start + 1 + waiting + self._states)
+
+    def between(self) -> list[Array]:
+        """Return the maps from just after each sample of the host to its next one: without its gains."""
+        between: list[Array] = []
         for host, step in self._steps:
             between[len(between) - (not host) :] = [step if host else step @ between[-1]]
+        return between
+
+    def matrix(self, law: LinearController) -> Array:
+        """Return the map over the hyperperiod for a host's controller (...,), (..., n, n)."""
         sample, total = _sample(law, *self._places[0]), np.eye(self._places[0][2])
-        for part in between:
+        for part in self.between():
             total = part @ sample @ total
         return total
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -18,12 +18,13 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.result import NoTruthValue, Result, Table, plain
-from maglev_mj.spec import MAX_DELAY_PERIODS
+from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
 from maglev_mj.theory.boundary import boundary_of, highest_of
 from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.doubts import reached_speed, up_to
-from maglev_mj.theory.loop import Bound, Loop, Loops, poles_of, radius_of
+from maglev_mj.theory.linearise import StateSpace
+from maglev_mj.theory.loop import Bound, Loop, Loops, delay_bound, delay_bounds, poles_of, radius_of
 from maglev_mj.theory.read import JUMPS, UNKNOWN, of_scene
 
 _ROUNDING = 1e-9
@@ -278,7 +279,7 @@ def judge(what: Any = None, **changes: Any) -> Verdict:
         what: Scene or its name; controller, with laws for one device, which is not changed; `Device`, its name or file;
             recording; `Loop` or `Loops`; None for numbers alone.
         changes: Parameters of the scene, or `delay` [s], `inertia` [kg, kg m²] (6,), `driver_lag` [s] and `hand` in
-            place of its own; of a controller `delay`, up to 10 periods, `pose` at the start [m, rad] (6,), `inertia`,
+            place of its own; of a controller `delay`, up to 1 s, `pose` at the start [m, rad] (6,), `inertia`,
             `reach` of the motion [m, rad] (6,), `load` [N, N m] (6,) at whose rest laws are probed, `device` with
             sample period and delay of walls on the device [s] (2,), `driver_lag` and `hand`; else fields of `Loop`, in
             place of the device's.
@@ -456,10 +457,37 @@ def nearest(loops: Loops, axis: str = "z") -> Loop:
 def critical_delay_of(loops: Loops) -> Bound:
     """Return the first delay of the host at which a loop is unstable [s].
 
-    0 if unstable without delay, `beyond` at the lesser of 30 ms and 10 periods, NaN if a loop cannot be judged.
+    0 if unstable without delay, NaN if a loop cannot be judged. Searched to 1 s; coupled axes without declared gains
+    to the lesser of 30 ms and 10 periods.
     """
     if loops.unjudged or not len(loops):
         return Bound(math.nan)
+    return Bound.least(_delay_of(loops, loop) for loop in loops)
+
+
+def _delay_of(loops: Loops, loop: Loop) -> Bound:
+    """Return the critical delay of one loop."""
+    if loop.linear is None:
+        return _stated_delay(loop) if loop.law is None else delay_bound(loop.array(), loop.stiffness, loop.damping)
+    if len(loop.axes) > 1:
+        return _scanned_delay(loops.only([loop]))
+    system = loop.linear.states.with_units(loop.period, np.array([loop.inertia]))
+    design = StateSpace(*(part[None] for part in system)).single
+    return delay_bounds(loop.array(design=design), 0.0, 0.0, np.array([loop.linear.still > 0]))[0]
+
+
+@lru_cache(maxsize=512)  # rotations are the same in every hand
+def _stated_delay(loop: Loop) -> Bound:
+    """Return the critical delay of declared gains, beside a law on the device."""
+    if loop.stiffness or loop.damping:
+        return delay_bound(loop.array(), loop.stiffness, loop.damping)
+    # the delay of a host without gains does not matter
+    radius = radius_of(loop, poles_of([loop])[0])
+    return Bound(MAX_DELAY, True, 0.0) if radius < 1.0 - _ROUNDING else Bound(0.0)
+
+
+def _scanned_delay(loops: Loops) -> Bound:
+    """Return the critical delay of loops of coupled axes, by steps and bisection."""
     period = loops[0].period
 
     def stable(delay: Any) -> Mask:

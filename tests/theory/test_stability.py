@@ -44,7 +44,11 @@ def test_critical_delay_of_the_papers_wall() -> None:
     assert critical_delay(6000.0, 80.0, period=T, mass=M) == pytest.approx(3.257e-3, rel=1e-3)
     at = float(critical_delay(6000.0, 80.0, period=T))
     assert spectral_radius(6000.0, 80.0, period=T, delay=at) == pytest.approx(1.0, abs=1e-9)
-    assert critical_delay([30000.0, 1e-3, 0.0], [80.0, 1.0, 0.0], period=T).tolist() == [0.0, math.inf, math.inf]
+    assert critical_delay([30000.0, 1e-3, 0.0], [80.0, 1.0, 0.0], period=T).tolist() == [
+        0.0,
+        pytest.approx(1.094069, rel=1e-6),  # also above 1 s
+        math.inf,
+    ]
     free, soft = critical_delay([0.0, 1e-3], 80.0, period=T)  # a damper alone is a wall in the limit of no stiffness
     assert free == pytest.approx(soft, rel=1e-5) and 0.009 < free < 0.0092
 
@@ -185,7 +189,7 @@ def test_least_dynamic_stiffness_has_its_limits() -> None:
     ("loop", "words"),
     [
         ({"period": 0.0}, "period must be between 1e-6 and 0.1 s .got 0.0"),
-        ({"delay": 0.0501}, "delay must be at most 0.05 s, 10 periods .got 0.0501"),
+        ({"delay": 1.0001}, "delay must be between 0 and 1 s .got 1.0001"),
         ({"mass": -0.7}, r"mass must be above 0 \(got -0.7"),
         ({"velocity": AdaptiveWindow()}, "velocity must be a linear estimator"),
         ({"driver_lag": -1.0}, "driver_lag must be"),
@@ -248,7 +252,7 @@ def test_more_gains_than_are_taken_at_once(monkeypatch: pytest.MonkeyPatch) -> N
 def test_critical_delays_of_more_than_three_periods() -> None:
     stiffness, damping = [3000.0, 5000.0, 6000.0, 30000.0], [60.0, 100.0, 80.0, 80.0]
     found = critical_delay(stiffness, damping, period=1e-3)
-    np.testing.assert_allclose(found, [math.inf, 7.23914e-3, 7.02080e-3, 1.74846e-3], rtol=1e-5)
+    np.testing.assert_allclose(found, [10.31616e-3, 7.23914e-3, 7.02080e-3, 1.74846e-3], rtol=1e-5)
     stable = is_stable(spectral_radius(6000.0, 80.0, period=1e-3, delay=np.linspace(0.0, 0.01, 500)))
     assert np.argmin(stable) == np.searchsorted(np.linspace(0.0, 0.01, 500), found[2])
     assert is_stable(spectral_radius(3000.0, 60.0, period=1e-3, delay=np.linspace(0.0, 0.01, 500))).all()

@@ -1,0 +1,465 @@
+"""Stability of sampled loops at any delay, without a matrix that grows with it.
+
+Cut at the host's command, a loop with a delay of q + r periods, q whole, is 1 + z^-q L_r(z) = 0. On the unit circle z^-q
+has magnitude 1, so the angles a at which |L_r| = 1 do not depend on q. There L_r has the phase -p, and |L_r| falls
+(s = 1) or rises (s = -1) with the angle. By the Nyquist criterion the number of unstable poles is an integer formula:
+
+N(q, r) = N(0, r) + 2 sum_i s_i (floor((p_i + q a_i + pi)/2 pi) - floor((p_i + pi)/2 pi)) + q [|L_r(-1)| > 1].
+
+Source: derived for this project.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.frames import Array, Mask
+
+FRACTIONS = 40
+"""Fractions of a period at which a delay is tried: a narrower stable or unstable range may be missed."""
+_NEAR, _MOVED, _EQUAL = 1e-2, 0.05, 1e-8
+_POLISHED, _STEP = 8, 0.3
+_LEAST = 1e-7  # angle that stands for 0
+_GRID = np.geomspace(_LEAST, np.pi, 600)
+_OUTSIDE, _FREE = 1e-12, 1e-7
+"""Distance from the unit circle that counts as rounding, and that of the poles of free motion."""
+_SECANTS, _BESIDE, _SECTIONS, _POINTS = 8, 1e-9, 11, 15
+_MOST_EDGES = 40
+_HALVINGS, _DOUBLINGS, _SMALLEST = 12, 60, 600.0
+_ZOOMS, _ZOOMED = 4, 21
+_EVEN, _STARTS, _CONVERGED, _BESIDE_POLE = np.linspace(0.0, np.pi, 1000), 8, 1e-9, 1e-13
+
+
+class Cut(NamedTuple):
+    """Loop cut at the host's command, at a delay below one period: L(z) = give (z - advance)^-1 take.
+
+    Attributes:
+        advance: (P, N, N).
+        take: (P, N).
+        give: (P, N).
+    """
+
+    advance: Array
+    take: Array
+    give: Array
+
+    def rows(self, index: Array) -> Cut:
+        """Return some of the loops."""
+        return Cut(*(part[index] for part in self))
+
+    def outside(self, radius: Array, periods: Array) -> Cut:
+        """Return the loops with z scaled by radii (P,), so that poles outside a circle are outside the unit circle."""
+        inverse = 1.0 / radius[:, None]
+        size = np.exp(-periods * np.log(radius))[:, None]
+        return Cut(self.advance * inverse[:, None], self.take * inverse * size, self.give)
+
+    def response(self, rows: Array, z: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], ...]:
+        """Return L and its derivative at z of some loops, (M,) each."""
+        one, advance = np.eye(self.take.shape[-1]), self.advance[rows]
+        try:
+            resolvent = np.linalg.inv(z[:, None, None] * one - advance)
+        except np.linalg.LinAlgError:  # exactly at a pole
+            resolvent = np.linalg.inv((z * (1.0 + _BESIDE_POLE))[:, None, None] * one - advance)
+        right = (resolvent @ self.take[rows, :, None])[..., 0]
+        left = (self.give[rows, None] @ resolvent)[:, 0]
+        return (self.give[rows] * right).sum(axis=-1), -(left * right).sum(axis=-1)
+
+
+CutOf: TypeAlias = Callable[[Array, Array], Cut]
+"""Function from indices of loops (P,) and fractions of a period (P,) to the cut loops."""
+
+
+class AnyDelay:
+    """Number of unstable poles of loops for any number of whole periods of delay.
+
+    Args:
+        cut: The loops, P of them.
+        free: True for loops whose free motion has poles at 1, which do not count, (P,).
+    """
+
+    def __init__(self, cut: Cut, free: Mask) -> None:
+        count = len(cut.take)
+        every = np.arange(count)
+        ends = np.concatenate([np.full(count, np.exp(1j * _LEAST)), np.full(count, -1.0 + 0j)])
+        above = (np.abs(cut.response(np.tile(every, 2), ends)[0]) > 1.0).reshape(2, count)
+        rows, angles = _polished(cut, *_angles(cut))
+        change = above[0].astype(int) - above[1]
+        wrong = np.bincount(rows, _signs(cut, rows, angles), count) != change
+        if wrong.any():  # at small angles the eigenvalues lose a crossing
+            searched = _searched(cut, np.flatnonzero(wrong))
+            kept = ~wrong[rows]
+            rows, angles = (np.concatenate([part[kept], other]) for part, other in zip((rows, angles), searched))
+        gain, _ = cut.response(rows, np.exp(1j * angles))
+        self.rows, self.angles, self.signs = rows, angles, _signs(cut, rows, angles)
+        self.phases = np.mod(-np.angle(gain), 2.0 * np.pi)
+        poles = np.linalg.eigvals(cut.advance - cut.take[:, :, None] * cut.give[:, None])
+        self.start = (np.abs(poles) > 1.0 + np.where(free, _FREE, _OUTSIDE)[:, None]).sum(axis=-1)
+        self.flipped = above[1]
+
+    def unstable(self, periods: Array) -> NDArray[np.int64]:
+        """Return the number of unstable poles at whole periods of delay (P,), (P,)."""
+        whole = np.asarray(periods, dtype=np.int64)
+        turns = np.floor((self.phases + whole[self.rows] * self.angles + np.pi) / (2.0 * np.pi)) - (
+            self.phases >= np.pi
+        )
+        crossed = np.bincount(self.rows, 2.0 * self.signs * turns, len(self.start))
+        return self.start + crossed.round().astype(np.int64) + whole * self.flipped
+
+    def first(self) -> Array:
+        """Return the least whole periods of delay at which there are unstable poles, (P,); infinity for none."""
+        falls = self.signs > 0
+        waiting = np.ceil(_waiting(self.phases, self.angles)[falls])
+        result = np.where(self.flipped, 1.0, np.inf)
+        np.minimum.at(result, self.rows[falls], np.maximum(waiting, 1.0))
+        return np.where(self.start > 0, 0.0, result)
+
+    def changes(self, row: int, longest: int) -> tuple[Array, Array]:
+        """Return whole periods of delay, ascending, up to a longest, and the number of unstable poles from each on."""
+        periods, steps = [np.zeros(1)], [np.array([float(self.start[row])])]
+        for index in np.flatnonzero(self.rows == row):
+            first, turn = _waiting(self.phases[index], self.angles[index]), 2.0 * np.pi / self.angles[index]
+            times = np.ceil(first + turn * np.arange(max(math.floor((longest - first) / turn) + 1, 0)))
+            periods, steps = [*periods, times], [*steps, np.full(len(times), 2.0 * self.signs[index])]
+        if self.flipped[row]:
+            periods, steps = [*periods, np.arange(1.0, longest + 1)], [*steps, np.ones(longest)]
+        at, place = np.unique(np.concatenate(periods), return_inverse=True)
+        total = np.cumsum(np.bincount(place.reshape(-1), np.concatenate(steps), len(at))).round()
+        kept = at <= longest
+        return at[kept], total[kept]
+
+
+def _waiting(phases: Array, angles: Array) -> Array:
+    """Return the delay at which crossings first change the number of unstable poles [periods]."""
+    return np.asarray((np.pi - np.where(phases < np.pi, phases, phases - 2.0 * np.pi)) / angles)
+
+
+def _signs(cut: Cut, rows: Array, angles: Array) -> Array:
+    z = np.exp(1j * angles)
+    gain, slope = cut.response(rows, z)
+    return -np.sign((1j * z * slope / gain).real)
+
+
+def _angles(cut: Cut) -> tuple[Array, Array]:
+    """Return rows and angles of |L| = 1: imaginary eigenvalues of a symplectic pencil after Cayley's map.
+
+    On the circle 1 - L(z) L(1/z) = 0 is the pencil z [I, -b b'; 0, A'] = [A, 0; -c' c, I].
+    """
+    size = cut.take.shape[-1]
+    reach, seen, up, down = np.abs(cut.take), np.abs(cut.give), cut.take, cut.give
+    for _ in range(size):  # states of equal size, from what reaches each and what is seen of it
+        up, down = (cut.advance @ up[..., None])[..., 0], (down[:, None] @ cut.advance)[:, 0]
+        reach, seen = np.maximum(reach, np.abs(up)), np.maximum(seen, np.abs(down))
+    both = (reach > 0.0) & (seen > 0.0)
+    scale = np.sqrt(np.where(both, reach, 1.0) / np.where(both, seen, 1.0))
+    advance = cut.advance / scale[..., None] * scale[:, None]
+    take, give = cut.take / scale, cut.give * scale
+    largest = np.abs(give).max(axis=-1)
+    even = np.sqrt(np.where(largest > 0.0, largest, 1.0) / np.abs(take).max(axis=-1))[:, None]
+    take, give = take * even, give / even
+    left, right = np.zeros((2, len(take), 2 * size, 2 * size))
+    left[:, :size, :size], left[:, size:, :size] = advance, -give[:, :, None] * give[:, None]
+    right[:, :size, size:], right[:, size:, size:] = -take[:, :, None] * take[:, None], advance.swapaxes(-1, -2)
+    left[:, size:, size:] = right[:, :size, :size] = np.eye(size)
+    try:
+        turned = np.linalg.eigvals(np.linalg.solve(left + right, left - right))
+    except np.linalg.LinAlgError:  # |L(-1)| is exactly 1
+        return np.zeros(0, dtype=int), np.zeros(0)
+    rows, column = np.nonzero((turned.imag > 0.0) & (np.abs(turned.real) < _NEAR * np.abs(turned)))
+    return rows, 2.0 * np.arctan(turned.imag[rows, column])
+
+
+def _polished(cut: Cut, rows: Array, angles: Array, width: float = _MOVED) -> tuple[Array, Array]:
+    """Return the crossings refined by Newton's method on ln |L|, each once; those that leave or miss are dropped."""
+    start, angles = angles, angles.copy()
+    for _ in range(_POLISHED):
+        z = np.exp(1j * angles)
+        gain, derivative = cut.response(rows, z)
+        slope = (1j * z * derivative / gain).real
+        move = -np.log(np.abs(gain)) / np.where(slope == 0.0, np.inf, slope)
+        angles = np.clip(angles + np.clip(move, -_STEP * angles, _STEP * angles), 1e-12, np.pi)
+        if not (np.abs(move) > 1e-15 * angles).any():
+            break
+    gain, _ = cut.response(rows, np.exp(1j * angles))
+    good = (np.abs(np.abs(gain) - 1.0) < _EQUAL) & (np.abs(angles - start) < width * start)
+    good &= angles < np.pi * (1.0 - 1e-13)
+    rows, angles = rows[good], angles[good]
+    order = np.lexsort((angles, rows))
+    rows, angles = rows[order], angles[order]
+    again = np.zeros(len(rows), dtype=bool)
+    again[1:] = (rows[1:] == rows[:-1]) & (np.diff(angles) < 1e-10 * angles[1:])
+    return rows[~again], angles[~again]
+
+
+def _searched(cut: Cut, rows: Array) -> tuple[Array, Array]:
+    """Return crossings of some loops by a grid of angles and those of the loop's own poles."""
+    found: list[tuple[Array, Array]] = []
+    for row in rows.tolist():
+        grid = np.unique(np.concatenate([_GRID, *_own_angles(cut.advance[row])]))
+        above = np.abs(cut.response(np.full(len(grid), row), np.exp(1j * grid))[0]) > 1.0
+        index = np.flatnonzero(above[1:] != above[:-1])
+        low, high, upper = grid[index], grid[index + 1], above[index]
+        same = np.full(len(index), row)
+        for _ in range(_HALVINGS):
+            middle = np.sqrt(low * high)
+            before = (np.abs(cut.response(same, np.exp(1j * middle))[0]) > 1.0) == upper
+            low, high = np.where(before, middle, low), np.where(before, high, middle)
+        found.append(_polished(cut, same, np.sqrt(low * high)))
+    rows, angles = (np.concatenate(part) for part in zip(*found))
+    return rows, angles
+
+
+def _own_angles(advance: Array) -> list[Array]:
+    """Return angles at and beside the poles of a loop that is cut."""
+    own = np.abs(np.angle(np.linalg.eigvals(advance)))
+    own = own[(own > _LEAST) & (own < np.pi)]
+    return [own * (1.0 + share) for share in (-0.01, -0.001, 0.0, 0.001, 0.01)]
+
+
+def first_delays(cut_of: CutOf, free: Mask) -> Array:
+    """Return the least delay at which loops are unstable [periods], (G,).
+
+    Infinity without a crossing at any of the fractions: the loop gain is below 1 at every frequency, so that every
+    delay is stable.
+
+    Args:
+        cut_of: See `CutOf`.
+        free: See `AnyDelay`, (G,).
+    """
+    count = len(free)
+    shares = np.arange(FRACTIONS) / FRACTIONS
+    index = np.repeat(np.arange(count), FRACTIONS)
+    first = AnyDelay(cut_of(index, np.tile(shares, count)), free[index]).first().reshape(count, FRACTIONS)
+    high = (first + shares).min(axis=-1)
+    result = high.copy()
+    rows = np.flatnonzero((high > 0.0) & np.isfinite(high))
+    if rows.size:
+        low = np.maximum(high[rows] - 1.0 / FRACTIONS, 0.0)
+        result[rows] = _edges(cut_of, free, rows, low, high[rows])
+    return result
+
+
+class Intervals(NamedTuple):
+    """Stable delays of one loop.
+
+    Attributes:
+        ends: Lower and upper end of each interval [periods]; the last may be `searched`.
+        searched: End of the search [periods].
+        largest_gain: Largest loop gain if it is below 1 at every frequency and fraction, so that any delay is stable.
+    """
+
+    ends: tuple[tuple[float, float], ...]
+    searched: float
+    largest_gain: float | None
+
+
+def stable_intervals(cut_of: CutOf, free: bool, longest: float) -> Intervals:
+    """Return all stable delays of one loop up to a longest one [periods]."""
+    shares = np.arange(FRACTIONS + 1) / FRACTIONS
+    alone = np.array([free])
+    cut = cut_of(np.zeros(len(shares), dtype=int), shares)
+    loops = AnyDelay(cut, np.full(len(shares), free))
+    if not len(loops.rows) and not loops.flipped.any() and not loops.start.any():
+        return Intervals(((0.0, longest),), longest, _largest_gain(cut))
+    last = math.ceil(longest)
+    changes = [loops.changes(row, last) for row in range(FRACTIONS)]
+    at = np.unique(np.concatenate([times for times, _ in changes]))
+    good = np.array([total[np.searchsorted(times, at, side="right") - 1] == 0.0 for times, total in changes]).T
+    spans = np.diff(at, append=last + 1.0).astype(int)
+    mixed = good.any(axis=-1) != good.all(axis=-1)
+    # the first row of a span of equal ones stands for all, unless it has edges itself
+    repeats = np.where(mixed, np.minimum(spans, _MOST_EDGES + 1), 1)
+    offsets = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
+    whole, flags = np.repeat(at, repeats) + offsets, np.repeat(good, repeats, axis=0)
+    delays, stable = (whole[:, None] + shares[:-1]).reshape(-1), flags.reshape(-1)
+    kept = delays <= longest * (1.0 + 1e-12)
+    delays, stable = delays[kept], stable[kept]
+    change = np.flatnonzero(stable[1:] != stable[:-1])[: _MOST_EDGES + 1]
+    searched = longest
+    if len(change) > _MOST_EDGES:  # the delays between two edges are known, the later ones are not listed
+        searched, change = float(delays[change[-1]]), change[:-1]
+    high = delays[change + 1]
+    ends = _edges(cut_of, alone, np.zeros(len(change), dtype=int), high - 1.0 / FRACTIONS, high).tolist()
+    ends = [0.0] * bool(stable[0]) + ends
+    ends += [searched] * (len(ends) % 2)
+    return Intervals(tuple(zip(ends[::2], ends[1::2])), searched, None)
+
+
+def _edges(cut_of: CutOf, free: Mask, index: Array, low: Array, high: Array) -> Array:
+    """Return the delays between two [periods] at which loops become stable or unstable, (E,).
+
+    A crossing that reaches the phase pi is followed by the secant method, and checked to both sides; where there is
+    none, the interval is divided.
+    """
+    if not len(index):
+        return np.zeros(0)
+    whole = np.floor(low + 1e-9)
+
+    def stable(rows: Array, delays: Array) -> Mask:
+        shares = np.clip(delays - whole[rows], 0.0, 1.0)
+        found = AnyDelay(cut_of(index[rows], shares), free[index[rows]])
+        return np.asarray(found.unstable(whole[rows]) == 0)
+
+    every = np.arange(len(index))
+    before = stable(every, low)
+    result = _followed(cut_of, index, whole, low, high, free)
+    beside = _BESIDE * np.maximum(result, 1.0)
+    sides = [np.clip(np.nan_to_num(result, nan=0.0) + side, low, high) for side in (-beside, beside)]
+    sides = [np.where(np.isnan(result), low, side) for side in sides]
+    found = stable(np.tile(every, 2), np.concatenate(sides)).reshape(2, -1)
+    rows = np.flatnonzero(~((found[0] == before) & (found[1] != before)))
+    if rows.size:
+        lower, upper, was = low[rows], high[rows], before[rows]
+        for _ in range(_SECTIONS):
+            grid = lower + (upper - lower) * (np.arange(1, _POINTS + 1) / (_POINTS + 1.0))[:, None]
+            changed = stable(np.tile(rows, _POINTS), grid.reshape(-1)).reshape(grid.shape) != was
+            grid = np.concatenate([lower[None], grid, upper[None]])
+            first = np.argmax(np.concatenate([changed, np.ones((1, len(rows)), dtype=bool)]), axis=0) + 1
+            lower, upper = (grid[first - side, np.arange(len(rows))] for side in (1, 0))
+        result[rows] = upper
+    return result
+
+
+def _followed(cut_of: CutOf, index: Array, whole: Array, low: Array, high: Array, free: Mask) -> Array:
+    """Return the delay at which the crossing nearest to the phase pi reaches it [periods]; NaN without one."""
+    result = np.full(len(index), np.nan)
+    start = AnyDelay(cut_of(index, high - whole), free[index])
+    if not len(start.rows):
+        return result
+    excess = _wrapped(start.phases + whole[start.rows] * start.angles)
+    order = np.lexsort((np.abs(excess), start.rows))
+    rows, first = np.unique(start.rows[order], return_index=True)
+    angles, excess, slopes = start.angles[order][first], excess[order][first], start.angles[order][first]
+    delays = high[rows]
+    for _ in range(_SECANTS):
+        moved = np.clip(delays - excess / np.where(slopes == 0.0, np.inf, slopes), low[rows], high[rows])
+        step, delays, last = moved - delays, moved, excess
+        if not (np.abs(step) > 1e-15 * np.maximum(delays, 1.0)).any():
+            break
+        cut = cut_of(index[rows], delays - whole[rows])
+        own, near = _polished(cut, np.arange(len(rows)), angles)
+        if len(own) < len(rows):
+            rows, delays, last, step, slopes = (part[own] for part in (rows, delays, last, step, slopes))
+            cut = cut.rows(own)
+        angles = near
+        if not len(rows):
+            return result
+        gain, _ = cut.response(np.arange(len(rows)), np.exp(1j * angles))
+        excess = _wrapped(-np.angle(gain) + whole[rows] * angles)
+        slopes = np.where(step == 0.0, slopes, (excess - last) / np.where(step == 0.0, 1.0, step))
+    result[rows] = delays
+    return result
+
+
+def _wrapped(phases: Array) -> Array:
+    """Return the distance of phases from pi, within a half turn."""
+    return np.asarray(np.mod(phases, 2.0 * np.pi) - np.pi)
+
+
+def _largest_gain(cut: Cut) -> float:
+    """Return the largest loop gain over all frequencies and loops."""
+    most = 0.0
+    for row in range(len(cut.take)):
+        grid = np.unique(np.concatenate([_GRID, *_own_angles(cut.advance[row])]))
+        for _ in range(_ZOOMS):
+            gains = np.abs(cut.response(np.full(len(grid), row), np.exp(1j * grid))[0])
+            best = int(gains.argmax())
+            most = max(most, float(gains[best]))
+            grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], _ZOOMED)
+    return most
+
+
+def dominant_poles(cut: Cut, periods: Array, free: Array) -> NDArray[np.complex128]:
+    """Return the dominant pole of loops at whole periods of delay, (P,), above or on the real axis.
+
+    `free` is the number of poles at 1 of free motion, which do not count, (P,).
+
+    The radius of the circle outside of which there is no pole is bracketed by the number of poles outside, then the
+    pole is refined by Newton's method on ln L(z) - q ln z = j pi.
+    """
+    count = len(periods)
+    every, unit = np.arange(count), 1.0 / (periods + 1.0)
+
+    def out(logarithms: Array, rows: Array) -> AnyDelay:
+        return AnyDelay(cut.rows(rows).outside(np.exp(logarithms), periods[rows]), np.zeros(len(rows), dtype=bool))
+
+    def outside(logarithms: Array, rows: Array) -> Mask:
+        own = np.where(logarithms < 0.0, free[rows], 0)
+        return np.asarray(out(logarithms, rows).unstable(periods[rows]) > own)
+
+    below, above = np.full((2, count), np.nan)
+    outward = outside(np.zeros(count), every)
+    below[outward] = above[~outward] = 0.0
+    step, rows = 0.05 * unit, every
+    for _ in range(_DOUBLINGS):
+        logarithms = np.where(outward, step, np.maximum(-step, -_SMALLEST * unit))[rows]
+        has = outside(logarithms, rows)
+        has |= logarithms <= -_SMALLEST * unit[rows]
+        below[rows] = np.where(has, logarithms, below[rows])
+        above[rows] = np.where(has, above[rows], logarithms)
+        rows = rows[has == outward[rows]]
+        if not rows.size:
+            break
+        step = 2.0 * step
+
+    def halved(rows: Array, steps: int) -> None:
+        for _ in range(steps if rows.size else 0):
+            middle = 0.5 * (below[rows] + above[rows])
+            has = outside(middle, rows)
+            below[rows], above[rows] = np.where(has, middle, below[rows]), np.where(has, above[rows], middle)
+
+    halved(every, _HALVINGS)
+    found = out(above, every)  # just outside, the crossing nearest to the phase pi is the pole's
+    excess = np.abs(_wrapped(found.phases + periods[found.rows] * found.angles))
+    order, angles = np.lexsort((excess, found.rows)), np.zeros(count)
+    rows, first = np.unique(found.rows[order], return_index=True)
+    angles[rows] = found.angles[order][first]
+    poles, exact = _newton(cut, periods, every, np.exp(above + 1j * angles))
+    width = above - below
+    radius = np.log(np.abs(np.where(exact, poles, 1.0)))
+    exact &= (radius > below - width) & (radius < above + width)
+    exact &= ~outside(np.where(exact, radius + _BESIDE * unit, above), every)
+    rows = np.flatnonzero(~exact)
+    halved(rows, 4 * _HALVINGS)
+    for row in rows.tolist():  # a real pole, or a crossing that is almost a tangent
+        starts = np.exp(above[row] + 1j * np.concatenate([[0.0], _GRID, _EVEN]))
+        gain, _ = cut.response(np.full(len(starts), row), starts)
+        with np.errstate(all="ignore"):
+            starts = starts[np.argsort(np.abs(1.0 + gain * starts ** -periods[row]))[:_STARTS]]
+        own = np.linalg.eigvals(cut.advance[row])
+        starts = np.append(starts, own * (1.0 + _EQUAL))
+        same = np.full(len(starts), row)
+        pairs = _newton(cut, periods, same, starts), _newton(cut, periods, same, starts, reciprocal=True)
+        refined, exact = (np.concatenate(part) for part in zip(*pairs))
+        error = np.where(exact, np.abs(np.log(np.abs(np.where(exact, refined, 2.0))) - above[row]), np.inf)
+        best = int(error.argmin())
+        if not error[best] < _EQUAL:  # closer to a pole of the loop that is cut than Newton's method resolves
+            best = int(np.abs(np.abs(own) - np.exp(above[row])).argmin())
+            refined = np.exp(above[row] + 1j * np.angle(own))
+        poles[row] = refined[best]
+    for row in np.flatnonzero(~cut.give.any(axis=-1)).tolist():  # no law on the host
+        own = np.linalg.eigvals(cut.advance[row])
+        own = own[np.argsort(np.abs(own - 1.0))][int(free[row]) :]
+        poles[row] = own[np.abs(own).argmax()] if len(own) else 0.0
+    return np.where(poles.imag < 0.0, poles.conj(), poles)
+
+
+def _newton(
+    cut: Cut, periods: Array, rows: Array, poles: NDArray[np.complex128], *, reciprocal: bool = False
+) -> tuple[NDArray[np.complex128], Mask]:
+    """Return solutions of ln L(z) - q ln z = j pi, or of z^q/L(z) = -1, from starts, and whether each converged."""
+    poles, whole = poles.astype(np.complex128), periods[rows]
+    with np.errstate(all="ignore"):
+        for _ in range(_POLISHED):
+            good = np.abs(np.log(np.abs(poles))) < 1.0  # not at 0, where the memory of one sample has a pole
+            gain, slope = cut.response(rows, np.where(good, poles, 2.0))
+            error = np.log(-gain) - whole * np.log(poles)
+            error = error.real + 1j * _wrapped(error.imag + np.pi)
+            ratio = np.exp(-error)
+            step = (ratio - 1.0) / ratio if reciprocal else -error
+            poles = poles + step / (slope / gain - whole / poles)
+        return poles, np.isfinite(poles) & (np.abs(error) < _CONVERGED)
