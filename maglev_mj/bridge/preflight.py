@@ -391,11 +391,11 @@ def judge_change(
 
 def _critical_delay(scene: Scene, inertia: Array) -> Bound:
     """Return the shortest critical delay, free and in each hand; NaN if a loop cannot be judged."""
-    around: Any = {"inertia": inertia, "reach": scene.body.bounded.range, "device": scene.timing().device}
+    around: Any = {"inertia": inertia, "reach": scene.body.bounded.range, "device": scene.device_clock}
     around |= {"driver_lag": scene_lag(scene), "delay": 0.0, "pose": scene.start().pose, "load": scene.body.load}
     loops = Loop.of(device_controller(scene), **around)  # linearised once
     bounds = [judge(loops, hand=hand).critical_delay for hand in HANDS]
-    return min(bounds, key=lambda delay: -math.inf if math.isnan(delay) else float(delay))
+    return Bound.least(bounds)
 
 
 def _problem(scene: Scene, report: LinkReport, critical_delay: float) -> str:
@@ -430,7 +430,7 @@ def _reduced(scene: Scene, required_delay: float, inertia: Array) -> Scene | Non
                 reduced = scene.replace(stiffness=share * stiffness, damping=damping_share * damping)
             except ParameterError:
                 continue
-            around: Any = {"pose": reduced.start().pose, "inertia": inertia, "device": reduced.timing().device}
+            around: Any = {"pose": reduced.start().pose, "inertia": inertia, "device": reduced.device_clock}
             around["driver_lag"] = scene_lag(reduced)
             if judge(device_controller(reduced), delay=delay, **around).stable:
                 return reduced

@@ -214,7 +214,9 @@ def _print_check(result: Preflight, period: float, mass: float) -> int:
     head = f"critical stiffness at {result.report.required_delay * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
     print("\n".join(wrapped(f"{head}: {', '.join(walls)}")))
     critical = result.critical_delay
-    limit = f"{'up to more than' if getattr(critical, 'beyond', False) else 'up to'} {critical * 1e3:.2f} ms"
+    limit = f"up to {critical * 1e3:.2f} ms"
+    if getattr(critical, "beyond", False):
+        limit = f"at delays of {critical.text('ms', 1e3)}"
     verdict = result.problem or result.reduction or f"{result.scene.name} is stable {limit}: ready"
     print("\n".join(wrapped(verdict)))
     return 1 if result.problem else 0

@@ -76,7 +76,7 @@ def wall_loops(
     if not (faces and gain):
         return Loops(())
     around: Any = {"delay": scene.delay if delay is None else delay, "inertia": body, "driver_lag": scene_lag(scene)}
-    around |= {"hand": getattr(scene.scripted_hand(), "hand", None) if held else None, "device": scene.timing().device}
+    around |= {"hand": getattr(scene.scripted_hand(), "hand", None) if held else None, "device": scene.device_clock}
 
     def at(controller: Controller, axis: int, pose: Any) -> Loop:
         return loops_at([controller], axis, poses=[pose], **around)[0]

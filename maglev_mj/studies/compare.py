@@ -358,7 +358,7 @@ class _AtRest:
     def __init__(self, scenes: Sequence[WallScene]) -> None:
         first, self.scenes = scenes[0], scenes
         self.hand, weight = getattr(first.scripted_hand(), "hand", None), float(first.body.inertia[0]) * GRAVITY
-        own: Any = {"inertia": first.body.inertia, "device": first.timing().device}
+        own: Any = {"inertia": first.body.inertia, "device": first.device_clock}
         own["driver_lag"] = scene_lag(first)
         self._around: Any = {"delay": first.delay, "hand": self.hand, **own}
         self._poses = [[along(first.axis, -weight / scene.stiffness)] for scene in scenes]
@@ -421,7 +421,7 @@ def _at_rest(scene: WallScene) -> tuple[dict[str, float], list[str]]:
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
     around |= {"hand": at_rest.hand, "quantum": scene.quantize or scene.hardware.sensor.resolution[2]}
-    around["device"] = scene.timing().device
+    around["device"] = scene.device_clock
     rest = stiffness if 1.0 < stiffness < 1e9 else scene.stiffness
     swing, force = hum(0.0, law=scene.controller(), stiffness=rest, duration=_TICKS * scene.period, **around)
     gain = margin * float(getattr(law, "stiffness", math.nan))

@@ -18,19 +18,20 @@ from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.keywords import checked, rate_of, with_period
-from maglev_mj.parameters import param, transport_delay
+from maglev_mj.parameters import loop_delay, param
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.result import NoTruthValue, Result, Table, number_text
-from maglev_mj.spec import MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
+from maglev_mj.spec import MAX_DELAY, MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory.boundary import (
     StiffestWall,
     boundary_of,
     least_passive_damping,
+    rates_beside,
     rigid_note,
     stiffest_of,
 )
 from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, bisect, is_stable, pd
-from maglev_mj.theory.loop import Bound, Loop, delay_bound
+from maglev_mj.theory.loop import Bound, Loop, StableDelays, stable_delays
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
 from maglev_mj.theory.verdict import Verdict, judge, margin_words, nearest
 
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 COSTS = "gains", "timing", "firmware", "mechanics", "feel"
 """Kinds of cost of a remedy, cheapest first: `feel` renders a softer wall."""
 
-_POINTS = 201, 6, 15
+_POINTS = 241, 6, 15
 """Values tried in a range, steps of its refinement, and values in each."""
 _FEW = 13, 11, 1
 _ROUGH = 1e-3
@@ -88,7 +89,7 @@ class DiagnosedLoop(DeviceParameters):
         super().check()
         if self.mass is not None and self.inertia is not None:
             raise ParameterError(f"mass and inertia must not both be given (got {self.mass:g}, {self.inertia:g})")
-        transport_delay(self.delay, self.period)
+        loop_delay(self.delay, self.period)
         get_hand(self.hand)
 
     def trial(self, **changes: Any) -> DiagnosedLoop:
@@ -200,6 +201,7 @@ class Diagnosis(NoTruthValue, Result):
         damping_range: Dampings that are stable at this stiffness [N s/m, N m s/rad]; None for none.
         critical_delay: Delay at which stability changes [s]; 0 if unstable without delay; more than its value if
             `beyond` is true.
+        stable_delays: All stable delays, and the end of their search [s].
         rate_range: Sample rates that are stable with this delay [Hz]; None for none.
         rate_in_periods: The same if the delay stays the same number of periods.
         best: Stiffest stable wall over all dampings.
@@ -223,6 +225,7 @@ class Diagnosis(NoTruthValue, Result):
     critical_stiffness: float
     damping_range: tuple[float, float] | None
     critical_delay: Bound
+    stable_delays: StableDelays
     rate_range: tuple[float, float] | None
     rate_in_periods: tuple[float, float] | None
     best: StiffestWall
@@ -295,11 +298,11 @@ class Diagnosis(NoTruthValue, Result):
 
     def table(self) -> Table:
         """Return margins, remedies and notes."""
-        k, b, late = self.unit("N/m"), self.unit("N s/m"), self.critical_delay
+        k, b = self.unit("N/m"), self.unit("N s/m")
         rows = [
             ("stiffness", f"up to {number_text(self.critical_stiffness)} {k} (x {self.ratio:.3g})"),
             ("damping", _interval(self.damping_range, b)),
-            ("delay", late.text("ms", 1e3) if late else "unstable without delay"),
+            ("delay", self.stable_delays.text),
             ("rate, same delay", _interval(self.rate_range, "Hz")),
             ("rate, same periods of delay", _interval(self.rate_in_periods, "Hz")),
         ]
@@ -521,6 +524,7 @@ def _diagnosed(
     growth = math.log(radius) if radius > 0.0 else -math.inf
     stable, critical, best = bool(is_stable(radius)), loop.critical(), stiffest_of(sampled)
     remedies, ineffective = _remedies(loop, stable, critical, best)
+    delays = stable_delays(sampled, k, b)
     single = sampled.device is None
     design = sampled.design or pd(sampled.velocity)
     times: Any = {"period": sampled.period, "delay": sampled.delay, "design": design}
@@ -532,7 +536,8 @@ def _diagnosed(
         doubling_time=math.log(2.0) * loop.period / growth if growth else math.inf,
         critical_stiffness=critical,
         damping_range=_range(loop, "damping"),
-        critical_delay=delay_bound(sampled, k, b),
+        critical_delay=delays.bound,
+        stable_delays=delays,
         rate_range=_range(loop, "rate"),
         rate_in_periods=_range(loop, "rate in periods"),
         best=best,
@@ -540,7 +545,7 @@ def _diagnosed(
         ineffective=ineffective,
         passive_damping=float(least_passive_damping(k, b, **times)) if single else math.nan,
         amplitude_limit=math.nan if stable or not loop.friction else _hidden(loop),
-        hum=_hum(loop) if stable and loop.quantum and single else math.nan,
+        hum=_hum(loop) if stable and loop.quantum and single and not sampled.long else math.nan,
         assumptions=assumptions,
         measured=measured,
         remarks=remarks,
@@ -558,22 +563,24 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
 
     def stable(values: Array) -> Mask:
         if name == "damping":
-            return np.asarray(is_stable(around.spectral_radius(k, values)))
+            return around.stable(k, values)
         times: Any = {"period": 1.0 / values, "delay": np.broadcast_to(delay, values.shape)}
         if name == "rate in periods":
             times["delay"] = delay / period / values
-        return np.asarray(is_stable(replace(around, **times).spectral_radius(k, b)))
+        return replace(around, **times).stable(k, b)
 
     centre = b if name == "damping" else 1.0 / period
     if name == "damping":
-        values = np.geomspace(1e-4, 8.0, count) * loop.body / period
+        values = np.geomspace(1e-4, 8.0, count) * loop.body / period * around.narrowed
     else:
         values = centre * np.geomspace(1e-2, 1e2, count)
+        if around.mode is not None:
+            values = np.unique(np.append(values, rates_beside(around.mode)))
         if around.device is not None:
             ratios = np.arange(1.0, _RATIO + 1.0)
             values = (ratios if not loop.on_host else 1.0 / ratios[::-1]) / around.device.period
-        fastest = min(MAX_DELAY_PERIODS / delay if delay and name == "rate" else math.inf, 1.0 / MIN_PERIOD)
-        values = values[(values >= 1.0 / MAX_PERIOD) & (values <= fastest)]
+        slowest = max(1.0 / MAX_PERIOD, delay / period / MAX_DELAY if name == "rate in periods" else 0.0)
+        values = values[(values >= slowest) & (values <= 1.0 / MIN_PERIOD)]
     good = stable(values)
     if not good.any():
         return None
@@ -581,10 +588,10 @@ def _range(loop: DiagnosedLoop, name: str) -> tuple[float, float] | None:
     nearest = np.flatnonzero(good)[np.abs(np.flatnonzero(good) - middle).argmin()]
     below, above = bad[bad < nearest][-1:], bad[bad > nearest][:1]
     outside = values[np.concatenate([below, above])]
+    inside = values[np.concatenate([below + 1, above - 1])]
     if around.device is not None and name != "damping":
-        found = values[np.concatenate([below + 1, above - 1])].tolist()
+        found = inside.tolist()
     else:
-        inside = np.full_like(outside, values[nearest])
         found = bisect(stable, outside, inside, *refined).tolist()
     return (found[0] if below.size else math.nan), (found[-1] if above.size else math.nan)
 
@@ -657,8 +664,8 @@ def _gains(loop: DiagnosedLoop, damper: str, most: float, best: float) -> Iterab
     wanted = loop.target * loop.gains[0]
     if most >= wanted:
         around = loop.sampled
-        radius, critical = partial(around.spectral_radius, wanted), partial(boundary_of, around)
-        best = _rounded(_sufficient(radius, critical, wanted, best) or 0.0, up=True)
+        stable, critical = partial(around.stable, wanted), partial(boundary_of, around)
+        best = _rounded(_sufficient(stable, critical, wanted, best) or 0.0, up=True)
     else:
         best = _rounded(best)
     yield _remedy(loop, f"damping {best:g} {damper}", "gains", **{loop.name("damping"): best})
@@ -677,8 +684,6 @@ def _timings(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
             f"{rate}, same delay": faster | {loop.name("delay"): delay},
         }
     for words, change in cases.items():
-        if change.get(loop.name("delay"), delay) > MAX_DELAY_PERIODS * change.get(loop.name("period"), period):
-            continue
         damping = _rounded(_rough_damping(loop.trial(**change)))
         change = change | {loop.name("damping"): damping}
         yield _remedy(loop, f"{words}, damping {damping:g} {damper}", "timing", **change)
@@ -697,22 +702,22 @@ def _firmware(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
     clock = times["device_period"], times["device_delay"]
     law = DeviceLaw(loop.device_stiffness, 0.0, *clock, loop.device_cutoff)
 
-    def radius(values: Array) -> Array:
+    def stable(values: Array) -> Mask:
         loops = [replace(around, device=replace(law, damping=value)) for value in values.tolist()]
-        return np.array([float(one.spectral_radius(wanted, loop.damping)) for one in loops])
+        return np.array([bool(one.stable(wanted, loop.damping)) for one in loops])
 
-    enough = _least(radius, loop.body / times["device_period"], _FEW)
+    enough = _least(stable, loop.body / times["device_period"], _FEW)
     if enough is not None:
         damping = _rounded(enough, up=True)
         words = f"damper of {damping:g} {damper} {where}, inside the wall"
         yield _remedy(loop, words, "firmware", **times, device_damping=damping)
 
 
-def _least(radius: Callable[[Array], Array], most: float, search: tuple[int, int, int] | None = None) -> float | None:
-    """Return the least value up to `most` at which a spectral radius is below 1; None without one.
+def _least(stable: Callable[[Array], Mask], most: float, search: tuple[int, int, int] | None = None) -> float | None:
+    """Return the least value up to `most` at which a loop is stable; None without one.
 
     Args:
-        radius: Function of values, (N,).
+        stable: Function of values, (N,).
         most: Largest value.
         search: Values tried, over four decades, steps of the refinement, and values in each; see _POINTS.
     """
@@ -720,31 +725,31 @@ def _least(radius: Callable[[Array], Array], most: float, search: tuple[int, int
         return None
     count, halvings, points = search or (41, *_POINTS[1:])
     grid = np.array([0.0, *np.geomspace(1e-4 * most, most, count)])
-    good = np.asarray(is_stable(radius(grid)))
+    good = stable(grid)
     if not good.any():
         return None
     index = int(np.argmax(good))
     if not index:
         return 0.0
     ends = grid[[index - 1]], grid[[index]]
-    return float(bisect(lambda values: np.asarray(is_stable(radius(values))), *ends, halvings, points)[0])
+    return float(bisect(stable, *ends, halvings, points)[0])
 
 
 def _sufficient(
-    radius: Callable[[Array], Array], critical: Callable[[Array], Array], wanted: float, most: float
+    stable: Callable[[Array], Mask], critical: Callable[[Array], Array], wanted: float, most: float
 ) -> float | None:
     """Return the least value at which the wanted stiffness and all softer ones are stable; None without one.
 
     Args:
-        radius: Function of values (N,) that returns the spectral radius at the wanted stiffness.
+        stable: Function of values (N,) that returns whether the wanted stiffness is stable.
         critical: Function of them that returns the critical stiffness.
         wanted: The stiffness.
         most: Largest value.
     """
-    enough = _least(radius, most)
+    enough = _least(stable, most)
     if enough is None or critical(np.array([_rounded(enough, up=True)]))[0] >= wanted * (1.0 - 1e-9):
         return enough  # the softer ones are stable too, unless a law with memory is stable in a band alone
-    return _least(lambda values: np.where(critical(values) >= wanted, 0.0, 2.0), most)
+    return _least(lambda values: critical(values) >= wanted, most)
 
 
 def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
@@ -767,9 +772,9 @@ def _mechanics(loop: DiagnosedLoop, damper: str) -> Iterable[Remedy]:
         yield _remedy(loop, words, "gains", cutoff=cutoff)  # type: ignore[arg-type]
 
 
-def _damped(loop: DiagnosedLoop, stiffness: float, added: Array) -> Array:
-    """Return the spectral radius at a stiffness with more damping of the device's own, (N,)."""
-    return replace(loop.sampled, own_damping=loop.own_damping + added).spectral_radius(stiffness, loop.gains[1])
+def _damped(loop: DiagnosedLoop, stiffness: float, added: Array) -> Mask:
+    """Return whether a stiffness is stable with more damping of the device's own, (N,)."""
+    return replace(loop.sampled, own_damping=loop.own_damping + added).stable(stiffness, loop.gains[1])
 
 
 def _hidden(loop: DiagnosedLoop) -> float:

@@ -20,7 +20,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.parameters import param, param_range, transport_delay
+from maglev_mj.parameters import loop_delay, param, param_range
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HANDS, Hand, get_hand
 from maglev_mj.plants.model import body_of
@@ -300,7 +300,7 @@ class StabilityParameters(DeviceParameters):
     def check(self) -> None:
         """See `Parameters`."""
         super().check()
-        transport_delay(self.delay, self.period)
+        loop_delay(self.delay, self.period)
         get_hand(self.hand)
         for name in ("friction", "quantum"):
             if self.plant != "none" and getattr(self, name):

@@ -132,7 +132,7 @@ def of_scene(
         "delay": scene.delay if delay is None else delay,
         "inertia": body.inertia if inertia is None else inertia,
     }
-    own["device"] = scene.timing().device if controller.on_device else (DEVICE_PERIOD, DEVICE_DELAY)
+    own["device"] = scene.device_clock if controller.on_device else (DEVICE_PERIOD, DEVICE_DELAY)
     own |= {"driver_lag": scene_lag(scene) if driver_lag is None else driver_lag, "hand": get_hand(hand)}
     found = of_controller(controller, pose=scene.start().pose, reach=body.range, load=body.load, **own)
     return replace(found, grown=grown_of(scene, own))

@@ -58,7 +58,7 @@ stability --grid 3 --height 0 --plant mujoco        | plant must be one of exact
 stability --grid 3 --pulse 220 --damping 50 --out . | damping must be a range for a chart (got 50)
 # numbers, their bounds and their kinds
 drop --delay soon                                   | argument --delay: must be a number (got 'soon')
-drop --delay 0.8 | delay must be at most 0.05 s, 10 periods (got 0.8); did you mean 0.0008 s?
+drop --delay 0.8 | delay must be at most 0.05 s, 10 periods in a simulation (got 0.8); did you mean 0.0008 s?
 drop --period 1e-6 --delay 0 --duration 10          | duration must be at most 1000000 periods (got 10 s)
 drop --phase 1                                      | phase must be at least 0 and below 1 (got 1.0)
 drop --pulse-width 0                                | pulse_width must be
@@ -102,7 +102,7 @@ drop --plant exct                                   | (got 'exct'); did you mean
 # maps of stability
 stability --damping -5:3 | damping must be between 0 and 1e6 (got -5
 stability --stiffness 9 3                           | stiffness must be in ascending order, low to high (got 9 to 3)
-stability --delay 1 | delay must be at most 0.05 s, 10 periods (got 1.0); did you mean 0.001 s?
+stability --delay 2 | delay must be between 0 and 1 s (got 2.0); did you mean 0.002 s?
 stability --hand 1e-300,0,0,0,1e10                  | hand grip_stiffness must be between 0 and 1e7
 stability --hand 0,0,1e300                          | hand stiffness must be between 0 and 1e7
 stability --hand 0.2,0,0,1,0                        | grip_stiffness above 0 in a soft grip
@@ -111,7 +111,7 @@ drop --out out.png | out must be a folder; try --out . --format png (got 'out.pn
 sweep drop                                          | a sweep needs --vary NAME=VALUES; for one run: maglev-mj run drop
 sweep joystick --vary stiffness=1000,2000 --out .   | out is not supported: joystick has no figures to draw
 card nothing.toml | device file 'nothing.toml' cannot be read: No such file or directory
-card drop --delay 0.06                              | delay must be at most 0.05 s, 10 periods (got 0.06)
+card drop --delay 0.06                              | delay must be at most 0.05 s, 10 periods in a simulation (got 0.06)
 sweep moon.py                                       | scene file 'moon.py' does not exist
 sweep drop --vary height=0:inf:3                    | values of height must be LOW:HIGH:COUNT
 sweep drop --vary height                            | a parameter must be given as NAME=VALUE (got 'height')

@@ -212,7 +212,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
     refused: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
         (Timing, {"period": 0.0}, r"period must be between 1e-6 and 0.1 s \(got 0.0"),
         (Timing, {"delay": -0.001}, r"delay must be at least 0.* \(got -0.001"),
-        (Timing, {"delay": 1e12}, r"delay must be at most 0.05 s, 10 periods [(]got 1"),
+        (Timing, {"delay": 1e12}, r"delay must be at most 0.05 s, 10 periods in a simulation [(]got 1"),
         (Timing, {"delay": [0.001, 0.006]}, "delay must have the same number of whole periods"),
         (Timing, {"phase": 1.0}, "phase must be at least 0 and below 1 [(]got 1"),
         (ExactPlant, {"mass": 0.0}, "mass must be above 0"),

@@ -156,7 +156,7 @@ def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"delay": (0.0, 0.06)}, r"delay must be at most 0.05 s, 10 periods \(got 0.06"),
+        ({"delay": (0.0, 1.06)}, r"delay must be between 0 and 1 s \(got 1.06"),
         ({"hands": ("arm", "arm")}, "hands must be at least one, without duplicates .got arm, arm"),
         ({"spectral_radius": 1.01}, r"spectral_radius must be above 0 and at most 1.* \(got 1.01"),
     ],
