@@ -191,7 +191,7 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
         device: Own damping, flexible mode and a law on the device; None for none.
 
     Raises:
-        ParameterError: If there is no such scene, or the delay is longer than ten periods.
+        ParameterError: If there is no such scene, or the delay is longer than ten periods, which plants do not simulate.
 
     Example:
         >>> from maglev_mj import device_card, find_scene
@@ -200,6 +200,7 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
         10173
     """
     scene = get_scene(scene)
+    scene.timing()  # simulated below
     k, b, quantum = (getattr(scene, name, 0.0) for name in ("stiffness", "damping", "quantize"))
     k, b, quantum = k or Drop().stiffness, b or Drop().damping, quantum or scene.hardware.sensor.resolution[2]
     period, mass = scene.period, float(scene.body.inertia[0])

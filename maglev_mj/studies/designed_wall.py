@@ -26,9 +26,9 @@ from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
-from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, GRAVITY, Spec
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, GRAVITY, MAX_DELAY_PERIODS, Spec
 from maglev_mj.theory.boundary import rigid_note
-from maglev_mj.theory.design import Case, DesignedWall
+from maglev_mj.theory.design import Case, DesignedWall, WallRequirements
 
 _ANYWHERE = (1e150, 1.0)  # a flotor that flies off is a verdict, not an error
 _TICKS, _CONTACT_TICKS = 800, 100
@@ -77,7 +77,8 @@ class DesignResult(Result):
         wall: Its gains, and its figures by theory.
         contact: Contact conditions.
         cases: Cases simulated, in and out of contact: corners and middles of the ranges, the worst, random ones. None,
-            and no simulated figure, with own damping, a mode or a device law: the plants have none of them.
+            and no simulated figure, with own damping, a mode, a device law or more than ten periods of delay: the
+            plants have none of them.
         grows: True for each case that does not settle, (C,).
         depth: Maximum penetration at the approach speed over corners, hands and phases [m].
         peak: Largest force there [N].
@@ -143,8 +144,10 @@ class DesignResult(Result):
         more = [f"and {len(growing) - _MOST_LISTED} more"] if len(growing) > _MOST_LISTED else []
         runs = f"{len(self.cases)} runs simulated from random heights, speeds and phases"
         note = f"{runs}; not settling: {len(growing) or 'none'}"
-        if not needs.plain:
+        if not _simulated(needs):
             note = "not simulated: plants have a rigid flotor without damping, under one law"
+            if needs.plain:
+                note = f"not simulated: plants have delays of at most {MAX_DELAY_PERIODS} periods"
         if needs.mode:
             note += f"\n{rigid_note(needs.loops([wall.worst])[0][1].part((1,), 0))}"
         title = f"Stiffest PD wall at {1.0 / needs.period:g} Hz with spectral radius at most {needs.spectral_radius:g}"
@@ -170,6 +173,11 @@ class DesignResult(Result):
         return self.contact.gate(self.wall.requirements.period) if self.contact.pulse else 0.0
 
 
+def _simulated(needs: WallRequirements) -> bool:
+    """Return True for requirements that plants simulate."""
+    return needs.plain and needs.delay[1] <= MAX_DELAY_PERIODS * needs.period
+
+
 def evaluate_wall(wall: DesignedWall, contact: Contact, *, seed: int = 0) -> DesignResult:
     """Simulate a designed wall in its required cases, and contacts at its approach speed.
 
@@ -180,7 +188,7 @@ def evaluate_wall(wall: DesignedWall, contact: Contact, *, seed: int = 0) -> Des
     """
     needs = wall.requirements
     masses, delays, spectral_radius = needs.map(wall.stiffness, wall.damping)
-    if not needs.plain:
+    if not _simulated(needs):
         none = np.zeros(0, dtype=bool), math.nan, math.nan, math.nan
         return DesignResult(wall, contact, [], *none, masses, delays, spectral_radius)
     cases = [*needs.grid(3), wall.worst, *needs.random(_RANDOM, seed)]
