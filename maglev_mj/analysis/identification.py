@@ -41,7 +41,7 @@ from maglev_mj.recording.recording import SEGMENT_TYPE
 from maglev_mj.recording.sample import Face
 from maglev_mj.recording.setup import MEASURED
 from maglev_mj.result import Table, plain
-from maglev_mj.spec import MAX_DELAY_PERIODS
+from maglev_mj.spec import MAX_DELAY
 from maglev_mj.theory import largest_stable_stiffness
 
 _MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
@@ -525,8 +525,8 @@ class _Axis:
         # the boundary at the identified damping and delay, and one standard error to either side of each
         offsets = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * errors
         dampings, delays = np.maximum(np.array([damping, delay]) + offsets, 0.0).T
-        if delays.max() > MAX_DELAY_PERIODS * self.period:
-            return Estimate(why=f"delay above {MAX_DELAY_PERIODS} periods, the limit of the theory")
+        if delays.max() > MAX_DELAY:
+            return Estimate(why=f"delay above {MAX_DELAY:g} s, the limit of the theory")
         most = largest_stable_stiffness(dampings, delay=delays, period=self.period, mass=mass)
         if not most.min() > 0.0:
             return Estimate(why="no wall is stable at this damping and delay")

@@ -163,7 +163,7 @@ def _boundary(loop: Loop) -> tuple[Array, Array]:
     dampings = np.linspace(0.0, largest, _DAMPINGS)
     try:
         stiffnesses = boundary_of(loop.array(), dampings)
-    except ParameterError:  # no boundary above ten periods of delay
+    except ParameterError:  # no boundary above 1 s of delay
         stiffnesses = np.zeros_like(dampings)
     end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2
     return dampings[:end], stiffnesses[:end]

@@ -30,7 +30,7 @@ _OUTSIDE, _FREE = 1e-12, 1e-7
 """Distance from the unit circle that counts as rounding, and that of the poles of free motion."""
 _SECANTS, _BESIDE, _SECTIONS, _POINTS = 8, 1e-9, 11, 15
 _MOST_EDGES = 40
-_HALVINGS, _DOUBLINGS, _SMALLEST = 12, 60, 600.0
+_FIRST, _HALVINGS, _DOUBLINGS, _SMALLEST = 0.05, 12, 60, 600.0
 _ZOOMS, _ZOOMED = 4, 21
 _EVEN, _STARTS, _CONVERGED, _BESIDE_POLE = np.linspace(0.0, np.pi, 1000), 8, 1e-9, 1e-13
 
@@ -394,7 +394,7 @@ def dominant_poles(cut: Cut, periods: Array, free: Array) -> NDArray[np.complex1
     below, above = np.full((2, count), np.nan)
     outward = outside(np.zeros(count), every)
     below[outward] = above[~outward] = 0.0
-    step, rows = 0.05 * unit, every
+    step, rows = _FIRST * unit, every
     for _ in range(_DOUBLINGS):
         logarithms = np.where(outward, step, np.maximum(-step, -_SMALLEST * unit))[rows]
         has = outside(logarithms, rows)
