@@ -191,7 +191,7 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
         device: Own damping, flexible mode and a law on the device; None for none.
 
     Raises:
-        ParameterError: If there is no such scene, or the delay is longer than ten periods, which plants do not simulate.
+        ParameterError: If there is no such scene, or the delay is above ten periods, which plants do not simulate.
 
     Example:
         >>> from maglev_mj import device_card, find_scene

@@ -237,7 +237,7 @@ class SampledLoop:
 
     @property
     def narrowed(self) -> float:
-        """Share of the range of dampings, up to 8 m/T, that is searched at a long delay: stable ones are below m/delay."""
+        """Share of the dampings up to 8 m/T that is searched: at a long delay stable ones are below about m/delay."""
         return min(1.0, 10.0 / float(self.periods.max())) if self.long else 1.0
 
     def batched(self) -> list[Array]:

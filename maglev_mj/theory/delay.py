@@ -1,7 +1,7 @@
 """Stability of sampled loops at any delay, without a matrix that grows with it.
 
-Cut at the host's command, a loop with a delay of q + r periods, q whole, is 1 + z^-q L_r(z) = 0. On the unit circle z^-q
-has magnitude 1, so the angles a at which |L_r| = 1 do not depend on q. There L_r has the phase -p, and |L_r| falls
+Cut at the host's command, a loop with a delay of q + r periods, q whole, is 1 + z^-q L_r(z) = 0. On the unit circle
+|z^-q| is 1, so the angles a at which |L_r| = 1 do not depend on q. There L_r has the phase -p, and |L_r| falls
 (s = 1) or rises (s = -1) with the angle. By the Nyquist criterion the number of unstable poles is an integer formula:
 
 N(q, r) = N(0, r) + 2 sum_i s_i (floor((p_i + q a_i + pi)/2 pi) - floor((p_i + pi)/2 pi)) + q [|L_r(-1)| > 1].

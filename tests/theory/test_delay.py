@@ -104,11 +104,13 @@ def test_any_delay_is_proved_by_the_loop_gain(around: Any, gains: tuple[float, f
     assert np.isinf(critical_delay(*gains, **{"mass": 0.7, **around}))
     cut = loop.cut(np.full(41, gains[0]), np.full(41, gains[1]), np.arange(41) / 40)
     for angle in np.geomspace(1e-5, np.pi, 300):
-        assert np.abs(cut.response(np.arange(41), np.full(41, np.exp(1j * angle)))[0]).max() <= bound.largest_gain * 1.001
+        assert (
+            np.abs(cut.response(np.arange(41), np.full(41, np.exp(1j * angle)))[0]).max() <= bound.largest_gain * 1.001
+        )
 
 
 def random_loop(random: np.random.Generator) -> tuple[SampledLoop, float, float]:
-    """Return a random loop with its gains: 60 Hz to 20 kHz; hand, lag, mode, own damping, filter, memory, device law."""
+    """Return a random loop with its gains: 60 Hz to 20 kHz, all that a loop may have."""
     period, mass = 10 ** random.uniform(-4.3, -1.78), 10 ** random.uniform(-1.5, 0.5)
     angle = 10 ** random.uniform(-2.5, 0.3)
     stiffness, damping = mass * (angle / period) ** 2, 2.0 * random.uniform(0.0, 1.5) * mass * angle / period
@@ -213,7 +215,9 @@ def test_the_boundary_at_a_long_delay_is_that_of_the_matrices(delay: float) -> N
         critical = boundary_of(loop, damping)
         for k, b in zip(critical, damping):
             if k:
-                radii = np.abs(np.linalg.eigvals(loop.matrix(k * np.array([0.3, 1.0 - 1e-6, 1.0 + 1e-6]), b))).max(axis=-1)
+                radii = np.abs(np.linalg.eigvals(loop.matrix(k * np.array([0.3, 1.0 - 1e-6, 1.0 + 1e-6]), b))).max(
+                    axis=-1
+                )
                 assert radii[0] < 1.0 and radii[1] < 1.0 < radii[2]
             else:
                 assert np.abs(np.linalg.eigvals(loop.matrix(1e-3, b))).max() > 1.0
