@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -97,7 +98,7 @@ def test_front_ends_agree_on_declared_gains(
     scene = drawn(seed, tmp_path, device=device)
     # of a law on the device a diagnosis takes seconds
     fronts = {name: front for name, front in STABLE.items() if not (device and seed < 7 and name == "diagnose")}
-    answers = {name: said(lambda front=front: front(scene)) for name, front in fronts.items()}
+    answers = {name: said(partial(front, scene)) for name, front in fronts.items()}
     assert len({*answers.values()}) == 1, answers
     assert answers["judge"] or not _critical_delay(scene, scene.body.inertia) > scene.delay
     walls, compared = judge(wall_loops(scene)), compare(scene, ["pd"], phases=1).margins["pd"]
@@ -117,7 +118,7 @@ def test_front_ends_agree_on_linearised_laws(seed: int, tmp_path: Path) -> None:
     scene = drawn(seed, tmp_path, declared=False)
     # cells of a sweep are marked by declared gains alone
     fronts = {name: front for name, front in STABLE.items() if name != "sweep"}
-    answers = {name: said(lambda front=front: front(scene)) for name, front in fronts.items()}
+    answers = {name: said(partial(front, scene)) for name, front in fronts.items()}
     assert len({*answers.values()}) == 1, answers
     walls, twin = judge(wall_loops(scene)), judge(wall_loops(Drop(**scene.independent_values())))
     assert walls.spectral_radius == pytest.approx(twin.spectral_radius, abs=1e-6)
@@ -130,6 +131,39 @@ def test_a_hand_is_that_of_the_loop_in_every_front_end(hand: str) -> None:
     held = [loop for loop in Loop.of(scene, hand=hand) if loop.axis == "z" and loop.state]
     assert judge(held[0]).spectral_radius == pytest.approx(diagnose(scene, hand=hand).spectral_radius, abs=1e-12)
     assert judge(held[0]).critical_stiffness == pytest.approx(diagnose(scene, hand=hand).critical_stiffness, rel=1e-6)
+
+
+def test_a_recording_is_judged_as_the_loop_that_it_is_diagnosed_as(tmp_path: Path) -> None:
+    shaking: Any = {"stiffness": 500.0, "damping": 1.0, "mass": 0.15}
+    loop = diagnose(**shaking, rate=200.0, delay=0.005)
+    time_ = 0.005 * np.arange(300)
+    growth = math.log(2.0) / loop.doubling_time
+    position = 1e-5 * np.exp(growth * time_) * np.sin(2.0 * math.pi * loop.frequency * time_)
+    path = tmp_path / "shaking.csv"
+    path.write_text("time,z\n" + "".join(f"{t:.6f},{z:.12g}\n" for t, z in zip(time_, position, strict=True)))
+    verdict = judge(str(path), **shaking)
+    assert verdict.stable is False
+    assert verdict.spectral_radius == pytest.approx(diagnose(str(path), **shaking).spectral_radius, abs=1e-12)
+
+
+def test_loops_of_devices_scenes_controllers_and_numbers_are_read_by_one_name() -> None:
+    (stage,) = Loop.of("stage", stiffness=6000.0, damping=80.0, delay=1e-3)
+    (number,) = Loop.of(
+        **{name: getattr(stage, name) for name in ("stiffness", "damping", "period", "delay")}, inertia=0.3
+    )
+    assert number == replace(stage, driver_lag=0.0) and (stage.driver_lag, stage.inertia) == (1e-4, 0.3)
+    assert Loop.of(device="stage", stiffness=6000.0, damping=80.0, delay=1e-3).items == (stage,)
+    assert Loop.of(stage).items == (stage,) and Loop.of(stage, delay=0.0)[0].delay == 0.0
+    scene = Drop(stiffness=9000.0)
+    assert Loop.of("drop", stiffness=9000.0).items == Loop.of(scene).items == Loop.of(Drop, stiffness=9000.0).items
+    body: Any = {"delay": scene.delay, "inertia": scene.body.inertia}
+    assert Loop.of(scene.controller(), **body).items == Loop.of(scene).items
+    for wrong, says in (
+        ({"stifness": 1.0}, "did you mean stiffness"),
+        ({"stiffness": 1.0}, "must be given, or a device"),
+    ):
+        with pytest.raises(ParameterError, match=says):
+            judge(**wrong)
 
 
 # every effect moves every verdict
