@@ -12,6 +12,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, Six, components
 from maglev_mj.parameters import numbers
+from maglev_mj.scenes.cell_verdicts import unstable_cells
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
@@ -150,13 +151,21 @@ def stability_warning(scene: Scene) -> str | None:
     return None if verdict.stable else f"{scene.name} is unstable: {verdict.details}"
 
 
-def unstable(scenes: Sequence[Scene]) -> list[bool]:
-    """Return True for each scene with an unstable loop, by declared gains alone."""
-    loops, result = dict[int, Loops](), [False] * len(scenes)
+def unstable(scenes: Sequence[Scene]) -> list[bool | None]:
+    """Return whether each scene has an unstable loop; None if not computed.
+
+    Laws without declared gains are linearised once for all scenes that differ in stiffness alone; see `unstable_cells`.
+    """
+    loops, own = dict[int, Loops](), list[int]()
     for index, scene in enumerate(scenes):
-        with suppress(Exception):  # the run reports errors of a user's scene
-            if stated_gains(scene.controller()) is not None:
+        with suppress(Exception):  # of a user's scene, whose run reports it
+            if stated_gains(scene.controller()) is None:
+                own.append(index)
+            else:
                 loops[index] = Loop.of(scene)
-    for index, verdict in zip(loops, verdicts([*loops.values()]), strict=True):
-        result[index] = verdict.stable is False
+    found = {index: verdict.stable for index, verdict in zip(loops, verdicts([*loops.values()]), strict=True)}
+    result = [None if found.get(index) is None else not found[index] for index in range(len(scenes))]
+    with suppress(Exception):  # of a user's law at a pose outside of its run
+        for index, one in zip(own, unstable_cells([scenes[index] for index in own]), strict=True):
+            result[index] = one
     return result

@@ -33,7 +33,7 @@ from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.results import Figure, RunResult, figure_head, parameter_texts, parameters_json
 from maglev_mj.scenes.run import chaos_warning, checked_phase, checked_plant, figures_of, run, sensitivity
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stability_check import unstable
+from maglev_mj.scenes.stability_check import UNKNOWN, unstable
 from maglev_mj.studies.cells import Study, Workers, chosen_workers
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.versions import hash_of
@@ -93,7 +93,7 @@ class Sweep(Result):
         """Return varied values and figures, a row for each cell.
 
         Figures are in SI units, NaN if missing; those of several hits are left out. `error` is there if a cell failed,
-        `warnings` if one is unstable or exceeds the device's force or range.
+        `warnings` if one is unstable, not judged, or exceeds the device's force or range.
         """
         axes = np.meshgrid(*map(np.array, self.varied.values()), indexing="ij")
         columns: dict[str, NDArray[Any]] = {name: axis.ravel() for name, axis in zip(self.varied, axes, strict=True)}
@@ -393,8 +393,9 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
         for run, figures in zip(runs, results, strict=True)
     ]
     for result, grows in zip(done, unstable([scene for scene, _, _ in runs]), strict=True):
-        if grows:
-            result["warnings"] = ", ".join(filter(None, ["unstable", result.get("warnings")]))
+        mark = {True: "unstable", None: UNKNOWN}.get(grows)
+        if mark and not (grows is None and "error" in result):
+            result["warnings"] = ", ".join(filter(None, [mark, result.get("warnings")]))
     return done
 
 

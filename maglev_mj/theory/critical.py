@@ -14,7 +14,7 @@ from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.linearise import StateSpace, realise
 from maglev_mj.theory.loop import AffineLaw, Bound, Loop, Loops
 
-_RATIOS = 1.0, 2.0, 3.0
+RATIOS = 1.0, 2.0, 3.0
 """Ratios of the gain at which a law is checked to be affine in it."""
 _FACTOR, _STEPS, _HALVINGS = 1.2, 14, 13
 """Scan of other laws: factor per step, steps, bisections."""
@@ -39,7 +39,7 @@ def critical_ratios(at: LoopsAt, present: Sequence[Loops]) -> list[Bound]:
     """
     count = len(present)
     every = [*range(count)]
-    others = at(every * 2, [ratio for ratio in _RATIOS[1:] for _ in every])  # together
+    others = at(every * 2, [ratio for ratio in RATIOS[1:] for _ in every])  # together
     exact = [_exact(three) for three in zip(present, others[:count], others[count:], strict=True)]
     radii = [_radius(loops) for loops in present]
     rest = [index for index in every if exact[index] is None and radii[index] == radii[index]]
@@ -60,15 +60,19 @@ def _exact(three: Sequence[Loops]) -> Bound | None:
     return min(known) if len(known) == len(limits) else None
 
 
-def affine_limit(three: Sequence[Loop]) -> Bound | None:
-    """Return the critical ratio of one loop at the three gains; None if its law is not affine in the gain."""
+def affine_law(three: Sequence[Loop]) -> AffineLaw | None:
+    """Return the law of one axis in a loop at the three gains, affine in the gain; None if it is not."""
     if any(loop.reason or loop.device is not None or (loop.linear and len(loop.linear.axes) > 1) for loop in three):
         return None
     responses = [loop.response() for loop in three]
     size = max(map(len, responses))
     padded = np.array([np.pad(one, (0, size - len(one))) for one in responses])
-    law = AffineLaw.of(padded, _RATIOS, _realised)
-    if law is None:
+    return AffineLaw.of(padded, RATIOS, _realised)
+
+
+def affine_limit(three: Sequence[Loop]) -> Bound | None:
+    """Return the critical ratio of one loop at the three gains; None if its law is not affine in the gain."""
+    if (law := affine_law(three)) is None:
         return None
     array = three[0].array(design=law.__call__, velocity=None)
     limit, highest = float(boundary_of(array, np.asarray(0.0))), float(highest_of(array))

@@ -195,12 +195,13 @@ class _Devices:
         tick, self._tick = self._tick, self._tick + 1
         if self.batch:
             force = self._live[0].step(Sample(tick, 0.0, components(poses))).force
-            return np.array([np.broadcast_to(x, len(poses)) for x in force])[self.axes, self._rows] - self._carried
+            wrenches = np.array([np.broadcast_to(part, len(poses)) for part in force])
+            return np.asarray(wrenches[self.axes, self._rows] - self._carried)
         self._calls[0] += len(poses)
         too_many_calls(self._calls[0], self.controllers)
         each = zip(self._live, poses.tolist(), self.axes.tolist())
         forces = [float(one.step(Sample(tick, 0.0, pose)).force[axis]) for one, pose, axis in each]
-        return np.array(forces) - self._carried
+        return np.asarray(np.array(forces) - self._carried)
 
     def run(self, positions: Array, samples: int) -> Array:
         """Return the forces at positions held for some samples, (samples, N)."""
@@ -386,7 +387,7 @@ class _Probes:
         result = [""] * len(x)
 
         def refuse(wrong: Mask, reason: str) -> None:
-            for row in np.flatnonzero(wrong):
+            for row in np.flatnonzero(wrong).tolist():
                 result[row] = result[row] or reason
 
         devices = self._devices
@@ -420,7 +421,7 @@ class _Probes:
         whole = self._left(excursion) - rest
         remains = np.abs(whole) > _RETURNED * force
         if not remains.any():
-            return remains
+            return np.asarray(remains)
         there, back = (self._left(share * excursion) - rest for share in (_PART, -_PART))
         scale = _SMOOTH * np.abs(whole)
         return np.asarray(remains & ((np.abs(whole - there / _PART) > scale) | (np.abs(whole + back / _PART) > scale)))
@@ -446,7 +447,7 @@ class _Probes:
             for _ in range(_REFINED):
                 middle = np.where(np.isfinite(bad), np.sqrt(good * np.where(np.isfinite(bad), bad, 1.0)), good)
                 wrong = self._kinds(middle)
-                for row in np.flatnonzero(np.isfinite(bad)):
+                for row in np.flatnonzero(np.isfinite(bad)).tolist():
                     if wrong[row]:
                         bad[row], kinds[row] = middle[row], wrong[row]
                     else:

@@ -37,7 +37,7 @@ _UNDECLARED = "a law with walls on the device needs declared gains: define gains
 """Reasons why a loop cannot be judged."""
 
 _FIELDS = tuple(item.name for item in fields(Loop) if item.name not in ("linear", "body", "pose", "reason"))
-_OF_CONTROLLER = "delay", "pose", "inertia", "reach", "device", "driver_lag", "hand", "load"
+_OF_CONTROLLER = "delay", "pose", "inertia", "reach", "device", "driver_lag", "hand", "load", "poses"
 
 
 def loops_of(what: Any = None, **changes: Any) -> Loops:
@@ -114,6 +114,7 @@ def of_scene(
     delay: float | None = None,
     driver_lag: float | None = None,
     hand: Hand | str | None = None,
+    poses: ArrayLike | None = None,
     **changes: Any,
 ) -> Loops:
     """Return the loops of a scene; see `Loop.of`.
@@ -124,6 +125,7 @@ def of_scene(
         delay: Transport delay in place of the scene's own [s]; gains derived from the delay do not change.
         driver_lag: Time constant of the drivers in place of the device's [s].
         hand: Hand on the flotor; None for a free flotor.
+        poses: Poses at which laws without declared gains are linearised in place of all these [m, rad], (P, 6).
         changes: Parameters of the scene.
     """
     scene = scene.replace(**changes) if changes else scene
@@ -134,7 +136,7 @@ def of_scene(
     }
     own["device"] = scene.device_clock if controller.on_device else (DEVICE_PERIOD, DEVICE_DELAY)
     own |= {"driver_lag": scene_lag(scene) if driver_lag is None else driver_lag, "hand": get_hand(hand)}
-    found = of_controller(controller, pose=scene.start().pose, reach=body.range, load=body.load, **own)
+    found = of_controller(controller, pose=scene.start().pose, reach=body.range, load=body.load, poses=poses, **own)
     return replace(found, grown=grown_of(scene, own))
 
 
@@ -178,6 +180,7 @@ def of_controller(
     driver_lag: float = 0.0,
     hand: Hand | str | None = None,
     load: ArrayLike = ZERO,
+    poses: ArrayLike | None = None,
 ) -> Loops:
     """Return the loops of a controller on all axes; see `judge`."""
     start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
@@ -190,7 +193,7 @@ def of_controller(
     elif gains is None:
         far = numbers("reach", reach, shape="(6,)", above=0.0)
         try:
-            found = _linearised(controller, start, body, far, around, numbers("load", load, shape="(6,)"))
+            found = _linearised(controller, start, body, far, around, numbers("load", load, shape="(6,)"), poses)
         except TooManyCallsError as error:
             found = _nothing(str(error).removeprefix("stability not computed: "), start, body, around)
     else:
@@ -262,7 +265,19 @@ def _stated(
 
 
 def _linearised(
-    controller: Controller, pose: Array, body: Array, reach: Array, around: Mapping[str, Any], load: Array
+    controller: Controller,
+    pose: Array,
+    body: Array,
+    reach: Array,
+    around: Mapping[str, Any],
+    load: Array,
+    poses: ArrayLike | None,
+    pose: Array,
+    body: Array,
+    reach: Array,
+    around: Mapping[str, Any],
+    load: Array,
+    poses: ArrayLike | None,
 ) -> Loops:
     """Return the loop of coupled axes at each pose at which they differ, and those that cannot be judged."""
     loops: list[AtPose] = []
@@ -278,8 +293,8 @@ def _linearised(
     if len(void) == len(AXES):
         items = [_not_judged(axis, found[axis].reason, body, around) for axis in range(len(AXES))]
         return Loops(tuple(items), False, pose, doubts=found, reach=reach)
-    grid = linearise(controller, poses_of(controller, pose, reach))
-    edges = [*edges_of(controller, grid[2 : 2 + len(AXES) * POINTS])]
+    grid = linearise(controller, poses_of(controller, pose, reach) if poses is None else poses)
+    edges = [*edges_of(controller, grid[2 : 2 + len(AXES) * POINTS])] if poses is None else []
     for near in [*grid, *(linearise(controller, edges) if edges else ())]:
         scaled = near.scaled(body)
         for axes in _coupled(scaled):
@@ -308,8 +323,8 @@ def _linearised(
     valid = [loop for loop in loops + unstable if not void.intersection(loop.axes)]
     items = [_loop(one, body, around) for one in _distinct_loops(valid)]
     items += [_not_judged(axis, reason, body, around) for axis, reason in sorted(reasons.items())]
-    poses = _distinct(jumps), _distinct(unknown), _distinct([loop.near.pose for loop in away])
-    return Loops(tuple(items), False, pose, *poses, doubts=found, reach=reach)
+    skipped = _distinct(jumps), _distinct(unknown), _distinct([loop.near.pose for loop in away])
+    return Loops(tuple(items), False, pose, *skipped, doubts=found, reach=reach)
 
 
 def _loop(at: AtPose, body: Array, around: Mapping[str, Any]) -> Loop:

@@ -244,13 +244,16 @@ def margin_words(stable: bool | None, ratio: float, spectral_radius: float | Non
 
 
 @checked(own="scene")
-def stability(scene: Any, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Verdict:
+def stability(
+    scene: Any, *, inertia: ArrayLike | None = None, delay: float | None = None, poses: ArrayLike | None = None
+) -> Verdict:
     """Return the stability verdict on a scene; see `judge`.
 
     Args:
         scene: The scene.
         inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
         delay: Transport delay in place of the scene's own [s]; gains derived from the delay do not change.
+        poses: Poses at which laws without declared gains are linearised in place of all [m, rad], (P, 6).
 
     Raises:
         ParameterError: If `scene` is not a scene, or a value is outside its bounds.
@@ -263,7 +266,7 @@ def stability(scene: Any, *, inertia: ArrayLike | None = None, delay: float | No
     """
     if isinstance(scene, type) or not hasattr(scene, "controller"):
         raise ParameterError(f"scene must be a Scene, such as find_scene('drop')() (got {scene!r})")
-    return verdicts([of_scene(scene, inertia=inertia, delay=delay)])[0]
+    return verdicts([of_scene(scene, inertia=inertia, delay=delay, poses=poses)])[0]
 
 
 @checked(own="what")

@@ -239,9 +239,10 @@ class Slow(Drop):
         (lambda scene: judge(wall_loops(scene, held=True)), 7_000, "spectral radius 0.877"),
         (lambda scene: margin(scene).words, 40_000, "not computed"),
         (lambda scene: judge_change(scene, [*INERTIA], [], report=GOOD, anyway=False)[1], 40_000, "not computed"),
-        (lambda scene: unstable([scene]), 0, "False"),
+        (lambda scene: unstable([scene]), 3_000, "False"),
+        (lambda scene: unstable([scene.replace(stiffness=k) for k in (4e3, 5e3, 6e3)]), 3_000, "False, False"),
     ],
-    ids=["run", "warning", "wall", "viewer", "flight", "sweep"],
+    ids=["run", "warning", "wall", "viewer", "flight", "cell", "sweep"],
 )
 def test_a_slow_law_is_never_called_without_a_limit(
     asked: Any, most: int, says: str, limit: int, monkeypatch: pytest.MonkeyPatch
