@@ -210,7 +210,9 @@ def scene(law: Any, stiffness: float, on: str = "z", **values: Any) -> Drop:
             own = law(axes=on, stiffness=self.stiffness, damping=self.damping)
             return [own, hold(self, [axis for axis in AXES if axis != on])]
 
-    return Scene(**{"period": 1e-3, "delay": 8e-4, "damping": 80.0, "stiffness": stiffness} | values)
+    own: Any = Scene
+    result: Drop = own(**{"period": 1e-3, "delay": 8e-4, "damping": 80.0, "stiffness": stiffness} | values)
+    return result
 
 
 def found(one: Drop) -> dict[int, Doubt]:
