@@ -242,7 +242,8 @@ BUILT_IN = ["pd", "pulse", "half-sample", "virtual-coupling", "filtered"]
 @pytest.mark.parametrize("name", BUILT_IN)
 @pytest.mark.parametrize(("stiffness", "period", "delay"), [(8e3, 5e-3, 1.5e-3), (5e4, 2.5e-4, 2e-4)])
 def test_laws_of_the_table_are_not_doubted(name: str, stiffness: float, period: float, delay: float) -> None:
-    chosen, rows = _chosen(find_scene("drop")(stiffness=stiffness, period=period, delay=delay), [name])
+    drop: Any = find_scene("drop")
+    chosen, rows = _chosen(drop(stiffness=stiffness, period=period, delay=delay), [name])
     controller = _with_law(chosen, name, rows[name], "exact").controller()
     undeclared = [Undeclared(law) for law in controller.laws]
     body = chosen.body.bounded
