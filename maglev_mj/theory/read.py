@@ -272,12 +272,6 @@ def _linearised(
     around: Mapping[str, Any],
     load: Array,
     poses: ArrayLike | None,
-    pose: Array,
-    body: Array,
-    reach: Array,
-    around: Mapping[str, Any],
-    load: Array,
-    poses: ArrayLike | None,
 ) -> Loops:
     """Return the loop of coupled axes at each pose at which they differ, and those that cannot be judged."""
     loops: list[AtPose] = []
