@@ -105,7 +105,7 @@ TIMES += [
     ("delay", Timing, 1.5e-3),
     ("delay", lambda delay: theory.design_wall(theory.WallRequirements(delay=(delay, delay))), 1.5e-3),
     ("driver_time_constant", lambda **time: MuJoCoPlant(driver_lag=True, **time), 8e-5),
-    *((name, SampledLoop, value) for name, value in {"period": 0.005, "delay": 1e-3, "driver_lag": 8e-5}.items()),
+    *((name, SampledLoop, value) for name, value in {"period": 0.005, "delay": 1.5e-3, "driver_lag": 8e-5}.items()),
     *(("period", partial(LIKE, laws[-1]), 1e-3) for laws in LAWS.values() if laws and hasattr(laws[-1], "period")),
 ]
 

@@ -52,6 +52,7 @@ from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICE_PARAMETERS, UNKNOWN, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
+from maglev_mj.theory.loop import Bound
 from maglev_mj.theory.read import scene_lag
 from maglev_mj.views.viewer_process import RemoteViewer, ViewerFunction
 
@@ -215,7 +216,7 @@ def _print_check(result: Preflight, period: float, mass: float) -> int:
     print("\n".join(wrapped(f"{head}: {', '.join(walls)}")))
     critical = result.critical_delay
     limit = f"up to {critical * 1e3:.2f} ms"
-    if getattr(critical, "beyond", False):
+    if isinstance(critical, Bound) and critical.beyond:
         limit = f"at delays of {critical.text('ms', 1e3)}"
     verdict = result.problem or result.reduction or f"{result.scene.name} is stable {limit}: ready"
     print("\n".join(wrapped(verdict)))

@@ -32,7 +32,7 @@ from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, referenc
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.results import Figure, RunResult, figure_head, parameter_texts, parameters_json
 from maglev_mj.scenes.run import chaos_warning, checked_phase, checked_plant, figures_of, run, sensitivity
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stability_check import UNKNOWN, unstable
 from maglev_mj.studies.cells import Study, Workers, chosen_workers
 from maglev_mj.studies.record import Cell, Record
@@ -360,7 +360,10 @@ class Grid(Sequence[Cell]):
             return [self._fixed | changes for changes in self._changes(rows)]
         (changes,) = self._changes(range(rows, rows + 1))
         plant, phase = changes.pop("plant"), changes.pop("phase")
-        return self._head | parameters_json(self.scene.replace(**changes), plant, phase)
+        scene = self.scene.replace(**changes)
+        if plant in PLANTS:
+            scene.timing()  # no plant simulates a longer delay
+        return self._head | parameters_json(scene, plant, phase)
 
     def _changes(self, rows: range) -> list[Cell]:
         """Return the varied values of some cells."""

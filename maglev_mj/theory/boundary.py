@@ -18,10 +18,10 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, Unpack, overload
+from typing import Any, NamedTuple, Unpack, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
@@ -129,22 +129,22 @@ def _delayed(loop: SampledLoop, damping: Array, limit: float) -> Array:
     """
     batched = [np.broadcast_to(value, damping.shape) for value in loop.batched()]
     kinds, place = np.unique(np.array([*batched, np.zeros(damping.shape)]), axis=1, return_inverse=True)
-    found: list[tuple[Array, Array]] = []
+    found: list[tuple[NDArray[Any], Array]] = []
     for kind in range(kinds.shape[1]):
         rows = np.flatnonzero(place.reshape(-1) == kind)
         found.append((rows, _lowest(loop.part(damping.shape, rows[:1]), damping[rows], limit)))
     result = np.full((len(damping), max(part.shape[1] for _, part in found)), np.inf)
-    for rows, part in found:
-        result[rows, : part.shape[1]] = part
+    for index, lowest in found:
+        result[index, : lowest.shape[1]] = lowest
     return result
 
 
 def _lowest(loop: SampledLoop, damping: Array, limit: float) -> Array:
     """Return the crossings of one loop, (N, c); see `_delayed`."""
     stiff, damp = (float(np.asarray(unit).reshape(-1)[0]) for unit in scales(loop))
-    cut, whole, _ = loop.cut_at_delay(_PAIRS[0] * stiff, _PAIRS[1] * damp)
+    cut, periods, _ = loop.cut_at_delay(_PAIRS[0] * stiff, _PAIRS[1] * damp)
     free, first, second, both = give = cut.give
-    whole, alike = float(whole[0]), np.ptp(cut.advance, axis=0).max() == np.ptp(cut.take, axis=0).max() == 0.0
+    whole, alike = float(periods[0]), np.ptp(cut.advance, axis=0).max() == np.ptp(cut.take, axis=0).max() == 0.0
     if not alike or not np.allclose(both + 3.0 * free, 2.0 * (first + second), atol=1e-9 * np.abs(give).max()):
         raise ParameterError("design must have a characteristic polynomial that is linear in its gains")
     parts = np.stack([free, (first - free) / stiff, (second - free) / damp])

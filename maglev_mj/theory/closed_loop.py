@@ -256,7 +256,7 @@ class SampledLoop:
         shares = np.broadcast_to(np.asarray(rest) / period, shape).reshape(-1)
         return cut_of(index, shares), np.broadcast_to(np.asarray(whole), shape).reshape(-1), free
 
-    def unstable_poles(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
+    def unstable_poles(self, stiffness: ArrayLike, damping: ArrayLike) -> NDArray[np.int64]:
         """Return the number of unstable poles, broadcast over gains and loop, at any delay.
 
         Raises:
@@ -368,7 +368,7 @@ class SampledLoop:
         for index in range(count):
             positions[index], commands[index] = state[0], -give @ state
             state = advance @ state + take * (commands[index - late] if index >= late else 0.0)
-        return period * np.arange(count), positions
+        return period * np.arange(float(count)), positions
 
     def compliances(self, stiffness: ArrayLike, damping: ArrayLike, frequencies: Sequence[float]) -> Iterator[Array]:
         """Yield the compliance, sampled position over hand force, at each frequency [m/N], complex (...,).
@@ -459,15 +459,16 @@ class SampledLoop:
 
     def _beside_device(self, fractions: Array) -> tuple[Array, Array]:
         """Return the maps of flotor, device law and host's command in effect over a host period, and of a command."""
-        shape, maps = fractions.shape, None
+        maps: Array | None = None
         late = np.minimum(fractions, _ALMOST) * np.asarray(self.period)  # of a whole period there are more states
-        for rows, loop in replace(self, delay=late).uniform(shape):
+        for rows, loop in replace(self, delay=late).uniform(fractions.shape):
             both = loop.two_rates()
             (between,), own = both.between(), both.of_host
             kept = np.delete(np.arange(between.shape[-1] - 1), own[1:])
             part = np.broadcast_to(between, (len(np.arange(len(fractions))[rows]), *between.shape[-2:]))
             maps = np.zeros((len(fractions), len(kept), len(kept) + 1)) if maps is None else maps
             maps[rows] = part[:, kept[:, None], np.append(kept, own[1])]
+        assert maps is not None
         return maps[..., :-1], maps[..., -1]
 
     def spectral_radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
@@ -702,12 +703,15 @@ def critical_delay_of(around: SampledLoop, stiffness: Array, damping: Array, fre
         return _stepped_delay(around, stiffness, damping)
     cut_of, moves = around.cuts(stiffness, damping)
     free = moves if free is None else free
-    starts = range(0, free.size, _LOOPS)
-    parts = [
-        first_delays(lambda index, shares, start=start: cut_of(index + start, shares), free[start : start + _LOOPS])
-        for start in starts
-    ]
-    return np.concatenate(parts or [np.zeros(0)]).reshape(stiffness.shape) * around.period
+    result = np.zeros(free.size)
+    for rows in filter(len, np.array_split(np.arange(free.size), 1 + free.size // _LOOPS)):
+        chosen = rows
+
+        def part(index: NDArray[Any], shares: Array, chosen: NDArray[Any] = chosen) -> Cut:
+            return cut_of(chosen[index], shares)
+
+        result[rows] = first_delays(part, free.reshape(-1)[rows])
+    return np.asarray(result.reshape(stiffness.shape) * np.asarray(around.period))
 
 
 def _stepped_delay(around: SampledLoop, stiffness: Array, damping: Array) -> Array:

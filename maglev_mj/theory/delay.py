@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,7 @@ class Cut(NamedTuple):
     take: Array
     give: Array
 
-    def rows(self, index: Array) -> Cut:
+    def rows(self, index: Rows) -> Cut:
         """Return some of the loops."""
         return Cut(*(part[index] for part in self))
 
@@ -58,7 +58,7 @@ class Cut(NamedTuple):
         size = np.exp(-periods * np.log(radius))[:, None]
         return Cut(self.advance * inverse[:, None], self.take * inverse * size, self.give)
 
-    def response(self, rows: Array, z: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], ...]:
+    def response(self, rows: Rows, z: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], ...]:
         """Return L and its derivative at z of some loops, (M,) each."""
         one, advance = np.eye(self.take.shape[-1]), self.advance[rows]
         try:
@@ -70,7 +70,10 @@ class Cut(NamedTuple):
         return (self.give[rows] * right).sum(axis=-1), -(left * right).sum(axis=-1)
 
 
-CutOf: TypeAlias = Callable[[Array, Array], Cut]
+Rows: TypeAlias = NDArray[Any]
+"""Indices of loops."""
+
+CutOf: TypeAlias = Callable[[Rows, Array], Cut]
 """Function from indices of loops (P,) and fractions of a period (P,) to the cut loops."""
 
 
@@ -95,20 +98,21 @@ class AnyDelay:
             kept = ~wrong[rows]
             rows, angles = (np.concatenate([part[kept], other]) for part, other in zip((rows, angles), searched))
         gain, _ = cut.response(rows, np.exp(1j * angles))
-        self.rows, self.angles, self.signs = rows, angles, _signs(cut, rows, angles)
+        self.rows: Rows = rows
+        self.angles, self.signs = angles, _signs(cut, rows, angles)
         self.phases = np.mod(-np.angle(gain), 2.0 * np.pi)
         poles = np.linalg.eigvals(cut.advance - cut.take[:, :, None] * cut.give[:, None])
         self.start = (np.abs(poles) > 1.0 + np.where(free, _FREE, _OUTSIDE)[:, None]).sum(axis=-1)
         self.flipped = above[1]
 
-    def unstable(self, periods: Array) -> NDArray[np.int64]:
+    def unstable(self, periods: NDArray[Any]) -> NDArray[np.int64]:
         """Return the number of unstable poles at whole periods of delay (P,), (P,)."""
         whole = np.asarray(periods, dtype=np.int64)
         turns = np.floor((self.phases + whole[self.rows] * self.angles + np.pi) / (2.0 * np.pi)) - (
             self.phases >= np.pi
         )
         crossed = np.bincount(self.rows, 2.0 * self.signs * turns, len(self.start))
-        return self.start + crossed.round().astype(np.int64) + whole * self.flipped
+        return np.asarray(self.start + crossed.round().astype(np.int64) + whole * self.flipped)
 
     def first(self) -> Array:
         """Return the least whole periods of delay at which there are unstable poles, (P,); infinity for none."""
@@ -130,7 +134,7 @@ class AnyDelay:
         at, place = np.unique(np.concatenate(periods), return_inverse=True)
         total = np.cumsum(np.bincount(place.reshape(-1), np.concatenate(steps), len(at))).round()
         kept = at <= longest
-        return at[kept], total[kept]
+        return at[kept], np.asarray(total[kept], dtype=np.float64)
 
 
 def _waiting(phases: Array, angles: Array) -> Array:
@@ -138,13 +142,13 @@ def _waiting(phases: Array, angles: Array) -> Array:
     return np.asarray((np.pi - np.where(phases < np.pi, phases, phases - 2.0 * np.pi)) / angles)
 
 
-def _signs(cut: Cut, rows: Array, angles: Array) -> Array:
+def _signs(cut: Cut, rows: Rows, angles: Array) -> Array:
     z = np.exp(1j * angles)
     gain, slope = cut.response(rows, z)
-    return -np.sign((1j * z * slope / gain).real)
+    return np.asarray(-np.sign((1j * z * slope / gain).real))
 
 
-def _angles(cut: Cut) -> tuple[Array, Array]:
+def _angles(cut: Cut) -> tuple[Rows, Array]:
     """Return rows and angles of |L| = 1: imaginary eigenvalues of a symplectic pencil after Cayley's map.
 
     On the circle 1 - L(z) L(1/z) = 0 is the pencil z [I, -b b'; 0, A'] = [A, 0; -c' c, I].
@@ -173,7 +177,7 @@ def _angles(cut: Cut) -> tuple[Array, Array]:
     return rows, 2.0 * np.arctan(turned.imag[rows, column])
 
 
-def _polished(cut: Cut, rows: Array, angles: Array, width: float = _MOVED) -> tuple[Array, Array]:
+def _polished(cut: Cut, rows: Rows, angles: Array, width: float = _MOVED) -> tuple[Rows, Array]:
     """Return the crossings refined by Newton's method on ln |L|, each once; those that leave or miss are dropped."""
     start, angles = angles, angles.copy()
     for _ in range(_POLISHED):
@@ -195,9 +199,9 @@ def _polished(cut: Cut, rows: Array, angles: Array, width: float = _MOVED) -> tu
     return rows[~again], angles[~again]
 
 
-def _searched(cut: Cut, rows: Array) -> tuple[Array, Array]:
+def _searched(cut: Cut, rows: Rows) -> tuple[Rows, Array]:
     """Return crossings of some loops by a grid of angles and those of the loop's own poles."""
-    found: list[tuple[Array, Array]] = []
+    found: list[tuple[Rows, Array]] = []
     for row in rows.tolist():
         grid = np.unique(np.concatenate([_GRID, *_own_angles(cut.advance[row])]))
         above = np.abs(cut.response(np.full(len(grid), row), np.exp(1j * grid))[0]) > 1.0
@@ -235,7 +239,7 @@ def first_delays(cut_of: CutOf, free: Mask) -> Array:
     index = np.repeat(np.arange(count), FRACTIONS)
     first = AnyDelay(cut_of(index, np.tile(shares, count)), free[index]).first().reshape(count, FRACTIONS)
     high = (first + shares).min(axis=-1)
-    result = high.copy()
+    result: Array = high.copy()
     rows = np.flatnonzero((high > 0.0) & np.isfinite(high))
     if rows.size:
         low = np.maximum(high[rows] - 1.0 / FRACTIONS, 0.0)
@@ -289,7 +293,7 @@ def stable_intervals(cut_of: CutOf, free: bool, longest: float) -> Intervals:
     return Intervals(tuple(zip(ends[::2], ends[1::2])), searched, None)
 
 
-def _edges(cut_of: CutOf, free: Mask, index: Array, low: Array, high: Array) -> Array:
+def _edges(cut_of: CutOf, free: Mask, index: Rows, low: Array, high: Array) -> Array:
     """Return the delays between two [periods] at which loops become stable or unstable, (E,).
 
     A crossing that reaches the phase pi is followed by the secant method, and checked to both sides; where there is
@@ -299,7 +303,7 @@ def _edges(cut_of: CutOf, free: Mask, index: Array, low: Array, high: Array) -> 
         return np.zeros(0)
     whole = np.floor(low + 1e-9)
 
-    def stable(rows: Array, delays: Array) -> Mask:
+    def stable(rows: Rows, delays: Array) -> Mask:
         shares = np.clip(delays - whole[rows], 0.0, 1.0)
         found = AnyDelay(cut_of(index[rows], shares), free[index[rows]])
         return np.asarray(found.unstable(whole[rows]) == 0)
@@ -324,7 +328,7 @@ def _edges(cut_of: CutOf, free: Mask, index: Array, low: Array, high: Array) -> 
     return result
 
 
-def _followed(cut_of: CutOf, index: Array, whole: Array, low: Array, high: Array, free: Mask) -> Array:
+def _followed(cut_of: CutOf, index: Rows, whole: Array, low: Array, high: Array, free: Mask) -> Array:
     """Return the delay at which the crossing nearest to the phase pi reaches it [periods]; NaN without one."""
     result = np.full(len(index), np.nan)
     start = AnyDelay(cut_of(index, high - whole), free[index])
@@ -373,7 +377,7 @@ def _largest_gain(cut: Cut) -> float:
     return most
 
 
-def dominant_poles(cut: Cut, periods: Array, free: Array) -> NDArray[np.complex128]:
+def dominant_poles(cut: Cut, periods: Array, free: NDArray[Any]) -> NDArray[np.complex128]:
     """Return the dominant pole of loops at whole periods of delay, (P,), above or on the real axis.
 
     `free` is the number of poles at 1 of free motion, which do not count, (P,).
@@ -384,10 +388,10 @@ def dominant_poles(cut: Cut, periods: Array, free: Array) -> NDArray[np.complex1
     count = len(periods)
     every, unit = np.arange(count), 1.0 / (periods + 1.0)
 
-    def out(logarithms: Array, rows: Array) -> AnyDelay:
+    def out(logarithms: Array, rows: Rows) -> AnyDelay:
         return AnyDelay(cut.rows(rows).outside(np.exp(logarithms), periods[rows]), np.zeros(len(rows), dtype=bool))
 
-    def outside(logarithms: Array, rows: Array) -> Mask:
+    def outside(logarithms: Array, rows: Rows) -> Mask:
         own = np.where(logarithms < 0.0, free[rows], 0)
         return np.asarray(out(logarithms, rows).unstable(periods[rows]) > own)
 
@@ -406,7 +410,7 @@ def dominant_poles(cut: Cut, periods: Array, free: Array) -> NDArray[np.complex1
             break
         step = 2.0 * step
 
-    def halved(rows: Array, steps: int) -> None:
+    def halved(rows: Rows, steps: int) -> None:
         for _ in range(steps if rows.size else 0):
             middle = 0.5 * (below[rows] + above[rows])
             has = outside(middle, rows)
@@ -449,7 +453,7 @@ def dominant_poles(cut: Cut, periods: Array, free: Array) -> NDArray[np.complex1
 
 
 def _newton(
-    cut: Cut, periods: Array, rows: Array, poles: NDArray[np.complex128], *, reciprocal: bool = False
+    cut: Cut, periods: Array, rows: Rows, poles: NDArray[np.complex128], *, reciprocal: bool = False
 ) -> tuple[NDArray[np.complex128], Mask]:
     """Return solutions of ln L(z) - q ln z = j pi, or of z^q/L(z) = -1, from starts, and whether each converged."""
     poles, whole = poles.astype(np.complex128), periods[rows]
