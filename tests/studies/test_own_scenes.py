@@ -183,7 +183,8 @@ def test_a_scene_of_another_package_goes_by_its_place_and_a_hash(file: Path, mon
 def test_a_large_grid_is_refused_at_its_corners_at_once_and_inside_by_the_worker(file: Path, tmp_path: Path) -> None:
     vary: dict[str, list[float]] = {"delay": np.linspace(0.0, 0.0501, 100).tolist(), "mass": [0.6] * 50}
     with pytest.raises(ParameterError, match=r"delay must be .*\(got 0\.0501"):
-        Grid(find_scene("wall")(), vary | {"period": np.linspace(0.005, 0.006, 100).tolist()})
+        Grid(find_scene("wall")(), vary | {"period": np.linspace(0.005, 0.006, 100).tolist()}, plant="exact")
+    Grid(find_scene("wall")(), {"delay": [0.0, 0.0501]}, plant="none")  # theory alone
     file.write_text(
         FILE.replace("FURTHER", "")
         + """
