@@ -177,6 +177,15 @@ def test_stability_changes_at_each_end_of_an_interval(seed: int) -> None:
                     assert cuts[0] < 1.0 < cuts[1]
 
 
+def test_a_gain_above_one_at_half_the_rate_adds_a_pole_with_each_period() -> None:
+    loop = loop_of(period=5e-3, mass=0.7)
+    cut = loop.cut(np.full(3, 3e4), np.full(3, 700.0), np.full(3, 0.5))
+    whole = np.array([1, 2, 7])
+    counts = [(np.abs(np.linalg.eigvals(grown(cut, row, int(whole[row])))) > 1.0).sum() for row in range(3)]
+    found = AnyDelay(cut, np.zeros(3, dtype=bool))
+    assert found.flipped.all() and found.unstable(whole).tolist() == counts
+
+
 def critical_delay_of(loop: SampledLoop, k: float, b: float) -> Array:
     names = "period", "mass", "hand", "driver_lag", "velocity", "design", "own_damping", "mode", "device"
     return critical_delay(k, b, **{name: getattr(loop, name) for name in names})
@@ -202,13 +211,20 @@ def test_the_dominant_pole_is_that_of_the_matrix(seed: int) -> None:
 
 
 def test_a_crossing_at_a_tiny_angle_is_not_lost() -> None:
-    """At 1 MHz the eigenvalues of the pencil lose the crossing of a slow loop; a grid finds it."""
     mass, k, b, period = 0.7, 1000.0, 40.0, 1e-6
     square = b * b + k * b * period  # of a free mass, with hold and difference to first order in the period
     w = math.sqrt((square + math.sqrt(square**2 + 4.0 * (mass * k) ** 2)) / 2.0) / mass
     by_hand = math.atan2(w * b, k + w * w * b * period / 2.0) / w - period / 2.0
     assert critical_delay(k, b, period=period, mass=mass) == pytest.approx(by_hand, abs=0.003 * period)
     assert diagnose(stiffness=1000.0, damping=40.0, period=1e-6, delay=1e-3, mass=0.7).stable
+
+
+def test_crossings_that_the_eigenvalues_lose_are_found_on_a_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    around: list[dict[str, Any]] = [{}, {"driver_lag": 1e-3, "own_damping": 2.0}, {"velocity": LowPass(cutoff=60.0)}]
+    found = [float(critical_delay(1000.0, 40.0, period=1e-3, mass=0.7, **values)) for values in around]
+    monkeypatch.setattr("maglev_mj.theory.delay._angles", lambda cut: (np.zeros(0, dtype=int), np.zeros(0)))
+    again = [float(critical_delay(1000.0, 40.0, period=1e-3, mass=0.7, **values)) for values in around]
+    assert again == pytest.approx(found, rel=1e-12)
 
 
 @pytest.mark.parametrize("delay", [10.5e-3, 31.4e-3, 60e-3])
@@ -228,10 +244,11 @@ def test_the_boundary_at_a_long_delay_is_that_of_the_matrices(delay: float) -> N
         best = stiffest_of(loop)
         assert best.stiffness >= critical.max() * (1.0 - 1e-9)
         edges, good = spans(loop, damping, 0.995)
-        inside = 0.5 * (edges[:, 1:] + edges[:, :-1])
-        radii = np.abs(np.linalg.eigvals(loop.matrix(inside, damping[:, None]))).max(axis=-1)
         wide = edges[:, 1:] > edges[:, :-1]
-        assert ((radii < 0.995) == good)[wide].all()
+        for share in (0.02, 0.5, 0.98):
+            inside = share * edges[:, 1:7] + (1.0 - share) * edges[:, :6]
+            radii = np.abs(np.linalg.eigvals(loop.matrix(inside, damping[:, None]))).max(axis=-1)
+            assert ((radii < 0.995) == good[:, :6])[wide[:, :6]].all()
 
 
 def test_a_second_is_the_longest_delay_and_a_matrix_has_a_thousand_periods() -> None:
