@@ -183,7 +183,7 @@ def test_accepted_settings_set_the_delay_limit(fly: Fly) -> None:
     refused, since = asks.answers
     assert isinstance(refused, str) and isinstance(since, int)
     assert asks.snapshots[-1].scene == GOOD and asks.snapshots[-1].since == since
-    assert flown._delay_guard.limit == pytest.approx(0.00374901, rel=1e-5)
+    assert flown._delay_guard.limit == pytest.approx(0.003749077, rel=1e-6)
     assert "stable" not in asks.snapshots[-1].notes[0]
 
 
