@@ -29,7 +29,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "howto" / "describe_your_device.md"
 def verdict(device: Device) -> Any:
     """Stability of each axis, and the default gains of walls."""
     gains = {"stiffness": 3000.0, "damping": 30.0}
-    loops = [Loop.of(device, axis=axis, **gains) for axis in device.axes]
+    loops = [Loop.of(device, axis=axis, **gains)[0] for axis in device.axes]
     return [loop.spectral_radius for loop in loops], tuple(device.wall)
 
 
