@@ -37,9 +37,8 @@ from maglev_mj.studies.sweep import Grid, Sweep
 from maglev_mj.studies.wall_laws import LAWS, LawMaker, WallLaw, laws_of, wall_law
 from maglev_mj.theory import stated_gains
 from maglev_mj.theory.critical import critical_ratios
-from maglev_mj.theory.doubts import Doubt
 from maglev_mj.theory.linearise import linearise
-from maglev_mj.theory.loop import Loop, Loops
+from maglev_mj.theory.loop import Doubt, Loop, Loops
 from maglev_mj.theory.read import loops_at, partial_laws, scene_doubts, scene_lag, with_doubt
 from maglev_mj.theory.verdict import Verdict, verdicts
 

@@ -16,7 +16,7 @@ from maglev_mj.errors import MaglevError, TooManyCallsError
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.linearise import too_many_calls
-from maglev_mj.theory.loop import Bound
+from maglev_mj.theory.loop import Bound, Doubt
 from maglev_mj.theory.poses import SCALE
 
 _GRID, _EDGES, _SHIFT = 15, 0.9871, 1e-5
@@ -39,20 +39,6 @@ not judged; one that changes above is judged for motion up to there.
 """
 _REFINED = 8
 """Bisections of the size up to which a law is linear."""
-
-
-class Doubt(NamedTuple):
-    """What the probes of one axis found.
-
-    Attributes:
-        valid_to: Speed up to which the laws are linear [m/s, rad/s], as a displacement in one sample.
-        reason: Reason not to judge the axis; empty for none.
-        void: True if the linearisation describes the laws not even for small motion.
-    """
-
-    valid_to: Bound
-    reason: str = ""
-    void: bool = False
 
 
 def reached_speed(reach: ArrayLike) -> Array:

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,9 +21,6 @@ from maglev_mj.theory.closed_loop import SampledLoop, critical_delay_of, pd
 from maglev_mj.theory.delay import stable_intervals
 from maglev_mj.theory.linearise import Linearised, StateSpace
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
-
-if TYPE_CHECKING:
-    from maglev_mj.theory.doubts import Doubt
 
 _AFFINE = 1e-6
 """Largest error of an affine law, relative to its largest response."""
@@ -112,6 +109,20 @@ class StableDelays(NamedTuple):
         words = [self.bound.text("ms", 1e3)] * bool(self.bound) + words
         ranges = " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
         return ", stable ".join(["unstable without delay"] * (not self.bound) + [ranges] * bool(ranges))
+
+
+class Doubt(NamedTuple):
+    """What the probes of one axis found.
+
+    Attributes:
+        valid_to: Speed up to which the laws are linear [m/s, rad/s], as a displacement in one sample.
+        reason: Reason not to judge the axis; empty for none.
+        void: True if the linearisation describes the laws not even for small motion.
+    """
+
+    valid_to: Bound
+    reason: str = ""
+    void: bool = False
 
 
 class AtPose(NamedTuple):

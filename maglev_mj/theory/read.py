@@ -22,9 +22,9 @@ from maglev_mj.lazy import loaded
 from maglev_mj.parameters import loop_delay, number, numbers
 from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
-from maglev_mj.theory.doubts import Doubt, doubts
+from maglev_mj.theory.doubts import doubts
 from maglev_mj.theory.linearise import Linearised, linearise, realise
-from maglev_mj.theory.loop import FREE, AtPose, Loop, Loops, memory_of
+from maglev_mj.theory.loop import FREE, AtPose, Doubt, Loop, Loops, memory_of
 from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
