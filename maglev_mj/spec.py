@@ -73,3 +73,6 @@ DRIVER_TIME_CONSTANT = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
 
 RANGE = (*[Spec.translation_range.value] * 3, *[math.radians(Spec.rotation_range.value)] * 3)
 """Range of motion of the six axes, to either side of the centre [m, rad]."""
+
+LEVER_ARM = 0.05
+"""Lever arm that converts a force of a finger to a torque [m], about the radius of the flotor."""

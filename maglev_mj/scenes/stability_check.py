@@ -16,7 +16,7 @@ from maglev_mj.scenes.cell_verdicts import unstable_cells
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
-from maglev_mj.spec import GRAVITY
+from maglev_mj.spec import GRAVITY, LEVER_ARM
 from maglev_mj.theory.loop import Loop, Loops
 from maglev_mj.theory.read import loops_at, scene_doubts, scene_lag, stated_gains, with_doubt
 from maglev_mj.theory.verdict import judge, verdicts
@@ -29,9 +29,6 @@ Over the whole range of 9 mm it accelerates a free flotor to 0.23 m/s, less than
 
 UNKNOWN = "stability not computed"
 """First part of the reason to refuse a scene without a verdict."""
-
-_ARM = 0.05
-"""Lever arm that converts a torque to a force [m], about the radius of the flotor."""
 
 
 @contextmanager
@@ -111,7 +108,7 @@ def check_step(present: Controller, new: Controller, pose: Sequence[float], step
     (before, _), (after, extra) = _at_rest(present, pose), _at_rest(new, pose)
     for pulses in (ZERO, ZERO if extra is None else extra):
         for axis, old, force, pulse in zip(AXES, before, after, pulses):
-            limit, unit = (step_force, "N") if axis in AXES[:3] else (step_force * _ARM, "N m")
+            limit, unit = (step_force, "N") if axis in AXES[:3] else (step_force * LEVER_ARM, "N m")
             if not abs(step := force + pulse - old) <= limit:
                 bound = f"at most {limit:g} {unit} (got {step:+.3g} {unit})"
                 raise ParameterError(f"force step on {axis} at the present pose must be {bound}")

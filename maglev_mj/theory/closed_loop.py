@@ -390,16 +390,22 @@ class SampledLoop:
 
     def forced(self, stiffness: ArrayLike, damping: ArrayLike) -> Forced:
         """Return the loop under a force of the hand that is constant from sample to sample; see `compliances`."""
-        if self.device is None:
-            matrix = self.matrix(stiffness, damping)
+        if not self.affine:
+            assert self.device is not None
+            raise ParameterError(_DIVIDES.format(self.period, self.device))
+        return self.driven(stiffness, damping)
+
+    def driven(self, stiffness: ArrayLike, damping: ArrayLike) -> Forced:
+        """Return the loop under a force of the hand that is constant over a (hyper)period."""
+        k, b = (np.asarray(gain, dtype=np.float64) for gain in (stiffness, damping))
+        if self.device is not None:
+            whole = self._hyperperiod(k, b)
+            matrix, inputs = whole[..., :-1, :-1], whole[..., :-1, -1]
+        else:
+            matrix = self.matrix(k, b)
             _, push = transition(*self.motion(), self.period)
             inputs = np.zeros((*push.shape[:-2], matrix.shape[-1]))
             inputs[..., : push.shape[-2]] = push[..., 1]
-        else:
-            if not self.affine:
-                raise ParameterError(_DIVIDES.format(self.period, self.device))
-            whole = self._hyperperiod(*(np.asarray(gain, dtype=np.float64) for gain in (stiffness, damping)))
-            matrix, inputs = whole[..., :-1, :-1], whole[..., :-1, -1]
         return Forced(matrix, np.broadcast_to(inputs, matrix.shape[:-1]))
 
     def law(self, stiffness: Array, damping: Array) -> LinearController:

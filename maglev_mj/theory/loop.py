@@ -265,6 +265,16 @@ class Loop:
         return 1 if damping + self.own_damping > 0.0 else 2
 
     @property
+    def acts(self) -> bool:
+        """True if a law acts; without one a loop is the free motion of the flotor, or of the hand that holds it."""
+        return any(self.total) or self.law is not None or (self.linear is not None and bool(self.linear.scaled.any()))
+
+    def in_hand(self, hand: Hand | None) -> Loop:
+        """Return the loop in a hand; free if the hand does not act on all of its axes, or is None."""
+        held = hand if hand is not None and holds(hand, self) else None
+        return self if held is self.hand else replace(self, hand=held)
+
+    @property
     def poles(self) -> NDArray[np.complex128]:
         """Poles per period of the host."""
         return poles_of([self])[0]
@@ -316,8 +326,9 @@ class Loops(Sequence[Loop]):
         grown: Function of one of the loops and a ratio of the scene's declared gain `stiffness` that returns the loop
             with that gain; it raises `ParameterError` out of its bounds. None without such a gain.
         doubts: What probes of laws without declared gains found, by index of the axis.
-        reach: Range of motion [m, rad], (6,); None for declared gains.
+        reach: Range of motion [m, rad], (6,); None for loops of numbers.
         partial: Names of laws that declare gains of their linear part.
+        hand: Hand that may hold the flotor: the loops are those of the free flotor, and those in the hand.
     """
 
     items: tuple[Loop, ...]
@@ -330,6 +341,7 @@ class Loops(Sequence[Loop]):
     doubts: Mapping[int, Doubt] = field(default_factory=dict)
     reach: Array | None = None
     partial: tuple[str, ...] = ()
+    hand: Hand | None = None
 
     @overload
     def __getitem__(self, index: int) -> Loop: ...
@@ -359,6 +371,12 @@ class Loops(Sequence[Loop]):
         held = {} if hand is None else {"hand": hand}
         items = (replace(one, **changes, **(held if hand is None or holds(hand, one) else {})) for one in self.items)
         return replace(self, items=tuple(items))
+
+    def free_and_held(self, hand: Hand | None) -> Loops:
+        """Return the loops of a free flotor, and those of its laws in a hand."""
+        free = [one.in_hand(None) for one in self.items]
+        held = [] if hand is None else [one.in_hand(hand) for one in free if not one.reason and one.acts]
+        return replace(self, items=(*free, *(one for one in held if one.hand is not None)), hand=hand)
 
     def only(self, loops: Iterable[Loop]) -> Loops:
         """Return these loops of them."""
@@ -418,16 +436,15 @@ def _poles(loops: Sequence[Loop]) -> list[NDArray[np.complex128]]:
     names = "period", "delay", "hand", "driver_lag"
     around = {name: getattr(first, name) for name in names}
     if first.linear is not None:
-        own = [one.linear for one in loops if one.linear is not None]
-        inertia = np.array(first.body)[list(first.linear.axes)]
-        system = StateSpace(*map(np.array, zip(*(one.states for one in own)))).with_units(first.period, inertia)
-        if len(inertia) == 1:
-            single = SampledLoop(mass=inertia[0], design=system.single, **around)
+        if len(first.linear.axes) == 1:
+            systems = StateSpace(*map(np.array, zip(*(one.linear.states for one in loops if one.linear is not None))))
+            inertia = first.body[first.linear.axes[0]]
+            design = systems.with_units(first.period, np.array([inertia])).single
+            single = SampledLoop(mass=inertia, design=design, **around)
             if single.long:
-                rows = np.arange(float(len(own)))
-                return [*single.poles(rows, 0.0, [one.still for one in own])]
-        matrices = system.closed_loop(inertia=inertia, **around)
-        return [*np.linalg.eigvals(matrices).astype(np.complex128)]
+                rows, still = np.arange(float(len(loops))), [one.linear.still for one in loops if one.linear is not None]
+                return [*single.poles(rows, 0.0, still)]
+        return [*np.linalg.eigvals(linear_matrices(loops)).astype(np.complex128)]
     more = {name: getattr(first, name) for name in ("velocity", "mode", "own_damping")}
     if first.device is not None:
         return [_two_rate_poles(one.stiffness, one.damping, one.inertia, one.device, **around | more) for one in loops]
@@ -436,6 +453,15 @@ def _poles(loops: Sequence[Loop]) -> list[NDArray[np.complex128]]:
     found = _pd_poles(distinct, **around | more) if first.law is None else _law_poles(distinct, first)
     poles = dict(zip(distinct, found, strict=True))
     return [poles[one] for one in gains]
+
+
+def linear_matrices(loops: Sequence[Loop]) -> Array:
+    """Return the matrices of linearised loops of equal structure, positions first, (N, n, n)."""
+    first, own = loops[0], [one.linear for one in loops if one.linear is not None]
+    inertia = np.array(first.body)[list(own[0].axes)]
+    around: Any = {name: getattr(first, name) for name in ("period", "delay", "hand", "driver_lag")}
+    system = StateSpace(*map(np.array, zip(*(one.states for one in own)))).with_units(first.period, inertia)
+    return system.closed_loop(inertia=inertia, **around)
 
 
 @lru_cache(maxsize=512)  # rotations are the same in every hand
