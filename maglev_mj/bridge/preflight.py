@@ -13,7 +13,7 @@ import numpy as np
 from maglev_mj.bridge.realtime import LatencyHistogram, Realtime
 from maglev_mj.bridge.realtime import realtime as scheduled
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.errors import ParameterError, SensingError
+from maglev_mj.errors import ParameterError, SensingError, TooManyCallsError
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.parameters import number
 from maglev_mj.plants.hand import HANDS
@@ -22,9 +22,10 @@ from maglev_mj.result import Result, Table
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller, user_errors_rejected
 from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.theory.held import Held
 from maglev_mj.theory.loop import Bound, Loop
 from maglev_mj.theory.read import scene_lag, stated_gains
-from maglev_mj.theory.verdict import judge
+from maglev_mj.theory.verdict import judge, stability
 
 _ANSWERS = 64
 _WINDOW = 2_000_000_000  # [ns] of the minimum transport time: clocks drift by up to 100 µs/s
@@ -257,6 +258,7 @@ class Preflight(NamedTuple):
         problem: Reason not to fly, as one line; "" if it may.
         reduction: Message about reduced wall stiffness; "" without.
         requested: Wall stiffness of the scene before a reduction [N/m]; None without walls of one stiffness.
+        held: Verdict at the measured delay free and in each hand, in one or two lines; see `Held`.
     """
 
     scene: Scene
@@ -265,6 +267,7 @@ class Preflight(NamedTuple):
     problem: str
     reduction: str
     requested: float | None = None
+    held: tuple[str, ...] = ()
 
     @property
     def rendered(self) -> str:
@@ -359,7 +362,7 @@ def assess(scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -
             f"up to {original * 1e3:.2f} ms before and {critical_delay * 1e3:.2f} ms now"
         )
     problem = _problem(scene, report, critical_delay)
-    return Preflight(scene, report, critical_delay, problem, reduction, requested)
+    return Preflight(scene, report, critical_delay, problem, reduction, requested, _held(scene, inertia, report))
 
 
 def judge_change(
@@ -396,6 +399,14 @@ def _critical_delay(scene: Scene, inertia: Array) -> Bound:
     loops = Loop.of(device_controller(scene), **around)  # linearised once
     bounds = [judge(loops, hand=hand).critical_delay for hand in HANDS]
     return Bound.least(bounds)
+
+
+def _held(scene: Scene, inertia: Array, report: LinkReport) -> tuple[str, ...]:
+    """Return the verdict at the measured delay free and in each hand, in words."""
+    try:
+        return stability(scene, inertia=inertia, delay=report.delay_95).held.lines
+    except (ParameterError, TooManyCallsError):  # a delay longer than the theory's, a law that is not judged
+        return Held((), judged=False).lines
 
 
 def _problem(scene: Scene, report: LinkReport, critical_delay: float) -> str:

@@ -158,6 +158,7 @@ def bridge(
             result = preflight_arm(arm, scene, as_written=as_written)
             if check:
                 return _print_check(result, arm.period, arm.arm.mass)
+            _print_held(result)
             _require(require_stiffness, result)
             if result.problem:
                 raise PlantError(f"no flight: {result.problem}")
@@ -187,6 +188,7 @@ def bridge(
             return _print_check(preflight(plant, scene, report=report), plant.period, plant.calibration.mass)
         print("  measuring link latency and checking the scene's stability", flush=True)
         result = preflight(plant, scene, as_written=as_written, aside=True, realtime=realtime)
+        _print_held(result)
         _require(require_stiffness, result)
         anyway = _may_fly(plant, address, result, anyway)
         if result.reduction:
@@ -220,7 +222,14 @@ def _print_check(result: Preflight, period: float, mass: float) -> int:
         limit = f"at delays of {critical.text('ms', 1e3)}"
     verdict = result.problem or result.reduction or f"{result.scene.name} is stable {limit}: ready"
     print("\n".join(wrapped(verdict)))
+    _print_held(result)
     return 1 if result.problem else 0
+
+
+def _print_held(result: Preflight) -> None:
+    """Print the verdict free and in each hand: a scene may have been tested in one hand only."""
+    for line in result.held:
+        print("\n".join(wrapped(line, further="    ")), flush=True)
 
 
 def _require(least: float | None, result: Preflight) -> None:

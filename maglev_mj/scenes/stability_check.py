@@ -18,7 +18,7 @@ from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY, LEVER_ARM
 from maglev_mj.theory.loop import Loop, Loops
-from maglev_mj.theory.read import loops_at, scene_doubts, scene_lag, stated_gains, with_doubt
+from maglev_mj.theory.read import loops_at, scene_doubts, scene_hand, scene_lag, stated_gains, with_doubt
 from maglev_mj.theory.verdict import judge, verdicts
 
 STEP_FORCE = 2.0
@@ -74,7 +74,7 @@ def wall_loops(
     if not (faces and gain):
         return Loops(())
     around: Any = {"delay": scene.delay if delay is None else delay, "inertia": body, "driver_lag": scene_lag(scene)}
-    around |= {"hand": getattr(scene.scripted_hand(), "hand", None) if held else None, "device": scene.device_clock}
+    around |= {"hand": scene_hand(scene) if held else None, "device": scene.device_clock}
 
     def at(controller: Controller, axis: int, pose: Any) -> Loop:
         return loops_at([controller], axis, poses=[pose], **around)[0]
@@ -149,7 +149,7 @@ def stability_warning(scene: Scene) -> str | None:
 
 
 def unstable(scenes: Sequence[Scene]) -> list[bool | None]:
-    """Return whether each scene has an unstable loop; None if not computed.
+    """Return whether each scene has an unstable loop, free or in its hand; None if not computed.
 
     Laws without declared gains are linearised once for all scenes that differ in stiffness alone; see `unstable_cells`.
     """

@@ -54,7 +54,7 @@ class Margin(NamedTuple):
 def margin(
     scene: Scene, delay: float | None = None, inertia: Sequence[float] | None = None, *, linearised: bool = True
 ) -> Margin:
-    """Return the smallest stability margin of a scene, over all axes and combinations of laws, without a hand.
+    """Return a scene's smallest stability margin over axes and combinations of laws, free and in the scene's hand.
 
     Args:
         scene: The scene.
@@ -159,7 +159,7 @@ def measured_delay(snapshot: Snapshot) -> float | None:
 def _boundary(loop: Loop) -> tuple[Array, Array]:
     """Return dampings and the critical stiffness of a loop at each."""
     # no damping above this is stable at any stiffness
-    largest = 0.5 * np.pi * loop.inertia / (0.5 * loop.period + loop.delay) * 1.1
+    largest = 0.5 * np.pi * float(loop.array().moving_mass) / (0.5 * loop.period + loop.delay) * 1.1
     dampings = np.linspace(0.0, largest, _DAMPINGS)
     try:
         stiffnesses = boundary_of(loop.array(), dampings)

@@ -27,8 +27,9 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, rigid_note, stiffest_of
 from maglev_mj.theory.closed_loop import Design, Forced, SampledLoop, bisect, is_stable
 from maglev_mj.theory.frequencies import angles_of, first_crossing
+from maglev_mj.theory.held import Held, held_of
 from maglev_mj.theory.loop import Loop
-from maglev_mj.theory.read import scene_lag
+from maglev_mj.theory.read import scene_hand, scene_lag
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters
 
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
@@ -126,6 +127,7 @@ class DeviceCard(Result):
             1000 kg on, NaN for none.
         force_bandwidth: Frequency at which hold and drivers lose 3 dB of a force [Hz].
         force_resolution: Step of the force by one step of the sensor, at the target gains [N].
+        held: Verdict on the target wall free and in each hand.
         rigid: Rate up to which half of the rigid device's limit holds with a mode, in words; empty without one.
     """
 
@@ -140,12 +142,19 @@ class DeviceCard(Result):
     force_bandwidth: float
     force_resolution: float
     rigid: str
+    held: Held
+    derived: ClassVar = ("leaves_after",)
     units: ClassVar = {"frequency": "Hz", "target": "N s/m", "rendered": "N s/m", "simulated": "N s/m"}
     picture: ClassVar = "maglev_mj.studies.pictures:device_card"
 
     def _headline(self) -> str:
         walls = [f"{wall.stiffness:.0f} N/m (hand {hand})" for hand, wall in zip(self.hands, self.walls)]
         return f"Stiffest stable wall: {', '.join(walls[:2])}; transparent up to {self.transparent:.3g} Hz"
+
+    @property
+    def leaves_after(self) -> float | None:
+        """See `Held`."""
+        return self.held.leaves_after
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the impedances over frequency."""
@@ -176,7 +185,8 @@ class DeviceCard(Result):
                 some,
             ),
         )
-        return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables, warnings=self.warnings)
+        head, held = ("", "value", "unit"), str(self.held)
+        return Table(f"Device card: {self.title}", head, figures, held, below=tables, warnings=self.warnings)
 
 
 @checked(own="scene")
@@ -232,8 +242,12 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
         + own.described
     )
     step, rigid = quantum * (k + b / period), rigid_note(loops[0]) if own.mode else ""
+    target_loop = Loop(
+        stiffness=k, damping=b, axis="x", inertia=mass, **{name: around[name] for name in around if name != "mass"}
+    )
+    held = held_of(target_loop, reach=scene.body.bounded.range, own=scene_hand(scene))
     curves = damping, limits, impedance, transparent, masses
-    return DeviceCard(title, tuple(HANDS), walls, *curves, bandwidth, step, rigid)
+    return DeviceCard(title, tuple(HANDS), walls, *curves, bandwidth, step, rigid, held)
 
 
 def _transparent(forced: Forced, stiffness: float, damping: float, period: float) -> float:

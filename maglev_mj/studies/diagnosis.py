@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -19,9 +19,10 @@ from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.keywords import checked, rate_of, with_period
 from maglev_mj.parameters import loop_delay, param
-from maglev_mj.plants.hand import HANDS, get_hand
+from maglev_mj.plants.hand import HANDS, Hand, get_hand
+from maglev_mj.plants.model import body_of
 from maglev_mj.result import NoTruthValue, Result, Table, number_text
-from maglev_mj.spec import MAX_DELAY, MAX_PERIOD, MIN_PERIOD
+from maglev_mj.spec import MAX_DELAY, MAX_PERIOD, MIN_PERIOD, RANGE
 from maglev_mj.theory.boundary import (
     StiffestWall,
     boundary_of,
@@ -31,7 +32,8 @@ from maglev_mj.theory.boundary import (
     stiffest_of,
 )
 from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, bisect, is_stable, pd
-from maglev_mj.theory.loop import Bound, Loop, StableDelays, stable_delays
+from maglev_mj.theory.held import Held, held_of
+from maglev_mj.theory.loop import Bound, Loop, StableDelays, holds, stable_delays
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
 from maglev_mj.theory.verdict import Verdict, judge, margin_words, nearest
 
@@ -109,6 +111,12 @@ class DiagnosedLoop(DeviceParameters):
         return float(self.inertia if self.mass is None else self.mass)  # type: ignore[arg-type]
 
     @property
+    def holding(self) -> Hand | None:
+        """Hand on the axis; None for none."""
+        hand = get_hand(self.hand)
+        return replace(hand, axes=AXES[3:]) if hand is not None and self.rotary else hand
+
+    @property
     def on_host(self) -> bool:
         """False if the whole stiffness is on the device: gains, rate and delay in question are then the device's."""
         return not self.device_stiffness or self.stiffness > 0.0
@@ -151,7 +159,8 @@ class DiagnosedLoop(DeviceParameters):
             own_damping=self.own_damping,
             driver_lag=self.lag,
             mode=self.flexible,
-            hand=get_hand(self.hand),
+            hand=self.holding,
+            axis="rx" if self.rotary else "z",
             velocity=None if cutoff is None else LowPass(cutoff=cutoff),
             law=self.law,
             device=other,
@@ -215,6 +224,8 @@ class Diagnosis(NoTruthValue, Result):
         measured: Oscillation of the recording; None without one.
         remarks: What the recording shows, what was given, and what was fitted; empty without one.
         valid_to: Speed of motion up to which a law without declared gains is linear [m/s, rad/s]; None for others.
+        scene_hand: Hand of the scene, whose worst of free and held is `loop`; None without one.
+        reach: Range of motion of the axis [m, rad].
     """
 
     loop: DiagnosedLoop
@@ -238,12 +249,25 @@ class Diagnosis(NoTruthValue, Result):
     measured: Oscillation | None = None
     remarks: tuple[str, ...] = ()
     valid_to: Bound | None = None
+    scene_hand: Hand | None = field(default=None, repr=False)
+    reach: float = field(default=RANGE[2], repr=False)
+    derived: ClassVar = ("held", "leaves_after")
     picture: ClassVar = "maglev_mj.studies.diagnosis_picture:diagnosis"
 
     @property
     def ratio(self) -> float:
         """Ratio of critical to requested stiffness."""
         return self.critical_stiffness / self.loop.gains[0]
+
+    @cached_property
+    def held(self) -> Held:
+        """Verdict free and in each hand."""
+        return held_of(self.loop.loop_in_question, reach=[self.reach] * len(AXES), own=self.scene_hand)
+
+    @property
+    def leaves_after(self) -> float | None:
+        """See `Held`."""
+        return self.held.leaves_after
 
     @property
     def summary(self) -> str:
@@ -320,7 +344,7 @@ class Diagnosis(NoTruthValue, Result):
         if _has_room(self.loop, self.stable, self.critical_stiffness):
             title = f"No change needed: critical over requested stiffness is at least {self.loop.target:g}"
         found = Table(title, head, remedies, "\n".join(notes))
-        return Table(f"{self.setting}: {self.motion}", ("stable for", ""), rows, below=[found])
+        return Table(f"{self.setting}: {self.motion}", ("stable for", ""), rows, str(self.held), below=[found])
 
     def _notes(self) -> Iterable[str]:
         if math.isfinite(self.amplitude_limit):
@@ -363,11 +387,10 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
     accepted = [item.name for item in DiagnosedLoop.parameters()]
     values = with_period(accepted, values)
     assumptions: list[str] = []
-    valid_to: Bound | None = None
+    of_scene: dict[str, Any] = {"valid_to": None, "scene_hand": None}
     recorded = isinstance(scene, str | Path) and str(scene).endswith(MOTIONS)
     if scene is not None and not recorded:
-        values = _of_scene(scene, values, assumptions)
-        valid_to = values.pop("valid_to")
+        values, of_scene = _of_scene(scene, values, assumptions)
     if wrong := [name for name in values if name not in accepted]:
         raise KeywordError(choice_message("argument of diagnose", ("scene", *accepted), wrong[0]))
     measured: Oscillation | None = None
@@ -406,11 +429,14 @@ def diagnose(scene: Any = None, **values: Any) -> Diagnosis:
         )
     if loop.device_law is not None and len(rates_of(loop.period, loop.device_law).phases) > 1:
         assumptions.append("clocks of host and device are not commensurate: the worst of ten phases between them")
-    return replace(_diagnosed(loop, tuple(assumptions), measured, remarks), valid_to=valid_to)
+    if "reach" not in of_scene:
+        axis = AXES.index(loop.loop_in_question.axis)
+        of_scene["reach"] = float(body_of({"model": loop.hardware}).bounded.range[axis])
+    return replace(_diagnosed(loop, tuple(assumptions), measured, remarks), **of_scene)
 
 
-def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> dict[str, Any]:
-    """Return the loop of a scene with the smallest margin, replaced by stated values, and `valid_to` of its verdict.
+def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the loop of a scene with the smallest margin, replaced by stated values, and fields of `Diagnosis`.
 
     Args:
         scene: The scene, its class or its name.
@@ -428,7 +454,7 @@ def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> 
     same = [item.name for item in named if kinds.get(item.name, (item.kind, item.unit)) == (item.kind, item.unit)]
     found = found.replace(**{name: values[name] for name in same})
     stated = {name: value for name, value in values.items() if name not in same or name == "device"}
-    verdict = judge(found)
+    verdict = judge(found, hand="none" if "hand" in stated else None)
     loop, why = _in_question(verdict)
     if loop is None:
         raise ParameterError(f"no diagnosis of {found.name}: stability {verdict}")
@@ -457,14 +483,23 @@ def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> 
         result |= {f"device_{name}": getattr(own, name) for name in names}
     if stated.get("inertia") is None:
         result["inertia" if axis.startswith("r") else "mass"] = loop.inertia
-    return {**result, "valid_to": verdict.valid_to, **stated}
+    hand, side = verdict.loops.hand, AXES[3:] if axis.startswith("r") else AXES[:3]
+    of_scene: dict[str, Any] = {
+        "valid_to": verdict.valid_to,
+        "scene_hand": replace(hand, axes=side) if hand is not None and holds(hand, loop) else None,
+        "reach": float(found.body.bounded.range[AXES.index(axis)]),
+    }
+    if loop.hand is not None:
+        result["hand"] = ",".join(f"{float(part)!r}" for part in loop.hand.values[: 5 if loop.hand.soft else 3])
+        assumptions.append("held by the scene's hand, in which its margin is smaller than free")
+    return {**result, **stated}, of_scene
 
 
 def _in_question(verdict: Verdict) -> tuple[Loop | None, str]:
     """Return the loop of a scene to diagnose, and why in words: a wall on the device, or the smallest margin."""
     walls = [loop for loop in verdict.loops if loop.device is not None and loop.state == ("contact",)]
     if walls:  # the wall in question; the host's laws in contact are beside it
-        gains = lambda loop: (loop.device.stiffness, loop.device.damping)  # noqa: E731
+        gains = lambda loop: (loop.device.stiffness, loop.device.damping, loop.spectral_radius)  # noqa: E731
         return max(walls, key=gains), "stiffest wall on the device"
     if not verdict.stated:
         return (None if verdict.stable is None else verdict.loop), "the one with the smallest margin"

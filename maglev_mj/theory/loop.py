@@ -372,10 +372,16 @@ class Loops(Sequence[Loop]):
         items = (replace(one, **changes, **(held if hand is None or holds(hand, one) else {})) for one in self.items)
         return replace(self, items=tuple(items))
 
+    @property
+    def released(self) -> tuple[Loop, ...]:
+        """Loops of its laws with a free flotor, as far as they can be judged."""
+        some = self.items if self.hand is None else (one for one in self.items if one.hand is None)
+        return tuple(one.in_hand(None) for one in some if not one.reason and one.acts)
+
     def free_and_held(self, hand: Hand | None) -> Loops:
         """Return the loops of a free flotor, and those of its laws in a hand."""
         free = [one.in_hand(None) for one in self.items]
-        held = [] if hand is None else [one.in_hand(hand) for one in free if not one.reason and one.acts]
+        held = [one.in_hand(hand) for one in free if not one.reason and one.acts]
         return replace(self, items=(*free, *(one for one in held if one.hand is not None)), hand=hand)
 
     def only(self, loops: Iterable[Loop]) -> Loops:
@@ -442,8 +448,8 @@ def _poles(loops: Sequence[Loop]) -> list[NDArray[np.complex128]]:
             design = systems.with_units(first.period, np.array([inertia])).single
             single = SampledLoop(mass=inertia, design=design, **around)
             if single.long:
-                rows, still = np.arange(float(len(loops))), [one.linear.still for one in loops if one.linear is not None]
-                return [*single.poles(rows, 0.0, still)]
+                still = [one.linear.still for one in loops if one.linear is not None]
+                return [*single.poles(np.arange(float(len(loops))), 0.0, still)]
         return [*np.linalg.eigvals(linear_matrices(loops)).astype(np.complex128)]
     more = {name: getattr(first, name) for name in ("velocity", "mode", "own_damping")}
     if first.device is not None:

@@ -124,7 +124,7 @@ def of_scene(
         inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
         delay: Transport delay in place of the scene's own [s]; gains derived from the delay do not change.
         driver_lag: Time constant of the drivers in place of the device's [s].
-        hand: Hand on the flotor; None for a free flotor.
+        hand: Hand that may hold the flotor in place of the scene's own; "none" for a free flotor alone.
         poses: Poses at which laws without declared gains are linearised in place of all these [m, rad], (P, 6).
         changes: Parameters of the scene.
     """
@@ -135,7 +135,10 @@ def of_scene(
         "inertia": body.inertia if inertia is None else inertia,
     }
     own["device"] = scene.device_clock if controller.on_device else (DEVICE_PERIOD, DEVICE_DELAY)
-    own |= {"driver_lag": scene_lag(scene) if driver_lag is None else driver_lag, "hand": get_hand(hand)}
+    own |= {
+        "driver_lag": scene_lag(scene) if driver_lag is None else driver_lag,
+        "hand": scene_hand(scene) if hand is None else get_hand(hand),
+    }
     found = of_controller(controller, pose=scene.start().pose, reach=body.range, load=body.load, poses=poses, **own)
     return replace(found, grown=grown_of(scene, own))
 
@@ -149,6 +152,7 @@ def grown_of(scene: Any, around: Mapping[str, Any]) -> Callable[[Loop, float], L
     """
     if not getattr(scene, "stiffness", 0.0):
         return None
+    around = {**around, "hand": None}
 
     def grown(loop: Loop, ratio: float) -> Loop:
         controller = scene.replace(stiffness=ratio * scene.stiffness).controller()
@@ -156,9 +160,9 @@ def grown_of(scene: Any, around: Mapping[str, Any]) -> Callable[[Loop, float], L
             same = [
                 one for one in of_controller(controller, **around) if (one.axis, one.state) == (loop.axis, loop.state)
             ]
-            return same[0] if same else loop
+            return same[0].in_hand(loop.hand) if same else loop
         own: Any = {**around, "inertia": numbers("inertia", around["inertia"])}
-        return loops_at([controller], AXES.index(loop.axes[0]), poses=[loop.pose or ZERO], **own)[0]
+        return loops_at([controller], AXES.index(loop.axes[0]), poses=[loop.pose or ZERO], **own)[0].in_hand(loop.hand)
 
     return grown
 
@@ -167,6 +171,13 @@ def scene_lag(scene: Any) -> float:
     """Return the time constant of the drivers of a scene's device [s]; 0 without a device."""
     hardware = getattr(scene, "hardware", None)
     return 0.0 if hardware is None else lag_of(hardware)
+
+
+def scene_hand(scene: Any) -> Hand | None:
+    """Return the impedance of a scene's scripted hand; None without one."""
+    scripted = scene.scripted_hand() if hasattr(scene, "scripted_hand") else None
+    hand = getattr(scripted, "hand", None)
+    return hand if isinstance(hand, Hand) and not hand.shape else None
 
 
 def of_controller(
@@ -187,19 +198,17 @@ def of_controller(
     loop_delay(number("delay", delay), controller.period)
     clock: Any = numbers("device", device, shape="(2,)").tolist()
     around: Any = {"period": controller.period, "delay": float(delay), "driver_lag": driver_lag}
-    gains = stated_gains(controller)
+    gains, far = stated_gains(controller), numbers("reach", reach, shape="(6,)", above=0.0)
     if gains is None and controller.on_device:
         found = _nothing(_UNDECLARED, start, body, around)
     elif gains is None:
-        far = numbers("reach", reach, shape="(6,)", above=0.0)
         try:
             found = _linearised(controller, start, body, far, around, numbers("load", load, shape="(6,)"), poses)
         except TooManyCallsError as error:
             found = _nothing(str(error).removeprefix("stability not computed: "), start, body, around)
     else:
         found = _stated(gains, controller, body, laws_on_device(controller, tuple(clock)), start, around)
-    found = replace(found, partial=partial_laws(controller))
-    return found if hand is None else found.replace(hand=get_hand(hand))
+    return replace(found, partial=partial_laws(controller), reach=far).free_and_held(get_hand(hand))
 
 
 def partial_laws(controller: Controller) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.keywords import checked
+from maglev_mj.lazy import loaded
 from maglev_mj.result import NoTruthValue, Result, Table, plain
-from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
+from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS, RANGE
 from maglev_mj.theory.boundary import boundary_of, highest_of
 from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.critical import critical_ratios
@@ -26,6 +27,9 @@ from maglev_mj.theory.doubts import reached_speed, up_to
 from maglev_mj.theory.linearise import StateSpace
 from maglev_mj.theory.loop import Bound, Loop, Loops, delay_bound, delay_bounds, poles_of, radius_of
 from maglev_mj.theory.read import JUMPS, UNKNOWN, of_scene
+
+if TYPE_CHECKING:
+    from maglev_mj.theory.held import Held
 
 _ROUNDING = 1e-9
 """Tolerance of a spectral radius."""
@@ -117,6 +121,7 @@ class Verdict(NoTruthValue, Result):
         parts = [f"{axis} = {1e3 * x:.3g} {unit_of('mm', axis)}" for axis, x in zip(AXES, self.pose) if x]
         pose = f"at {', '.join(parts) or 'the centre'}" if self.axes else ""
         worst = f"in {' and '.join(self.acting)}" * bool(self.acting) if self.stated else pose
+        worst = ", ".join(filter(None, (worst, "held by the scene's hand" * self.in_hand)))
         return f"{self} (worst {worst})" if worst else str(self)
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -128,7 +133,7 @@ class Verdict(NoTruthValue, Result):
         """Return a row for each combination of law states; without declared gains, the worst pose."""
         rows = [state.row() for state in self.states]
         method = "from the gains declared by the laws" if self.stated else "by numerical linearisation"
-        remarks = "\n".join([f"line above the table: worst axis; computed {method}", *self.remarks])
+        remarks = "\n".join([*self.held.lines, f"line above the table: worst axis; computed {method}", *self.remarks])
         return Table("", ("axes", "state", "spectral radius", "verdict"), rows, remarks)
 
     def __str__(self) -> str:
@@ -142,7 +147,26 @@ class Verdict(NoTruthValue, Result):
     def as_json(self) -> dict[str, Any]:
         """Return the verdict, ready for JSON."""
         names = "stable", "spectral_radius", "axes", "acting", "pose", "stated", "states", "unjudged", "doubts"
-        return {name: plain(getattr(self, name)) for name in (*names, "valid_to", "remarks")}
+        more = "valid_to", "in_hand", "held", "leaves_after", "remarks"
+        return {name: plain(getattr(self, name)) for name in (*names, *more)}
+
+    @property
+    def in_hand(self) -> bool:
+        """True if the worst loop is that in the hand of the scene."""
+        return self.loops.hand is not None and self.loop is not None and self.loop.hand is not None
+
+    @cached_property
+    def held(self) -> Held:
+        """Verdict free and in each hand."""
+        hand = self.loop.hand if self.loops.hand is None and self.loop is not None else self.loops.hand
+        reach = RANGE if self.loops.reach is None else tuple(self.loops.reach.tolist())
+        found: Held = loaded("maglev_mj.theory.held:Held")(self.loops.released, reach, hand, not self.unjudged)
+        return found
+
+    @property
+    def leaves_after(self) -> float | None:
+        """See `Held`."""
+        return self.held.leaves_after
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -207,7 +231,7 @@ class Verdict(NoTruthValue, Result):
             return str(self)
         stiff, damp = (unit_of(unit, self.axes[0]) for unit in ("N/m", "N s/m"))
         acting = " and ".join(_LAWS.get(state, state) for state in self.acting)
-        acting = acting or ("other laws" if self.stated else "all laws")
+        acting = (acting or ("other laws" if self.stated else "all laws")) + " in the scene's hand" * self.in_hand
         share, critical = self.words, self.critical_stiffness
         share = share if self.ratio == 0.0 else share.removeprefix("un").removeprefix("stable").lstrip(":, ")
         limit = f"; stable up to {critical:.4g} {stiff} at this damping" * (critical > 0.0)
@@ -273,10 +297,11 @@ def stability(
 def judge(what: Any = None, **changes: Any) -> Verdict:
     """Return the stability verdict on a closed loop: of a scene, device, recording, controller or of numbers.
 
-    Unstable outranks not judged, and not judged outranks stable. If all laws declare their gains, the loop is exact in
-    every combination of their states. Otherwise the controller is linearised at the start, at the centre, along each
-    axis, and 1 µm to 0.1 mm inside each face and each edge of a region of constant gains; coupled axes form one loop.
-    Probes say where such laws are not linear (`Verdict.doubts`).
+    With a hand, that of a scene or controller is the worst of free and held by it. Unstable outranks not judged, and
+    not judged outranks stable. If all laws declare their gains, the loop is exact in every combination of their states.
+    Otherwise the controller is linearised at the start, at the centre, along each axis, and 1 µm to 0.1 mm inside each
+    face and each edge of a region of constant gains; coupled axes form one loop. Probes say where such laws are not
+    linear (`Verdict.doubts`).
 
     Args:
         what: Scene or its name; controller, with laws for one device, which is not changed; `Device`, its name or file;
@@ -317,8 +342,14 @@ def _verdict(loops: Loops, poles: Sequence[NDArray[np.complex128]]) -> Verdict:
         size = radius_of(loop, own)
         if worst is None or size > radius * (1.0 + _ROUNDING):
             worst, radius, roots = loop, size, own
-        if loop.linear is None:
-            kinds.setdefault((loop.state, loop.others, round(size, 12), loop.free > 0), []).append(loop.axis)
+    in_hand = worst is not None and worst.hand is not None
+    twins = {(loop.axis, loop.state) for loop in loops if loop.hand is not None} if loops.hand is not None else ()
+    for loop, own in zip(loops, poles, strict=True):
+        if not loop.reason and loop.linear is None:
+            if (loop.axis, loop.state) in twins and (loop.hand is not None) != in_hand:
+                continue  # the other one of free and held is in the table
+            size = round(radius_of(loop, own), 12)
+            kinds.setdefault((loop.state, loop.others, size, loop.free > 0), []).append(loop.axis)
     unstable = radius >= 1.0 - _ROUNDING
     stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else _gains(loops, worst)
     valid_to, text = _valid_to(loops)
