@@ -250,7 +250,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, type):
         return getattr(value, "name", value.__name__)
     if hasattr(value, "as_json"):
-        return value.as_json()
+        return plain(value.as_json())
     if hasattr(value, "_asdict"):
         value = value._asdict()
     elif is_dataclass(value):

@@ -233,7 +233,7 @@ Shown: TypeAlias = Annotated[float | None, option("duration [s] (default: no lim
 Address: TypeAlias = Annotated[str, option("device: udp://HOST:PORT or serial:///PATH?baud=RATE", "", "ADDRESS")]
 _device_file = partial(
     option,
-    "device file (.toml), or a device of the package by name (default ubc)",
+    "device file (.toml), or a device of the package by name",
     "device",
     "FILE",
     name="device",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.control import FiniteDifference, LowPass
+from maglev_mj.control import FiniteDifference, LinearController, LowPass
 from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import AXES, Array, Mask
@@ -31,7 +31,7 @@ from maglev_mj.theory.boundary import (
     rigid_note,
     stiffest_of,
 )
-from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, bisect, is_stable, pd
+from maglev_mj.theory.closed_loop import LinearisedLaw, PdLaw, SampledLoop, bisect, is_stable, pd
 from maglev_mj.theory.held import Held, held_of
 from maglev_mj.theory.loop import Bound, Loop, StableDelays, holds, stable_delays
 from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters, rates_of
@@ -55,6 +55,7 @@ _MODEST = 0.05
 """Relative gain in critical stiffness below which a change of a stable loop counts as without effect."""
 
 _SAMPLES = 4096
+_MOST_DAMPING = 1e6  # damping of a device's own, `DeviceParameters` [N s/m]
 _APART = 0.02  # largest distance of measured and judged frequency, relative
 MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
 
@@ -82,8 +83,11 @@ class DiagnosedLoop(DeviceParameters):
     )
     hand: str = param(f"hand: {', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_...]", default="none")
     target: float = param("wanted ratio of critical to requested stiffness", default=2.0, above=1.0, at_most=100.0)
-    law: LinearisedLaw | None = param(
-        "law with memory on the axis, linearised at some gains", default=None, optional=True, parse=lambda law: law
+    law: LinearisedLaw | PdLaw | None = param(
+        "law with memory on the axis, linearised at some gains; or PD with any linear estimator",
+        default=None,
+        optional=True,
+        parse=lambda law: law,
     )
 
     def check(self) -> None:
@@ -354,7 +358,9 @@ class Diagnosis(NoTruthValue, Result):
             )
         if math.isfinite(self.hum):
             yield f"sensor resolution: rests within {1e6 * self.hum:.3g} µ{self.unit('m')} while contact lasts"
-        if math.isfinite(self.passive_damping):
+        if self.passive_damping > _MOST_DAMPING:
+            yield "no damping of the device's own makes it passive"
+        elif math.isfinite(self.passive_damping):
             yield f"passive only with {self.passive_damping:.4g} {self.unit('N s/m')} of damping of the device's own"
         yield from self.remarks
         yield from (f"assumed: {text}" for text in self.assumptions)
@@ -458,7 +464,7 @@ def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> 
     loop, why = _in_question(verdict)
     if loop is None:
         raise ParameterError(f"no diagnosis of {found.name}: stability {verdict}")
-    law = None
+    law: LinearController | PdLaw | None = None
     if partial := verdict.loops.partial:
         assumptions.append(f"{' and '.join(partial)} as declared, without the rest")
     if loop.linear is not None:
@@ -468,13 +474,14 @@ def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> 
             memory = "with its memory, which scales with the stiffness and keeps its length in samples"
         assumptions += [f"law linearised at the worst pose, {memory}", *[verdict.range] * bool(verdict.range)]
     elif not isinstance(loop.velocity, FiniteDifference | LowPass):
-        law = loop.controller()
+        law = PdLaw(loop.velocity or FiniteDifference())
     axis, (k, b), own = loop.axes[0], (loop.stiffness, max(loop.damping, 0.0)), loop.device
     if not loop.total[0] > 0.0:
         raise ParameterError(f"scene {found.name} renders no stiffness on its worst axis, {axis}")
     state = f" ({', '.join(loop.state)})" if loop.state else ""
     assumptions.append(f"axis {axis} of {found.name}{state}, {why}")
-    result: dict[str, Any] = {"stiffness": k, "damping": b, "law": None if law is None else LinearisedLaw(law, k, b)}
+    own_law = LinearisedLaw(law, k, b) if isinstance(law, LinearController) else law
+    result: dict[str, Any] = {"stiffness": k, "damping": b, "law": own_law}
     result |= {name: getattr(loop, name) for name in ("period", "delay", "driver_lag")}
     if isinstance(loop.velocity, LowPass):
         result["cutoff"] = loop.velocity.cutoff

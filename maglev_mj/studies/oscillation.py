@@ -22,7 +22,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.recording.setup import MEASURED, rebuild_controller, rebuild_plant
 from maglev_mj.recording.table import UNITS, read_table, uniform_ticks
 from maglev_mj.theory import stated_gains
-from maglev_mj.theory.closed_loop import LinearisedLaw, pd
+from maglev_mj.theory.closed_loop import PdLaw
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
 _HALF_CYCLES, _LONGEST = 5, 100
@@ -273,7 +273,7 @@ def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:
         if plant is not None:
             stated |= _stated_hand(plant.given.get("hand"), axis, stated)
             stated |= _stated_device(laws_on_device(controller, plant.timing.device).get(axis))
-        stated |= _stated_law(controller, axis, metadata.period)
+        stated |= _stated_law(controller, axis)
     return seen, stated
 
 
@@ -291,7 +291,7 @@ def _stated_device(law: DeviceLaw | None) -> dict[str, Any]:
     return {} if law is None else {f"device_{item.name}": getattr(law, item.name) for item in fields(law)}
 
 
-def _stated_law(controller: Controller, axis: int, period: float) -> dict[str, Any]:
+def _stated_law(controller: Controller, axis: int) -> dict[str, Any]:
     """Return the host's laws of an axis in contact; nothing if they state no gains."""
     gains, velocity = stated_gains(controller), controller.velocity
     if gains is None:
@@ -301,6 +301,5 @@ def _stated_law(controller: Controller, axis: int, period: float) -> dict[str, A
     if isinstance(velocity, LowPass):
         stated["cutoff"] = velocity.cutoff
     elif not isinstance(velocity, FiniteDifference) and stiffness > 0.0:
-        law = pd(velocity)(np.asarray(stiffness), np.asarray(damping), np.asarray(period))
-        stated["law"] = LinearisedLaw(law, stiffness, damping)
+        stated["law"] = PdLaw(velocity)
     return stated

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.control import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
+from maglev_mj.control import FiniteDifference, LinearController, VelocityEstimator
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
@@ -76,6 +76,11 @@ class LoopKeywords(TypedDict, total=False):
     device: DeviceLaw | None
 
 
+def is_linear(estimator: object) -> bool:
+    """Return True for a linear velocity estimator, which has a state space model `linear(period)`."""
+    return hasattr(estimator, "linear")
+
+
 def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -> Design:
     """Return the PD wall of eq. (3) as a design.
 
@@ -87,9 +92,9 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
     Raises:
         ParameterError: If the estimator is not linear.
     """
-    estimator = velocity or FiniteDifference()
-    if not isinstance(estimator, (FiniteDifference, LowPass, Window)):
-        names = "FiniteDifference, LowPass, Window"
+    estimator: Any = velocity or FiniteDifference()
+    if not is_linear(estimator):
+        names = "FiniteDifference, LowPass, Window, or your own with linear(period)"
         raise ParameterError(f"velocity must be a linear estimator: {names} (got {estimator!r})")
     ahead = numbers("prediction", prediction, at_least=0.0)
 
@@ -100,6 +105,20 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
         return LinearController(speed.advance, speed.take, give, -stiffness - gain * speed.direct)
 
     return design
+
+
+class PdLaw(NamedTuple):
+    """PD wall with any linear estimator, as a `Design` that can be printed and pickled; see `pd`."""
+
+    velocity: VelocityEstimator
+
+    def __call__(self, stiffness: Array, damping: Array, period: Array) -> LinearController:
+        """Return the law with other gains."""
+        return pd(self.velocity)(stiffness, damping, period)
+
+    def as_json(self) -> dict[str, str]:
+        """Return the estimator in words."""
+        return {"velocity": repr(self.velocity)}
 
 
 def rendered_stiffness(controller: LinearController, z: ArrayLike = 1.0) -> Array:

@@ -15,6 +15,7 @@ from maglev_mj.control.stack import stacked_controller
 from maglev_mj.errors import MaglevError, TooManyCallsError
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.spec import GRAVITY
+from maglev_mj.theory.closed_loop import is_linear
 from maglev_mj.theory.linearise import too_many_calls
 from maglev_mj.theory.loop import Bound, Doubt
 from maglev_mj.theory.poses import SCALE
@@ -233,7 +234,7 @@ class _Scan(NamedTuple):
         stated = _scanned(declared, each, pose, positions.ravel(), shift)[1]
         with np.errstate(invalid="ignore"):
             differs = ~(np.abs(forces - stated) <= _REPEATS * np.abs(forces).max(axis=0))
-        linear = np.array([hasattr(controllers[index].velocity, "linear") for index, _ in pairs])
+        linear = np.array([is_linear(controllers[index].velocity) for index, _ in pairs])
         active = differs.any(axis=0).reshape(-1, _GRID).any(axis=1) | ~linear & forces.any(axis=0).reshape(
             -1, _GRID
         ).any(axis=1)

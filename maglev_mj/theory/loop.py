@@ -26,6 +26,8 @@ _AFFINE = 1e-6
 """Largest error of an affine law, relative to its largest response."""
 _STATED = 64
 """Length of the impulse response of declared gains [samples]."""
+_INTEGRATES, _DEFECTIVE = 1e-6, 1e8
+"""Distance of an integrator's pole from 1, and condition number of eigenvectors that do not separate poles."""
 FREE, _PAIR = 1e-6, 1e-8
 """Tolerances of gains relative to their responses, and of the mean of a double root at 1."""
 
@@ -154,17 +156,36 @@ class AtPose(NamedTuple):
         return bool(own.min() < -FREE * np.abs(self.scaled).max())
 
     def gains(self, body: Array) -> tuple[Array, Array]:
-        """Return stiffness and damping, (6, 6) each, from mass and moments of inertia (6,)."""
+        """Return stiffness and damping without integral action, (6, 6) each, from mass and moments of inertia (6,)."""
         block, root = np.ix_(self.axes, self.axes), np.sqrt(body[list(self.axes)])
         stiffness, damping = self.near.stiffness.copy(), self.near.damping.copy()
-        size = np.outer(root, root) / self.near.period**2
-        stiffness[block], damping[block] = -size * self.moments[0], self.near.period * size * self.moments[1]
+        size, (static, ages) = np.outer(root, root) / self.near.period**2, self.moments
+        if self.system is not None and not np.isfinite(static).all():
+            static, ages = _without_integral(self.system)
+        stiffness[block], damping[block] = -size * static, self.near.period * size * ages
         return stiffness, damping
 
     @property
     def states(self) -> StateSpace:
         """Dimensionless state space, of the response itself without a realisation."""
         return self.system or StateSpace.of(self.scaled[: memory_of(self.scaled)])
+
+
+def _without_integral(system: StateSpace) -> tuple[Array, Array]:
+    """Return the moments of a system without its integrators, whose static stiffness is infinite; see `moments`.
+
+    An integrator answers to a displacement by a constant force from that sample on.
+    """
+    poles, vectors = np.linalg.eig(system.advance)
+    if np.linalg.cond(vectors) > _DEFECTIVE:  # a double integrator
+        return system.moments()
+    take, give = np.linalg.solve(vectors, system.take), system.give @ vectors
+    integrates = np.abs(poles - 1.0) < _INTEGRATES
+    rest = np.where(integrates, np.inf, 1.0 - poles)
+    constant = give[:, integrates] @ take[integrates]
+    sums = ((give / rest**power) @ take for power in (1, 2))
+    static, ages = (part.real for part in sums)
+    return system.direct - constant.real + static, ages
 
 
 def memory_of(response: Array) -> int:

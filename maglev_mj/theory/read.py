@@ -22,6 +22,7 @@ from maglev_mj.lazy import loaded
 from maglev_mj.parameters import loop_delay, number, numbers
 from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
+from maglev_mj.theory.closed_loop import is_linear
 from maglev_mj.theory.doubts import doubts
 from maglev_mj.theory.linearise import Linearised, linearise, realise
 from maglev_mj.theory.loop import FREE, AtPose, Doubt, Loop, Loops, memory_of
@@ -237,7 +238,7 @@ def stated_gains(controller: Controller) -> _Gains | None:
             return None
         for near in stated:
             sums[near.state] = sums.get(near.state, 0.0) + np.array([near.stiffness, near.damping])
-    if not hasattr(controller.velocity, "linear"):
+    if not is_linear(controller.velocity):
         return None
     always = sums.pop("always")
     states = sorted({*["contact"] * controller.on_device, *(state for state, gains in sums.items() if gains.any())})

@@ -79,7 +79,7 @@ class Verdict(NoTruthValue, Result):
         axes: Names of the worst loop's axes; () if not computed.
         acting: Active law states of the worst loop: "contact", "stuck" and so on; () if a law declares no gains.
         pose: Pose of the worst loop [m, rad], (6,).
-        stiffness: Total stiffness at the pose [N/m, N m/rad], (6, 6).
+        stiffness: Total stiffness at the pose, without integral action [N/m, N m/rad], (6, 6).
         damping: Total damping at the pose [N s/m, N m s/rad], (6, 6).
         stated: True if all laws declare their gains, so that the verdict does not depend on the pose.
         jumps: Skipped poses: the wrench or its slope is discontinuous there, (J, 6).
@@ -274,7 +274,7 @@ def stability(
     """Return the stability verdict on a scene; see `judge`.
 
     Args:
-        scene: The scene.
+        scene: The scene, its class, or a text or file for `find_scene`.
         inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
         delay: Transport delay in place of the scene's own [s]; gains derived from the delay do not change.
         poses: Poses at which laws without declared gains are linearised in place of all [m, rad], (P, 6).
@@ -284,12 +284,11 @@ def stability(
 
     Example:
         >>> from maglev_mj import find_scene, stability
-        >>> drop = find_scene("drop")
-        >>> stability(drop(stiffness=6000.0)).stable, stability(drop(stiffness=20000.0)).stable
+        >>> stability("drop").stable, stability(find_scene("drop")(stiffness=20000.0)).stable
         (True, False)
     """
     if isinstance(scene, type) or not hasattr(scene, "controller"):
-        raise ParameterError(f"scene must be a Scene, such as find_scene('drop')() (got {scene!r})")
+        scene = loaded("maglev_mj.scenes.find:get_scene")(scene)  # a higher layer: by name
     return verdicts([of_scene(scene, inertia=inertia, delay=delay, poses=poses)])[0]
 
 

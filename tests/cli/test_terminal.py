@@ -38,6 +38,13 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
     return status, out, err
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_help_says_each_default_once(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = said(capsys, command, "--help")[1]
+    for option in re.split(r"\n  (?=-)", text):
+        assert len(re.findall(r"\(default\b", " ".join(option.split("\n\n")[0].split()))) <= 1, option
+
+
 def test_every_kept_table_fits_80_columns() -> None:
     groups = {name.split("/")[0] for name in cases()}
     lines = [line for group in groups for one in kept(group).values() for line in one["stdout"]]
