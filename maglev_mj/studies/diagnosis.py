@@ -498,7 +498,7 @@ def _of_scene(scene: Any, values: Mapping[str, Any], assumptions: list[str]) -> 
     }
     if loop.hand is not None:
         result["hand"] = ",".join(f"{float(part)!r}" for part in loop.hand.values[: 5 if loop.hand.soft else 3])
-        assumptions.append("held by the scene's hand, in which its margin is smaller than free")
+        assumptions.append("held by the scene's hand, in which it is less stable than free")
     return {**result, **stated}, of_scene
 
 
