@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.lazy import loaded
 from maglev_mj.plants.hand import HANDS, Hand, get_hand, transition
 from maglev_mj.result import plain
 from maglev_mj.spec import LEVER_ARM, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop, is_stable
 from maglev_mj.theory.loop import Bound, Loop, Loops, linear_matrices
 from maglev_mj.theory.two_rates import rates_of
-from maglev_mj.theory.verdict import critical_delay_of
 
 FORCE = 1.0
 """Force with which a handle is held still before it is released [N]; a torque of it on the lever arm for rotations."""
@@ -167,7 +167,9 @@ class Part:
     @cached_property
     def critical_delay(self) -> Bound | None:
         """Least critical delay [s]; None if not computed, or without a loop."""
-        bound = critical_delay_of(Loops(self.loops)) if self.loops and self.judged else Bound(math.nan)
+        if not (self.loops and self.judged):
+            return None
+        bound: Bound = loaded("maglev_mj.theory.verdict:critical_delay_of")(Loops(self.loops))  # which imports this
         return None if math.isnan(bound) else bound
 
     def as_json(self) -> dict[str, Any]:

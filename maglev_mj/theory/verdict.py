@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,12 +24,10 @@ from maglev_mj.theory.boundary import boundary_of, highest_of
 from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.doubts import reached_speed, up_to
+from maglev_mj.theory.held import Held
 from maglev_mj.theory.linearise import StateSpace
 from maglev_mj.theory.loop import Bound, Loop, Loops, delay_bound, delay_bounds, poles_of, radius_of
 from maglev_mj.theory.read import JUMPS, UNKNOWN, of_scene
-
-if TYPE_CHECKING:
-    from maglev_mj.theory.held import Held
 
 _ROUNDING = 1e-9
 """Tolerance of a spectral radius."""
@@ -160,8 +158,7 @@ class Verdict(NoTruthValue, Result):
         """Verdict free and in each hand."""
         hand = self.loop.hand if self.loops.hand is None and self.loop is not None else self.loops.hand
         reach = RANGE if self.loops.reach is None else tuple(self.loops.reach.tolist())
-        found: Held = loaded("maglev_mj.theory.held:Held")(self.loops.released, reach, hand, not self.unjudged)
-        return found
+        return Held(self.loops.released, reach, hand, not self.unjudged)
 
     @property
     def leaves_after(self) -> float | None:
