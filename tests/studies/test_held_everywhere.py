@@ -185,6 +185,23 @@ def test_the_verdict_on_a_scene_with_a_hand_is_the_worst_of_free_and_held() -> N
     assert diagnose(press(delay=0.0032, hand="stylus"), hand="none").stable
 
 
+class LinearisedPress(find_scene("press")):  # type: ignore[misc]
+    """Press on a wall without declared gains."""
+
+    def laws(self) -> list[Any]:
+        return [Undeclared(axes="z", stiffness=self.stiffness, damping=self.damping)]
+
+
+def test_a_linearised_scene_with_a_hand_is_judged_free_and_held_everywhere() -> None:
+    for hand, stable in (("stylus", False), ("arm", True)):
+        scene = LinearisedPress(delay=0.0032, hand=hand)
+        verdict, found = stability(scene), diagnose(scene)
+        assert verdict.stable is found.stable is margin(scene).stable is stable and verdict.in_hand is not stable
+        assert found.spectral_radius == pytest.approx(verdict.spectral_radius, abs=1e-9)
+        assert (stability_warning(scene) is None) is stable and verdict.held.lines == found.held.lines
+        assert (found.loop.hand == "none") is stable
+
+
 def test_a_hand_of_the_scene_that_is_not_published_is_a_part() -> None:
     own = Hand(mass=0.2, damping=20.0, stiffness=300.0, grip_damping=0.8, grip_stiffness=800.0)
     hold = Controller([Hold(axes="z", stiffness=6000.0, damping=80.0)], period=0.005)
