@@ -17,7 +17,7 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.critical import RATIOS, affine_law
-from maglev_mj.theory.read import loops_at, scene_doubts, scene_lag
+from maglev_mj.theory.read import loops_at, scene_doubts, scene_hand, scene_lag
 from maglev_mj.theory.verdict import Verdict, stability
 
 _INSIDE, _END = (1e-6, 1e-4), 0.9871
@@ -112,13 +112,14 @@ def _radii(scene: Any, stiffness: Array) -> Array | None:
     poses = _poses(scene)[1:]
     around: Any = {"delay": scene.delay, "driver_lag": scene_lag(scene), "device": scene.device_clock}
     rows = np.repeat(poses, len(RATIOS), axis=0)
-    loops = loops_at(some * len(poses), axis, poses=rows, inertia=body, **around)
+    found = loops_at(some * len(poses), axis, poses=rows, inertia=body, **around)
     ratios, radii = stiffness / scene.stiffness, []
-    for first in range(0, len(loops), len(RATIOS)):
-        three = loops[first : first + len(RATIOS)]
-        if (law := affine_law(three)) is None:
-            return None
-        loop = three[0].array(design=law.__call__, velocity=None)
-        radii.append(np.asarray(loop.spectral_radius(ratios, np.zeros_like(ratios))))
+    for loops in (found, *[found.replace(hand=hand) for hand in [scene_hand(scene)] if hand]):
+        for first in range(0, len(loops), len(RATIOS)):
+            three = loops[first : first + len(RATIOS)]
+            if (law := affine_law(three)) is None:
+                return None
+            loop = three[0].array(design=law.__call__, velocity=None)
+            radii.append(np.asarray(loop.spectral_radius(ratios, np.zeros_like(ratios))))
     free = np.abs(np.array(radii) - 1.0) < _FREE
     return None if free.any() or not (ratios > 0.0).all() else np.max(radii, axis=0)

@@ -16,7 +16,8 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.stability_check import stability_warning, wall_loops
 from maglev_mj.studies.compare import _chosen, _with_law
-from maglev_mj.theory.doubts import Doubt, doubts
+from maglev_mj.theory.doubts import doubts
+from maglev_mj.theory.loop import Doubt
 from maglev_mj.theory.verdict import judge, stability
 
 
