@@ -11,17 +11,20 @@ import numpy as np
 
 from maglev_mj.control import AxisLaw
 from maglev_mj.control.controller import Controller
+from maglev_mj.control.stack import law_kind
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.critical import RATIOS, affine_law
-from maglev_mj.theory.read import loops_at, scene_doubts, scene_hand, scene_lag
-from maglev_mj.theory.verdict import Verdict, stability
+from maglev_mj.theory.read import Probed, loops_at, of_scene, probed_together, scene_doubts, scene_hand, scene_lag
+from maglev_mj.theory.verdict import stability, verdicts
 
 _INSIDE, _END = (1e-6, 1e-4), 0.9871
 """Depths just inside a wall [m], and fraction of the range of motion."""
+_AT_ONCE = 64
+"""Scenes that are probed at once."""
 _FREE = 1e-7
 """Distance from 1 of a spectral radius that may be a pole of free motion, which a verdict leaves out."""
 
@@ -39,9 +42,37 @@ def unstable_cells(scenes: Sequence[Scene]) -> list[bool | None]:
     gains = [scene.stiffness for scene in scenes if isinstance(scene, WallScene) and scene.stiffness > 0.0]
     for index, scene in enumerate(scenes):
         groups[_key(scene, min(gains, default=0.0))].append(index)
+    rest = list[int]()
     for indices in groups.values():
-        for index, stable in zip(indices, _judged([scenes[index] for index in indices]), strict=True):
+        shared = _judged([scenes[index] for index in indices])
+        rest += indices if shared is None else []
+        for index, stable in zip(indices, shared or (), strict=False):
             result[index] = None if stable is None else not stable
+    for index, stable in zip(rest, _together([scenes[index] for index in rest]), strict=True):
+        result[index] = None if stable is None else not stable
+    return result
+
+
+def _together(scenes: Sequence[Scene]) -> list[bool | None]:
+    """Return whether scenes are stable; laws that differ in gains alone are probed and linearised at once."""
+    groups, result = defaultdict[Any, list[int]](list), list[bool | None]([None] * len(scenes))
+    for index, scene in enumerate(scenes):
+        body, controller = scene.body.bounded, scene.controller()
+        kinds = [law_kind(law) for law in controller.laws]
+        own: Any = index if None in kinds or controller.on_device else (controller.period, repr(controller.velocity))
+        where = scene.start().pose, body.range, body.load
+        groups[own, *kinds, *map(np.ndarray.tobytes, map(np.asarray, where))].append(index)
+    for indices in groups.values():
+        for first in range(0, len(indices), _AT_ONCE):
+            some = indices[first : first + _AT_ONCE]
+            body, poses = scenes[some[0]].body.bounded, [_poses(scenes[index]) for index in some]
+            probed: list[Probed | None] = [None] * len(some)
+            if len(some) > 1:
+                around: Any = {"pose": scenes[some[0]].start().pose, "reach": body.range, "load": body.load}
+                probed[:] = probed_together([scenes[index].controller() for index in some], poses, **around)
+            each = [of_scene(scenes[index], poses=own, probed=one) for index, own, one in zip(some, poses, probed)]
+            for index, verdict in zip(some, verdicts(each), strict=True):
+                result[index] = verdict.stable
     return result
 
 
@@ -58,23 +89,15 @@ def _key(scene: Scene, stiffness: float) -> Any:
     return type(same), scene is same, *laws, *around
 
 
-def _judged(scenes: Sequence[Scene]) -> list[bool | None]:
-    """Return whether scenes that differ in stiffness alone are stable; None if not computed."""
-    verdicts: dict[float, Verdict] = {}
-
-    def verdict(scene: Any) -> Verdict:
-        stiffness = getattr(scene, "stiffness", 0.0)
-        if stiffness not in verdicts:
-            verdicts[stiffness] = stability(scene, poses=_poses(scene))
-        return verdicts[stiffness]
-
+def _judged(scenes: Sequence[Scene]) -> list[bool | None] | None:
+    """Return whether scenes that differ in stiffness alone are stable; None if their law is not affine in it."""
     first: Any = scenes[0]
     if len(scenes) == 1 or not isinstance(first, WallScene):
-        return [verdict(scene).stable for scene in scenes]
+        return None
     radii = _radii(first, np.array([scene.stiffness for scene in scenes]))  # type: ignore[attr-defined]
     if radii is None:
-        return [verdict(scene).stable for scene in scenes]
-    common = verdict(first)
+        return None
+    common = stability(first, poses=_poses(first))
     if common.stable is False and first.axis not in common.axes:
         return [False] * len(scenes)
     (doubt,) = scene_doubts([first], first.axis_index) if first.axis in common.doubts else (None,)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import compress, product
 from os import PathLike
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,6 +116,7 @@ def of_scene(
     driver_lag: float | None = None,
     hand: Hand | str | None = None,
     poses: ArrayLike | None = None,
+    probed: Probed | None = None,
     **changes: Any,
 ) -> Loops:
     """Return the loops of a scene; see `Loop.of`.
@@ -127,6 +128,7 @@ def of_scene(
         driver_lag: Time constant of the drivers in place of the device's [s].
         hand: Hand that may hold the flotor in place of the scene's own; "none" for a free flotor alone.
         poses: Poses at which laws without declared gains are linearised in place of all these [m, rad], (P, 6).
+        probed: What `probed_together` found at these poses.
         changes: Parameters of the scene.
     """
     scene = scene.replace(**changes) if changes else scene
@@ -140,7 +142,8 @@ def of_scene(
         "driver_lag": scene_lag(scene) if driver_lag is None else driver_lag,
         "hand": scene_hand(scene) if hand is None else get_hand(hand),
     }
-    found = of_controller(controller, pose=scene.start().pose, reach=body.range, load=body.load, poses=poses, **own)
+    where: Any = {"pose": scene.start().pose, "reach": body.range, "load": body.load, "poses": poses}
+    found = of_controller(controller, probed=probed, **where, **own)
     return replace(found, grown=grown_of(scene, own))
 
 
@@ -193,6 +196,7 @@ def of_controller(
     hand: Hand | str | None = None,
     load: ArrayLike = ZERO,
     poses: ArrayLike | None = None,
+    probed: Probed | None = None,
 ) -> Loops:
     """Return the loops of a controller on all axes; see `judge`."""
     start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
@@ -204,7 +208,9 @@ def of_controller(
         found = _nothing(_UNDECLARED, start, body, around)
     elif gains is None:
         try:
-            found = _linearised(controller, start, body, far, around, numbers("load", load, shape="(6,)"), poses)
+            if probed is None:
+                probed = _probed(controller, start, far, numbers("load", load, shape="(6,)"), poses)
+            found = _linearised(controller, start, body, far, around, probed)
         except TooManyCallsError as error:
             found = _nothing(str(error).removeprefix("stability not computed: "), start, body, around)
     else:
@@ -274,14 +280,43 @@ def _stated(
     return Loops(tuple(loops), start=start)
 
 
+class Probed(NamedTuple):
+    """A controller without declared gains, probed and linearised.
+
+    Attributes:
+        doubts: What probes found, by index of the axis.
+        grid: Laws linearised at poses; empty if no axis can be judged.
+    """
+
+    doubts: Mapping[int, Doubt]
+    grid: Sequence[Linearised]
+
+
+def _probed(controller: Controller, pose: Array, reach: Array, load: Array, poses: ArrayLike | None) -> Probed:
+    """Return a controller probed, and linearised at poses, or else at all and at its edges."""
+    (found,) = doubts([controller], pose=pose, reach=reach, load=load)
+    if sum(doubt.void for doubt in found.values()) == len(AXES):
+        return Probed(found, ())
+    grid = linearise(controller, poses_of(controller, pose, reach) if poses is None else poses)
+    edges = [*edges_of(controller, grid[2 : 2 + len(AXES) * POINTS])] if poses is None else []
+    return Probed(found, [*grid, *(linearise(controller, edges) if edges else ())])
+
+
+def probed_together(
+    controllers: Sequence[Controller], poses: Sequence[Array], *, pose: Array, reach: Array, load: Array
+) -> list[Probed]:
+    """Return controllers of equal laws with other gains, all probed and linearised at once; arguments as for `doubts`.
+
+    `poses` are those of each controller [m, rad], (P, 6) each.
+    """
+    found = doubts(controllers, pose=pose, reach=reach, load=load)
+    rows = [controller for controller, own in zip(controllers, poses, strict=True) for _ in own]
+    near = iter(linearise(rows, np.concatenate(poses)))
+    return [Probed(one, [next(near) for _ in own]) for one, own in zip(found, poses, strict=True)]
+
+
 def _linearised(
-    controller: Controller,
-    pose: Array,
-    body: Array,
-    reach: Array,
-    around: Mapping[str, Any],
-    load: Array,
-    poses: ArrayLike | None,
+    controller: Controller, pose: Array, body: Array, reach: Array, around: Mapping[str, Any], probed: Probed
 ) -> Loops:
     """Return the loop of coupled axes at each pose at which they differ, and those that cannot be judged."""
     loops: list[AtPose] = []
@@ -292,14 +327,12 @@ def _linearised(
     jumps: list[Array] = []
     unknown: list[Array] = []
     reasons: dict[int, str] = {}
-    (found,) = doubts([controller], pose=pose, reach=reach, load=load)
+    found, grid = probed
     void = {axis for axis, doubt in found.items() if doubt.void}
     if len(void) == len(AXES):
         items = [_not_judged(axis, found[axis].reason, body, around) for axis in range(len(AXES))]
         return Loops(tuple(items), False, pose, doubts=found, reach=reach)
-    grid = linearise(controller, poses_of(controller, pose, reach) if poses is None else poses)
-    edges = [*edges_of(controller, grid[2 : 2 + len(AXES) * POINTS])] if poses is None else []
-    for near in [*grid, *(linearise(controller, edges) if edges else ())]:
+    for near in grid:
         scaled = near.scaled(body)
         for axes in _coupled(scaled):
             chosen = list(axes)

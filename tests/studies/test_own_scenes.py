@@ -64,6 +64,10 @@ class Magnet(Scene):
     def start(self):
         return Start(pose=(0.002, 0.0, 0.0, 0.0, 0.0, 0.0), gravity=0.0)
 '''
+DECLARED = """def gains(self):
+        return (Gains("always", self.on_axes(self.stiffness), self.on_axes(self.damping)),)
+
+"""
 GRID = {"stiffness": [500.0, 1000.0, 2000.0], "damping": [20.0, 40.0]}
 
 
@@ -187,6 +191,9 @@ def test_a_large_grid_is_refused_at_its_corners_at_once_and_inside_by_the_worker
     Grid(find_scene("wall")(), {"delay": [0.0, 0.0501]}, plant="none")  # theory alone
     file.write_text(
         FILE.replace("FURTHER", "")
+        .replace("- 1e9 * x * x * x ", "")
+        .replace("def force", f"{DECLARED}    def force")
+        .replace("import AxisLaw, gain", "import AxisLaw, Gains, gain")
         + """
     def check(self):
         if (self.stiffness, self.damping) == (1310.0, 57.0):
