@@ -40,7 +40,7 @@ from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.linearise import linearise
 from maglev_mj.theory.loop import Doubt, Loop, Loops
 from maglev_mj.theory.read import loops_at, partial_laws, scene_doubts, scene_lag, with_doubt
-from maglev_mj.theory.verdict import Verdict, verdicts
+from maglev_mj.theory.verdict import Verdict, judge, verdicts
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
@@ -194,7 +194,8 @@ def compare(
     variants = {label: _with_law(chosen, label, law, plant) for label, law in named.items()}
     at_rest = {label: _at_rest(variant) for label, variant in variants.items()}
     rest: Any = {"margins": {label: margins for label, (margins, _) in at_rest.items()}}
-    rest["reasons"] = {label: "; ".join(reasons) for label, (_, reasons) in at_rest.items() if reasons}
+    reasons = {label: [*own, *_elsewhere(variants[label], margins)] for label, (margins, own) in at_rest.items()}
+    rest["reasons"] = {label: "; ".join(own) for label, own in reasons.items() if own}
     result = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
     return Comparison(result.runs, result.phases, chaotic=result.chaotic, laws=named, scene=chosen, **rest)
 
@@ -430,6 +431,14 @@ def _at_rest(scene: WallScene) -> tuple[dict[str, float], list[str]]:
         *_reasons(verdict, margins),
         *[f"{' and '.join(partial)} as declared, without the rest"] * bool(partial),
     ]
+
+
+def _elsewhere(scene: WallScene, margins: Mapping[str, float]) -> Iterator[str]:
+    """Yield that a law without declared gains is stable at rest in the wall, but not everywhere."""
+    if margins["spectral_radius"] < 1.0 and stated_gains(scene.controller()) is None:
+        verdict = judge(scene)
+        if not verdict.stable:
+            yield f"stable at rest in the wall alone; over its range, {verdict.headline}"
 
 
 def _reasons(verdict: Verdict, margins: Mapping[str, float]) -> Iterator[str]:
