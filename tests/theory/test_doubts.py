@@ -369,6 +369,22 @@ def test_compare_gives_the_reason_of_each_missing_margin() -> None:
     assert "play: stability not computed: the force at rest" in " ".join(str(found).split())
 
 
+class SoftEdge(AxisLaw):
+    """Wall whose damping grows with depth: unstable at its edge, stable at rest."""
+
+    stiffness: float = gain("stiffness", "N/m")
+    damping: float = gain("damping at depth", "N s/m")
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -(gains.stiffness * x + np.minimum(abs(x) / 1e-3, 1.0) * gains.damping * v) * (x < 0.0)
+
+
+def test_compare_says_that_a_law_is_stable_at_rest_alone() -> None:
+    found = compare(Drop(duration=0.03), {"soft": SoftEdge, "pd": "pd"}, phases=1)
+    assert found.verdicts == {"soft": "stable", "pd": "stable"} and [*found.reasons] == ["soft"]
+    assert re.match(r"stable at rest in the wall alone; .*z: unstable, spectral radius 1\.\d+", found.reasons["soft"])
+
+
 @pytest.mark.parametrize("law", [Constant, EverySecond, Plain])
 def test_the_margin_of_a_wall_needs_a_law_without_doubts(law: Any) -> None:
     assert (judge(wall_loops(scene(law, 2e4))).stable is None) == (law is not Plain)
