@@ -497,6 +497,8 @@ def critical_delay_of(loops: Loops) -> Bound:
 
 def _delay_of(loops: Loops, loop: Loop) -> Bound:
     """Return the critical delay of one loop."""
+    if not loop.acts:  # a hand alone is passive
+        return Bound(MAX_DELAY, True, 0.0)
     if loop.linear is None:
         return _stated_delay(loop) if loop.law is None else delay_bound(loop.array(), loop.stiffness, loop.damping)
     if len(loop.axes) > 1:

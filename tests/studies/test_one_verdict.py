@@ -83,10 +83,12 @@ def test_an_axis_that_is_not_judged_is_stable_nowhere(seed: int) -> None:
         assert not diagnose(scene).stable
     except ParameterError as error:
         assert "not computed" in str(error)
-    if axis == "z":
-        scene = scene.replace(below=0.0)
-        assert judge(wall_loops(scene)).stable is None
-        assert np.isnan(compare(Drop(**loop), {"own": Coulomb}, phases=1).margins["own"]["spectral_radius"])
+
+
+def test_the_wall_of_a_law_that_is_not_judged_has_no_margin() -> None:
+    loop: Any = {"period": 1e-3, "delay": 8e-4, "stiffness": 2e4, "damping": 80.0}
+    assert judge(wall_loops(Rough(**loop, rough="z", below=0.0, friction=0.5))).stable is None
+    assert np.isnan(compare(Drop(**loop), {"own": Coulomb}, phases=1).margins["own"]["spectral_radius"])
 
 
 def test_an_edge_is_skipped_and_its_region_is_not() -> None:
