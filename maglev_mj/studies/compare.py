@@ -40,7 +40,7 @@ from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.linearise import linearise
 from maglev_mj.theory.loop import Doubt, Loop, Loops
 from maglev_mj.theory.read import loops_at, partial_laws, scene_doubts, scene_lag, with_doubt
-from maglev_mj.theory.verdict import Verdict, judge, verdicts
+from maglev_mj.theory.verdict import Verdict, verdicts
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
@@ -59,6 +59,7 @@ _MARGINS: Mapping[str, Figure] = {
 _MARGIN_HEADS = {"stiffness": "static stiffness", "critical_stiffness": "critical gain"}
 """Column heads that differ from the figure's name."""
 _AT_REST = "at rest in the wall"
+_ALONE = "a verdict in this table holds at rest in the wall, a warning over the whole range"
 _MARGIN_NOTE = "margin = critical gain / gain in use; limit cycle: peak to peak, over a quantized sensor"
 
 
@@ -129,8 +130,9 @@ class Comparison(Variants):
             for label, one in self.margins.items()
         ]
         equations = [[label, law.status, law.text] for label, law in self.laws.items()]
+        alone = [_ALONE] * any("unstable" in text for text in self.warnings)
         below = [
-            Table(_AT_REST, still, rest, "\n".join([_MARGIN_NOTE, *map(": ".join, self.reasons.items())])),
+            Table(_AT_REST, still, rest, "\n".join([_MARGIN_NOTE, *alone, *map(": ".join, self.reasons.items())])),
             Table("laws", ("law", "status", "equation; source"), equations),
         ]
         count = len(next(iter(self.phases.values())).phases)
@@ -194,8 +196,7 @@ def compare(
     variants = {label: _with_law(chosen, label, law, plant) for label, law in named.items()}
     at_rest = {label: _at_rest(variant) for label, variant in variants.items()}
     rest: Any = {"margins": {label: margins for label, (margins, _) in at_rest.items()}}
-    reasons = {label: [*own, *_elsewhere(variants[label], margins)] for label, (margins, own) in at_rest.items()}
-    rest["reasons"] = {label: "; ".join(own) for label, own in reasons.items() if own}
+    rest["reasons"] = {label: "; ".join(reasons) for label, (_, reasons) in at_rest.items() if reasons}
     result = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
     return Comparison(result.runs, result.phases, chaotic=result.chaotic, laws=named, scene=chosen, **rest)
 
@@ -431,14 +432,6 @@ def _at_rest(scene: WallScene) -> tuple[dict[str, float], list[str]]:
         *_reasons(verdict, margins),
         *[f"{' and '.join(partial)} as declared, without the rest"] * bool(partial),
     ]
-
-
-def _elsewhere(scene: WallScene, margins: Mapping[str, float]) -> Iterator[str]:
-    """Yield that a law without declared gains is stable at rest in the wall, but not everywhere."""
-    if margins["spectral_radius"] < 1.0 and stated_gains(scene.controller()) is None:
-        verdict = judge(scene)
-        if not verdict.stable:
-            yield f"stable at rest in the wall alone; over its range, {verdict.headline}"
 
 
 def _reasons(verdict: Verdict, margins: Mapping[str, float]) -> Iterator[str]:

@@ -65,20 +65,29 @@ class Rough(Drop):
         return [law, hold(self, [axis for axis in AXES if axis != self.rough])]
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_an_axis_that_is_not_judged_is_stable_nowhere(seed: int) -> None:
+def rough(seed: int) -> Rough:
+    """Return a random drop with a sign of the velocity on one axis."""
     random = np.random.default_rng(seed)
-    axis = AXES[seed % len(AXES)]
     loop: Any = {"period": 1e-3, "delay": 8e-4, "stiffness": 10.0 ** random.uniform(3.5, 5.5), "damping": 80.0}
     edge, force = random.uniform(-2e-3, 0.0), random.uniform(0.01, 3.0)
-    scene = Rough(**loop, rough=axis, below=edge, friction=force)
+    return Rough(**loop, rough=AXES[seed % len(AXES)], below=edge, friction=force)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_axis_that_is_not_judged_is_stable_nowhere(seed: int) -> None:
+    scene = rough(seed)
     verdict = stability(scene)
-    assert verdict.stable is not True and (verdict.stable is False or verdict.unjudged == (axis,))
+    assert verdict.stable is not True and (verdict.stable is False or verdict.unjudged == (scene.rough,))
     assert margin(scene).stable is not True
     assert stability_warning(scene) is not None
-    assert judge_change(scene, scene.body.inertia.tolist(), [], report=GOOD, anyway=False)[1]
     with pytest.raises(TypeError, match=r"no truth value: use \.stable"):
         bool(verdict)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_axis_that_is_not_judged_flies_and_is_diagnosed_nowhere(seed: int) -> None:
+    scene = rough(seed)
+    assert judge_change(scene, scene.body.inertia.tolist(), [], report=GOOD, anyway=False)[1]
     try:
         assert not diagnose(scene).stable
     except ParameterError as error:
@@ -199,6 +208,6 @@ def test_the_map_is_the_table_and_jumps_no_unstable_band() -> None:
     critical = float(swept.columns()["critical_stiffness"][0])
     assert critical == pytest.approx(92_911.084, rel=1e-6)  # by eigenvalues of another program
     assert compare(scene, {"own": Notch}, phases=1).margins["own"]["critical_stiffness"] == pytest.approx(critical)
-    for share in (0.1, 0.4, 0.7, 0.999):
+    for share in (0.1, 0.7, 0.999):
         softer = scene.replace(stiffness=share * critical)
         assert compare(softer, {"own": Notch}, phases=1).margins["own"]["spectral_radius"] < 1.0
