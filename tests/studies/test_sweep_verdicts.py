@@ -29,9 +29,10 @@ class Own(Drop):
 
 @pytest.mark.parametrize("name", LAWS)
 def test_cells_are_judged_as_single_scenes_are(name: str) -> None:
-    scenes = [Own(law=name, **LOOP | {"stiffness": stiffness}) for stiffness in (2e4, 6e4)]
+    scenes = [Own(law=name, **LOOP | {"stiffness": stiffness}) for stiffness in (6e4, 2e4)]
+    scenes = scenes[:1] if name == "Floats" else scenes  # one call after another: slow
     found = unstable(scenes)
-    for index in (0, 1) if name == "Plain" else (1,):
+    for index in (0, 1) if name == "Plain" else (0,):
         stable = stability(scenes[index]).stable
         assert found[index] == (None if stable is None else not stable)
 
