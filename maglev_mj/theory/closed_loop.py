@@ -32,7 +32,7 @@ _CHUNK, _LOOPS, _LONG, _MOST_PERIODS = 1 << 16, 256, 30, 1000
 _TOGETHER = 1024
 _DIVIDES = "device period must divide the host's, {0} s (got {1.period:g})"
 _ALMOST = 1.0 - 2e-9
-"""Largest fraction of a period that is no whole period."""
+"""Largest fraction that does not count as a whole period."""
 _BATCHED = "period", "delay", "mass", "prediction", "own_damping"
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
@@ -274,18 +274,6 @@ class SampledLoop:
         cut_of, free = self.cuts(stiffness, damping)
         shares = np.broadcast_to(np.asarray(rest) / period, shape).reshape(-1)
         return cut_of(index, shares), np.broadcast_to(np.asarray(whole), shape).reshape(-1), free
-
-    def unstable_poles(self, stiffness: ArrayLike, damping: ArrayLike) -> NDArray[np.int64]:
-        """Return the number of unstable poles, broadcast over gains and loop, at any delay.
-
-        Raises:
-            ParameterError: If the rate of a device law is no multiple of the host's.
-        """
-        k, b = self.broadcast(stiffness, damping)
-        if not self.affine:
-            raise ParameterError(_DIVIDES.format(self.period, self.device))
-        cut, whole, free = self.cut_at_delay(k, b)
-        return AnyDelay(cut, free).unstable(whole).reshape(k.shape)
 
     def stable(self, stiffness: ArrayLike, damping: ArrayLike, limit: float = 1.0) -> Mask:
         """Return True where the spectral radius is below a limit, broadcast over gains and loop."""
@@ -701,7 +689,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
 
     Returns:
         The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable at any delay (the loop gain
-        is below 1 at every frequency). NaN above 10 periods beside a device law at a rate that is no multiple of the
+        is below 1 at every frequency). NaN above 10 periods beside a device law at a rate that is not a multiple of the
         host's. The free motion of a wall without stiffness is no instability.
 
     Raises:

@@ -521,7 +521,7 @@ def _two_rate_poles(
 def stable_delays(loop: SampledLoop, stiffness: float, damping: float, *, free: bool | None = None) -> StableDelays:
     """Return all stable delays of a single loop up to 1 s.
 
-    Beside a device law at a rate that is no multiple of the host's only the first interval is searched, to ten periods.
+    Beside a device law whose rate is not a multiple of the host's, only the first interval up to ten periods is found.
 
     Args:
         loop: The loop.

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, Hand, Hold, Wall, device_card, diagnose, find_scene, gain, stability
+from maglev_mj import Controller, Hand, Hold, Wall, device_card, diagnose, find_scene, stability
 from maglev_mj.bridge.preflight import assess
 from maglev_mj.cli import main
-from maglev_mj.control import AxisLaw, Law
+from maglev_mj.control import Law
 from maglev_mj.device import Device
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.stability_check import stability_warning, unstable
@@ -23,6 +23,7 @@ from maglev_mj.theory.held import FREE, OWN, held_of
 from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.verdict import judge
 from tests.bridge.test_preflight import GOOD
+from tests.studies.test_verdict_properties import Undeclared
 
 CASES: list[dict[str, Any]] = [  # of each kind: all stable, all unstable, only while held, only free
     {"stiffness": 6000.0, "damping": 80.0, "delay": 0.0015},
@@ -37,16 +38,6 @@ class Bare(Drop):
 
     def laws(self) -> list[Any]:
         return [Wall(axes="z", lower=0.0, stiffness=self.stiffness, damping=self.damping)]
-
-
-class Undeclared(AxisLaw):
-    """Wall without gains() of its own."""
-
-    stiffness: float = gain("stiffness", "N/m")
-    damping: float = gain("damping", "N s/m")
-
-    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
-        return -(gains.stiffness * x + gains.damping * v) * (x < 0.0)
 
 
 class Linearised(Drop):
