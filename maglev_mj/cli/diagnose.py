@@ -60,9 +60,12 @@ _StatedLoop: TypeAlias = Annotated[dict[str, Any], Shared(_add_loop, _stated_val
 def diagnose(
     what: Annotated[
         str | None,
-        option("scene (its worst axis), or recording or CSV file (time, position) of a shaking device", "", "WHAT"),
+        option("scene (its worst loop), or recording or CSV file (time, position) of a shaking device", "", "WHAT"),
     ] = None,
     *,
+    on_axis: Annotated[
+        str | None, option("axis of the scene to diagnose (default: that of its worst loop)", "loop", "AXIS")
+    ] = None,
     loop: _StatedLoop,
     json: Json = None,
     pictures: Picture,
@@ -72,5 +75,5 @@ def diagnose(
     For a wall, a spring or a controller with stiffness and damping on one axis, of any mass or inertia. The exit status
     is 0 for an unstable wall too; `stable` in the JSON is the verdict.
     """
-    write_result(json, diagnose_loop(what, **loop), pictures, "diagnosis")
+    write_result(json, diagnose_loop(what, on_axis=on_axis, **loop), pictures, "diagnosis")
     return 0

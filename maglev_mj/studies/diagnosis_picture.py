@@ -12,8 +12,9 @@ import numpy as np
 
 from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, Colour, on_white
 from maglev_mj.pictures import TITLE, name_curves, new_figure
-from maglev_mj.studies.diagnosis import Diagnosis, short
+from maglev_mj.studies.diagnosis import Diagnosis
 from maglev_mj.theory.boundary import boundary_of
+from maglev_mj.theory.remedies import short
 
 _POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS = 160, 8.0, 600, 30.0, 8
 _TOP, _ROW = 3.4, 0.165  # heights of the panels above, and of a line of names [inch]

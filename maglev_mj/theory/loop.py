@@ -12,12 +12,13 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.control import LinearController, VelocityEstimator
+from maglev_mj.control import LinearController, LowPass, VelocityEstimator
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.lazy import loaded
 from maglev_mj.plants.hand import Hand, Mode
+from maglev_mj.result import number_text
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
-from maglev_mj.theory.closed_loop import SampledLoop, critical_delay_of, pd
+from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, critical_delay_of, pd
 from maglev_mj.theory.delay import stable_intervals
 from maglev_mj.theory.linearise import Linearised, StateSpace
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
@@ -77,6 +78,36 @@ class Bound(float):
         if self.largest_gain is not None:
             return f"any (proved: largest loop gain {self.largest_gain:.3g})"
         return f"{'more than' if self.beyond else 'up to'} {scale * self:.4g} {unit}"
+
+
+class StableRange(NamedTuple):
+    """Range of values in which a loop is stable.
+
+    Attributes:
+        lower: Lower end; where it is `beyond`, the search ended there, and less may be stable.
+        upper: Upper end.
+    """
+
+    lower: Bound
+    upper: Bound
+
+    def as_json(self) -> list[Any]:
+        """Return both ends, an end of the search as `less_than` or `more_than`."""
+        lower = {"less_than": float(self.lower)} if self.lower.beyond else self.lower.as_json()
+        return [lower, self.upper.as_json()]
+
+    def text(self, unit: str) -> str:
+        """Return the range in words."""
+        if math.isnan(self.lower):
+            return "-"
+        low, high = map(number_text, self)
+        if self.upper.beyond and self.lower.beyond:
+            return f"no limit found from {low} to {high} {unit}"
+        if self.upper.beyond:
+            return f"from {low} {unit} (searched to {high} {unit})"
+        if self.lower.beyond:
+            return f"up to {high} {unit} (searched from {low} {unit})"
+        return f"{low} to {high} {unit}" if self.lower else f"up to {high} {unit}"
 
 
 class StableDelays(NamedTuple):
@@ -276,6 +307,31 @@ class Loop:
         """Stiffness and damping of host and device together [N/m, N m/rad; N s/m, N m s/rad]."""
         own = (self.device.stiffness, self.device.damping) if self.device is not None else (0.0, 0.0)
         return self.stiffness + own[0], self.damping + own[1]
+
+    @property
+    def on_host(self) -> bool:
+        """False if all stiffness of declared gains is on the device."""
+        return self.device is None or self.stiffness > 0.0 or not self.device.stiffness
+
+    @property
+    def in_question(self) -> Loop:
+        """Loop whose gains, clock and filter are those of the law in question, with the other law as its device law.
+
+        That is the law on the host, or the one on the device if it has all of the stiffness. Of laws linearised on one
+        axis, the memory scales with the stiffness.
+        """
+        if self.linear is not None:
+            law = LinearisedLaw(self.controller(), self.stiffness, max(self.damping, 0.0))
+            return replace(self, damping=law.damping, law=law, linear=None, pose=None, body=())
+        law, own = self.device, self.velocity
+        if law is None or self.on_host:
+            return self
+        beside = None
+        if self.damping:
+            cutoff = own.cutoff if isinstance(own, LowPass) else None
+            beside = DeviceLaw(0.0, self.damping, self.period, self.delay, cutoff)
+        gains: Any = {"stiffness": law.stiffness, "damping": law.damping, "period": law.period, "delay": law.delay}
+        return replace(self, **gains, velocity=law.velocity, law=None, device=beside)
 
     @property
     def free(self) -> int:

@@ -20,14 +20,26 @@ from maglev_mj.keywords import checked
 from maglev_mj.lazy import loaded
 from maglev_mj.result import NoTruthValue, Result, Table, plain
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS, RANGE
-from maglev_mj.theory.boundary import boundary_of, highest_of
+from maglev_mj.theory.boundary import StiffestWall, boundary_of, stiffest_of
 from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.doubts import reached_speed, up_to
 from maglev_mj.theory.held import Held
 from maglev_mj.theory.linearise import StateSpace
-from maglev_mj.theory.loop import Bound, Loop, Loops, delay_bound, delay_bounds, poles_of, radius_of
+from maglev_mj.theory.loop import (
+    Bound,
+    Loop,
+    Loops,
+    StableDelays,
+    StableRange,
+    delay_bound,
+    delay_bounds,
+    poles_of,
+    radius_of,
+    stable_delays,
+)
 from maglev_mj.theory.read import JUMPS, UNKNOWN, of_scene
+from maglev_mj.theory.remedies import Remedy, critical_of, damping_range, rate_range, remedies_of
 
 _ROUNDING = 1e-9
 """Tolerance of a spectral radius."""
@@ -36,6 +48,7 @@ _LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 22
 _SLIGHT = 1e-3
 """Relative change of a gain that shows the stiffness of an axis that it adds."""
 _LAWS = {"contact": "walls", "stuck": "friction"}
+_NO_RANGE = StableRange(Bound(math.nan), Bound(math.nan))
 
 
 class LoopState(NamedTuple):
@@ -187,8 +200,108 @@ class Verdict(NoTruthValue, Result):
         return f" on {', '.join(self.unjudged)}" * bool(self.unjudged)
 
     @cached_property
+    def marginal(self) -> tuple[Loop | None, str]:
+        """Loop to change first, and why in words: the worst, or of a stable scene the one with the smallest margin.
+
+        That is the one nearest to its critical stiffness; of laws that declare no gains the worst. None if not judged.
+        """
+        if self.stable is None or self.loop is None:
+            return None, ""
+        if self.stable and self.stated:
+            return nearest(self.loops), "the one with the smallest margin"
+        return self.loop, "the one with the largest spectral radius"
+
+    @cached_property
+    def in_question(self) -> Loop | None:
+        """Worst loop with the law in question on its host; None without stiffness, and of coupled axes."""
+        loop = self.loop
+        if loop is None or len(loop.axes) > 1 or not loop.total[0] > 0.0:
+            return None
+        return loop.in_question
+
+    @cached_property
+    def frequency(self) -> float:
+        """Frequency at which the worst loop rings [Hz]; 0 for a motion that does not oscillate, NaN if not computed."""
+        if (own := self.in_question) is not None:
+            return own.array().pole(own.stiffness, own.damping)[1]
+        if self.loop is None or not self.spectral_radius > 0.0:
+            return 0.0 if self.loop is not None else math.nan
+        dominant = self.eigenvalues[np.abs(np.abs(self.eigenvalues) - self.spectral_radius).argmin()]
+        return abs(float(np.angle(dominant))) / (2.0 * math.pi * self.loop.period)
+
+    @property
+    def doubling_time(self) -> float:
+        """Time in which the motion of the worst loop doubles [s]; negative for the time in which it halves."""
+        growth = math.log(self.spectral_radius) if self.spectral_radius > 0.0 else -math.inf
+        if self.loop is None or math.isnan(growth):
+            return math.nan
+        return math.log(2.0) * self.loop.period / growth if growth else math.inf
+
+    @cached_property
+    def damping_range(self) -> StableRange | None:
+        """Dampings at which the worst loop is stable, see `theory.remedies`; None for none, NaN if not computed."""
+        return _NO_RANGE if (own := self.in_question) is None else damping_range(own)
+
+    @cached_property
+    def rate_range(self) -> StableRange | None:
+        """Sample rates at which it is stable with the same delay [Hz]; None for none, NaN if not computed."""
+        return _NO_RANGE if self.in_question is None else rate_range(self._whole)
+
+    @cached_property
+    def rate_in_periods(self) -> StableRange | None:
+        """The same with a delay of the same number of periods."""
+        return _NO_RANGE if self.in_question is None else rate_range(self._whole, in_periods=True)
+
+    @cached_property
+    def best(self) -> StiffestWall:
+        """Stiffest stable wall over all dampings, of the law in question."""
+        if (own := self.in_question) is None:
+            return StiffestWall(np.array(math.nan), np.array(math.nan), np.array(False))
+        return stiffest_of(own.array())
+
+    @cached_property
+    def critical_gain(self) -> Bound:
+        """Critical stiffness of the law in question, beside the other law [N/m, N m/rad]; NaN if not computed."""
+        return Bound(math.nan) if (own := self.in_question) is None else critical_of(own)
+
+    @cached_property
+    def stable_delays(self) -> StableDelays:
+        """All stable delays of the law in question; NaN as the end of the search if not computed."""
+        if (own := self.in_question) is None:
+            return StableDelays((), math.nan)
+        return stable_delays(own.array(), own.stiffness, own.damping)
+
+    def remedies(self, target: float = 2.0) -> tuple[Remedy, ...]:
+        """Return changes that make the worst loop stable, or stiffer, best first; none if there is no need.
+
+        Args:
+            target: Wanted ratio of critical to requested stiffness.
+        """
+        return self.advice(target)[0]
+
+    def advice(self, target: float = 2.0) -> tuple[tuple[Remedy, ...], tuple[str, ...]]:
+        """Return the remedies, and changes without effect in words."""
+        if self.in_question is None:
+            return (), ()
+        around: Any = {"stable": self._loop_is_stable, "critical": self.critical_gain, "best": self.best}
+        return remedies_of(self._whole, target, **around)
+
+    @property
+    def _whole(self) -> Loop:
+        """Worst loop with the laws on host and device where they are; one with memory as its law in question."""
+        assert self.loop is not None
+        return self.loop if self.loop.linear is None else self.loop.in_question
+
+    @property
+    def _loop_is_stable(self) -> bool:
+        """True if the worst loop is stable, whatever could not be judged."""
+        return self.spectral_radius < 1.0 - _ROUNDING
+
+    @cached_property
     def critical_delay(self) -> Bound:
-        """Delay at which stability changes [s]: 0 if unstable without delay, NaN if a loop is not judged."""
+        """Delay of the host at which stability changes [s]: 0 if unstable without delay, NaN if one is not judged."""
+        if len(self.loops) == 1 and self.loop is not None and self.in_question is self.loop:
+            return self.stable_delays.bound
         return critical_delay_of(self.loops)
 
     @cached_property
@@ -429,7 +542,9 @@ def critical_stiffness_of(loops: Loops, loop: Loop) -> _Critical:
     total, grown = loop.total[0], loops.grown
     if len(loop.axes) > 1 or not total > 0.0:
         return _UNKNOWN
-    rise, other = loop.stiffness, loop
+    rise, other, own = 0.0, loop, loop.stiffness
+    if grown is None and loop.linear is None:
+        own = rise = loop.in_question.stiffness
     if grown is not None:
         try:
             other = grown(loop, 1.0 + _SLIGHT)
@@ -437,12 +552,11 @@ def critical_stiffness_of(loops: Loops, loop: Loop) -> _Critical:
             other = grown(loop, 1.0 - _SLIGHT)
         change = other.total[0] - total
         rise = abs(change) / _SLIGHT if abs(change) > _ROUNDING * total else total
-    # the host's stiffness alone changes, so that no crossing is missed
-    if loop.linear is None and loop.stiffness and other == replace(loop, stiffness=other.stiffness):
-        array = loop.array()
-        found = float(boundary_of(array, np.asarray(loop.damping)))
-        beyond, ratio = found >= float(highest_of(array)) * (1.0 - _ROUNDING), 1.0 + (found - loop.stiffness) / rise
-        return _Critical(Bound(max(ratio, 0.0), beyond), Bound(found + total - loop.stiffness, beyond))
+    # the stiffness of one law alone changes, so that no crossing is missed
+    if loop.linear is None and own and other == replace(loop, stiffness=other.stiffness):
+        found = critical_of(loop)
+        ratio = 1.0 + (found - own) / rise
+        return _Critical(Bound(max(ratio, 0.0), found.beyond), Bound(found + total - own, found.beyond))
     if grown is None:
         return _UNKNOWN
 
@@ -463,20 +577,22 @@ def _grown(loops: Loops, loop: Loop, ratio: float) -> Loops:
 
 
 def nearest(loops: Loops, axis: str = "z") -> Loop:
-    """Return the loop of declared gains on the host nearest to its critical stiffness.
+    """Return the loop of declared gains nearest to its critical stiffness.
 
     Without any stiffness the most damped one on an axis.
     """
-    stiff = [loop for loop in loops if loop.linear is None and loop.device is None and loop.stiffness > 0.0]
+    stiff = [loop for loop in loops if loop.linear is None and loop.total[0] > 0.0]
     if not stiff:
         return max((loop for loop in loops if axis in loop.axes), key=lambda loop: loop.damping)
     groups: dict[Loop, list[Loop]] = {}
     for loop in stiff:
-        alike = replace(loop, stiffness=0.0, damping=0.0, inertia=1.0, axis="", state=(), others=())
+        own = loop.in_question
+        alike = replace(own, stiffness=0.0, damping=0.0, inertia=1.0, axis="", state=(), others=())
         groups.setdefault(alike, []).append(loop)
     shares: dict[int, float] = {}
     for alike, some in groups.items():
-        stiffness, damping, inertia = np.array([(one.stiffness, one.damping, one.inertia) for one in some]).T
+        own = [one.in_question for one in some]
+        stiffness, damping, inertia = np.array([(one.stiffness, one.damping, one.inertia) for one in own]).T
         with np.errstate(divide="ignore"):
             found = stiffness / boundary_of(alike.array(mass=inertia), damping)
         shares |= dict(zip(map(id, some), found.tolist(), strict=True))

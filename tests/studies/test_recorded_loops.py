@@ -12,7 +12,6 @@ import pytest
 
 from maglev_mj import diagnose
 from maglev_mj.errors import ParameterError
-from maglev_mj.studies import diagnosis
 from maglev_mj.studies.diagnosis import DiagnosedLoop, Diagnosis
 from tests.studies.exact_log import exact_log
 
@@ -123,23 +122,19 @@ def said(found: Diagnosis) -> bool:
     return any("not determined" in text or "no damping of the device" in text for text in texts)
 
 
-def outcomes(count: int, seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """Return how often each outcome occurs; remedies and ranges, tested elsewhere, are left out."""
-    monkeypatch.setattr(diagnosis, "_remedies", lambda *loop: ((), ()))
-    monkeypatch.setattr(diagnosis, "_range", lambda *loop: None)
+def outcomes(count: int, seed: int, folder: Path) -> Counter[str]:
+    """Return how often each outcome occurs."""
     rng, path = np.random.default_rng(seed), folder / "log.csv"
     return Counter(Case(rng, path).outcome(path) for _ in range(count))
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_log_of_a_random_loop_is_never_explained_by_another_one(
-    seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert not outcomes(1, seed, tmp_path, monkeypatch)["silent"]
+def test_a_log_of_a_random_loop_is_never_explained_by_another_one(seed: int, tmp_path: Path) -> None:
+    assert not outcomes(1, seed, tmp_path)["silent"]
 
 
 @pytest.mark.study
-def test_logs_of_random_loops_name_the_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = outcomes(200, 7, tmp_path, monkeypatch)
+def test_logs_of_random_loops_name_the_truth(tmp_path: Path) -> None:
+    found = outcomes(200, 7, tmp_path)
     print(dict(found))
     assert not found["silent"] and found["true"] >= 120 and found["refused"] <= 40

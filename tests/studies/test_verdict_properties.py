@@ -28,6 +28,7 @@ from maglev_mj.studies.stability_map import StabilityParameters
 from maglev_mj.theory import DeviceLaw
 from maglev_mj.theory.design import WallRequirements, design_wall
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.remedies import critical_of
 from tests.studies.test_one_verdict import Notch, lagging
 from tests.sweeps import further
 
@@ -282,7 +283,7 @@ def test_advice_that_is_obeyed_has_the_printed_ratio_and_every_softer_wall_is_st
     found = diagnose(**values)
     for remedy in found.remedies:
         obeyed = found.loop.replace(**remedy.change)
-        critical, loop = obeyed.critical(), obeyed.loop_in_question
+        critical, loop = critical_of(obeyed.whole), obeyed.loop_in_question
         assert critical >= remedy.ratio * obeyed.gains[0] * (1.0 - 1e-9), remedy.words
         for share in (0.05, 0.3, 0.6, 0.9, 0.999):
             assert judge(replace(loop, stiffness=share * critical)).stable, remedy.words
