@@ -22,6 +22,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 _ROTATIONAL_UNITS = {
     **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
     **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N/mm": "N m/mrad", "kN/m": "kN m/rad", "N s/m": "N m s/rad"},
+    "kg": "kg m²",
 }
 
 ZERO = (0.0,) * 6

@@ -484,6 +484,7 @@ def param_range(
     *,
     default: tuple[float, float] | None,
     derive: Callable[[Any], Any] | None = None,
+    optional: bool = False,
     at_least: float = -math.inf,
     at_most: float = math.inf,
 ) -> Any:
@@ -495,11 +496,13 @@ def param_range(
         unit: Unit; empty for none.
         default: Default range; None if it is optional, or derived.
         derive: Function that computes the default.
+        optional: True if None is allowed, as without a default.
         at_least: Inclusive lower bound of both ends.
         at_most: Inclusive upper bound of both ends.
     """
     parse = partial(interval, name, at_least=at_least, at_most=at_most)
-    return param(help, unit, default=default, optional=default is None and derive is None, derive=derive, parse=parse)
+    optional = optional or (default is None and derive is None)
+    return param(help, unit, default=default, optional=optional, derive=derive, parse=parse)
 
 
 @checked

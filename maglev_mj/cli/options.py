@@ -171,10 +171,13 @@ def parameters(declared: Callable[[], Parameters], group: str, prefix: str = "")
 
 
 def add_device(parser: Parser) -> None:
-    """Add the options of `DeviceParameters`, which parameters of several commands include."""
-    from maglev_mj.theory.two_rates import DeviceParameters
+    """Add the options of the device among `LoopParameters`, which parameters of several commands include."""
+    from maglev_mj.theory.loop_parameters import LoopParameters
 
-    add_parameters(parser.group("device: own damping, flexible mode, law at a second rate"), DeviceParameters)
+    own, names = ("own_damping", "mode", "driver_lag"), [item.name for item in LoopParameters.parameters()]
+    others = [name for name in names if not (name in own or name.startswith("device"))]
+    group = parser.group("device: own damping, flexible mode, law at a second rate")
+    add_parameters(group, LoopParameters, without=others)
 
 
 def json_of(content: str = "figures") -> Option:

@@ -34,6 +34,7 @@ from maglev_mj.cli.options import (
     stated,
 )
 from maglev_mj.cli.output import Progress, check_folder, write_result, write_results
+from maglev_mj.device import OnDevice
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.keywords import with_period
 from maglev_mj.parameters import parsed_number
@@ -66,7 +67,7 @@ from maglev_mj.studies.wall_laws import LAWS
 from maglev_mj.terminal import wrapped
 from maglev_mj.theory import WallRequirements, design_wall
 from maglev_mj.theory import stability as judge
-from maglev_mj.theory.two_rates import DeviceParameters
+from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.versions import hash_of
 
 
@@ -243,14 +244,15 @@ _WALL = "wall parameters"
 _DROP = "drop parameters; any of these selects a map of drops"
 _NEEDED = "requirements"
 _RANGE = "range of validity"
+_REQUIRED = "mass", "inertia", "delay"
 
 
-def _add_ranges(parser: Parser, group: str, cls: Any, names: Sequence[str]) -> None:
-    """Add options for range parameters, of one or two values each."""
+def _add_ranges(parser: Parser, group: str, cls: Any, names: Sequence[str], missing: str = "none") -> None:
+    """Add options for range parameters, of one or two values each; `missing` describes the default None."""
     for name in names:
         item = cls.parameter(name)
         value = getattr(cls(), name)
-        default = "covers the stable region" if value is None else f"{value[0]:g}"
+        default = missing if value is None else f"{value[0]:g}"
         text = f"{item.help} [{item.unit}]: LOW HIGH, LOW:HIGH or one value (default {default})"
         parser.group(group).add_argument(f"--{name}", nargs="+", metavar="X", help=text)
 
@@ -260,7 +262,7 @@ def _ranges(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]
 
 
 def _add_map(parser: Parser) -> None:
-    _add_ranges(parser, _WALL, StabilityParameters, ("damping", "stiffness"))
+    _add_ranges(parser, _WALL, StabilityParameters, ("damping", "stiffness"), "covers the stable region")
     add_device(parser)
     add_parameters(parser.group(_WALL), StabilityParameters)
     add_parameters(parser.group(_DROP), DropMapParameters)
@@ -328,7 +330,7 @@ def stability(*, scene: _JudgedScene, json: Json = None, pictures: Picture) -> i
 
 
 def _add_requirements(parser: Parser) -> None:
-    _add_ranges(parser, _NEEDED, WallRequirements, ("mass", "delay"))
+    _add_ranges(parser, _NEEDED, WallRequirements, _REQUIRED)
     group = parser.group(_NEEDED)
     group.add_argument(
         "--hand",
@@ -344,10 +346,13 @@ def _add_requirements(parser: Parser) -> None:
 
 
 def _chosen_requirements(options: argparse.Namespace) -> WallRequirements:
-    ranges = _ranges(options, ("mass", "delay"))
+    ranges = _ranges(options, _REQUIRED)
     hands = _hands(options.hand or ["none"], options.held)
-    device = chosen(options, DeviceParameters).device
-    return chosen(options, _required(options.scene_class, device), hands=hands, **ranges)
+    device = chosen(options, OnDevice).device
+    default = _required(options.scene_class, device)
+    if "inertia" in ranges:
+        ranges = {"mass": None} | ranges
+    return chosen(options, default, hand=hands, **ranges)
 
 
 def _required(cls: type[Scene] | None, device: str) -> WallRequirements:
@@ -373,7 +378,7 @@ def _hands(words: Sequence[str], held: bool) -> tuple[str, ...]:
 
 def _chosen_contact(options: argparse.Namespace) -> Contact:
     """Return the contact, with sensor and force limit of the device unless set."""
-    device, default = chosen(options, DeviceParameters).hardware, Contact()
+    device, default = chosen(options, OnDevice).hardware, Contact()
     if not device.published:
         own = {"quantize": device.sensor.resolution[2], "force_limit": float(device.force_limit[2])}
         default = default.replace(**own)
@@ -402,7 +407,7 @@ def design(
     A scene sets the defaults of rate, delay and mass.
     """
     if pictures is not None:
-        if all(low == high for low, high in (requirements.mass, requirements.delay)):
+        if all(low == high for low, high in (requirements.bodies, requirements.delay)):
             raise ParameterError("mass or delay must be a range for a chart (got one value each)")
     with Progress("design"):
         result = evaluate_wall(design_wall(requirements), contact)
@@ -418,7 +423,12 @@ def _card_scene(text: str) -> Scene | type[Scene]:
 _CardScene: TypeAlias = Annotated[Scene, Shared(partial(add_scene, default="drop", find=_card_scene), chosen_scene)]
 
 
-_Device: TypeAlias = Annotated[DeviceParameters, Shared(add_device, lambda options: chosen(options, DeviceParameters))]
+def _add_card(parser: Parser) -> None:
+    add_device(parser)
+    add_parameters(parser.group("loop"), LoopParameters)
+
+
+_Device: TypeAlias = Annotated[LoopParameters, Shared(_add_card, lambda options: chosen(options, LoopParameters))]
 
 
 def card(*, scene: _CardScene, device: _Device, json: Json = None, pictures: Picture) -> int:

@@ -6,6 +6,7 @@ import bisect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
@@ -124,6 +125,11 @@ def get_hand(text: str | Hand | None) -> Hand | None:
     if not isinstance(text, str):
         check_instance("hand", text, Hand | None, f"a Hand, or one of {', '.join(HANDS)}")
         return text
+    return _named(text)
+
+
+@lru_cache  # one object of a text, so that loops with it are equal
+def _named(text: str) -> Hand | None:
     values = HANDS.get(text)
     if values is None:
         try:
@@ -183,8 +189,11 @@ def get_mode(text: str | Mode | None) -> Mode | None:
     Raises:
         ParameterError: If the text is not three numbers, or one is outside its bounds.
     """
-    if not isinstance(text, str):
-        return text
+    return _mode_of(text) if isinstance(text, str) else text
+
+
+@lru_cache
+def _mode_of(text: str) -> Mode:
     try:
         return Mode(*map(float, text.split(",")))
     except (TypeError, ValueError) as error:

@@ -142,7 +142,7 @@ def _radii(scene: Any, stiffness: Array) -> Array | None:
             three = loops[first : first + len(RATIOS)]
             if (law := affine_law(three)) is None:
                 return None
-            loop = three[0].array(design=law.__call__, velocity=None)
+            loop = three[0].array(law=law.__call__, velocity=None)
             radii.append(np.asarray(loop.spectral_radius(ratios, np.zeros_like(ratios))))
     free = np.abs(np.array(radii) - 1.0) < _FREE
     return None if free.any() or not (ratios > 0.0).all() else np.max(radii, axis=0)

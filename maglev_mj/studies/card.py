@@ -14,6 +14,7 @@ from maglev_mj.control import Hold, LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.device import Device
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.keywords import checked
 from maglev_mj.plants import ExactPlant
@@ -29,12 +30,19 @@ from maglev_mj.theory.closed_loop import Design, Forced, SampledLoop, bisect, is
 from maglev_mj.theory.frequencies import angles_of, first_crossing
 from maglev_mj.theory.held import Held, held_of
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.read import scene_hand, scene_lag
-from maglev_mj.theory.two_rates import DeviceLaw, DeviceParameters
+from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
 _WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10
 _LOSS = math.sqrt(0.5)
+_NO_EFFECT = {
+    "inertia": "a card is along a translation",
+    "hand": "a card has a wall for each hand",
+    "friction": "a card is of the linear loop",
+    "quantum": "the resolution of the sensor is quantize, of the scene",
+}
 _WIDE = 0.3  # radius of gyration of a handle or stage that hints at a wrong unit [m]
 
 
@@ -190,15 +198,15 @@ class DeviceCard(Result):
 
 
 @checked(own="scene")
-def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> DeviceCard:
+def device_card(scene: SceneLike, device: LoopParameters | None = None) -> DeviceCard:
     """Return the card of a scene's device, by theory and by simulation on the exact plant.
 
     The target wall has the scene's stiffness and damping, the sensor its `quantize`; defaults are those of `drop` and
-    of Table 1.
+    of Table 1. The scene's wall or damper on the device, and its velocity filter, act beside all walls of the card.
 
     Args:
         scene: The scene, its class, or a text for `find_scene`.
-        device: Own damping, flexible mode and a law on the device; None for none.
+        device: Values that replace the scene's; period, delay and mass are the scene's.
 
     Raises:
         ParameterError: If there is no such scene, or the delay is above ten periods, which plants do not simulate.
@@ -213,11 +221,9 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     scene.timing()  # simulated below
     k, b, quantum = (getattr(scene, name, 0.0) for name in ("stiffness", "damping", "quantize"))
     k, b, quantum = k or Drop().stiffness, b or Drop().damping, quantum or scene.hardware.sensor.resolution[2]
-    period, mass = scene.period, float(scene.body.inertia[0])
-    own = device or DeviceParameters()
-    around: Any = {"period": period, "delay": scene.delay, "mass": mass, **own.around}
-    around["driver_lag"] = scene_lag(scene) if own.driver_lag is None else own.driver_lag
-    loops = [SampledLoop(hand=get_hand(name), **around) for name in HANDS]
+    own, target_loop = _target(scene, device, k, b)
+    period, mass, host = target_loop.period, target_loop.inertia, (target_loop.stiffness, target_loop.damping)
+    loops = [target_loop.array(hand=get_hand(name)) for name in HANDS]
     walls = tuple(map(stiffest_of, loops))
     damping = np.linspace(0.0, 1.3 * max(wall.damping for wall in walls) or 4.0 * mass / period, 121)
     limits = np.array([boundary_of(loop, damping) for loop in loops])
@@ -225,13 +231,13 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
     frequency = cycles / (_WINDOW * period)
     omega = 2.0 * np.pi * frequency
     rendered = np.full(omega.shape, np.nan)
-    if stable := bool(is_stable(loops[0].spectral_radius(k, b))):
-        rendered = 1.0 / (omega * np.abs([*loops[0].compliances(k, b, frequency.tolist())]))
+    if stable := bool(is_stable(loops[0].spectral_radius(*host))):
+        rendered = 1.0 / (omega * np.abs([*loops[0].compliances(*host, frequency.tolist())]))
     target = np.hypot(b, k / omega)
-    transparent = _transparent(loops[0].forced(k, b), k, b, period) if stable else 0.0
+    transparent = _transparent(loops[0].forced(*host), k, b, period) if stable else 0.0
     flown = np.full(omega.shape, np.nan)
     if stable and own.plain:
-        flown = fly_impedance(scene, mass, k, b, cycles, around["driver_lag"])
+        flown = fly_impedance(scene, target_loop, cycles)
     impedance = np.array([frequency, target, rendered, flown])
     masses = np.array([mass_range(loop, k, b) for loop in loops])
     lag = 2.0 * np.pi * scene.hardware.driver.time_constant
@@ -241,13 +247,42 @@ def device_card(scene: SceneLike, device: DeviceParameters | None = None) -> Dev
         f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg; target wall {k:g} N/m, {b:g} N s/m"
         + own.described
     )
-    step, rigid = quantum * (k + b / period), rigid_note(loops[0]) if own.mode else ""
-    target_loop = Loop(
-        stiffness=k, damping=b, axis="x", inertia=mass, **{name: around[name] for name in around if name != "mass"}
-    )
+    step = quantum * (k + b / (period if any(host) else own.device_period))
+    rigid = rigid_note(loops[0]) if own.mode else ""
     held = held_of(target_loop, reach=scene.body.bounded.range, own=scene_hand(scene))
     curves = damping, limits, impedance, transparent, masses
     return DeviceCard(title, tuple(HANDS), walls, *curves, bandwidth, step, rigid, held)
+
+
+def _target(
+    scene: Scene, device: LoopParameters | None, stiffness: float, damping: float
+) -> tuple[LoopParameters, Loop]:
+    """Return the parameters of a card's loop, and the loop of its target wall.
+
+    The host has no gains if the wall is on the device.
+    """
+    mass = float(scene.body.inertia[0])
+    fixed: dict[str, Any] = {"period": scene.period, "delay": scene.delay, "mass": mass}
+    if device is not None:
+        stated = device.independent_values()
+        for name, value in fixed.items():
+            if not math.isclose(stated.get(name, value), value):
+                raise ParameterError(f"{name} must be that of the scene, {value:g} (got {stated[name]:g})")
+        device.refuse(_NO_EFFECT)
+    else:
+        device = LoopParameters()
+    controller = scene.controller()
+    walls = laws_on_device(controller, scene.device_clock) if controller.on_device else {}
+    along = [law for axis, law in walls.items() if AXES[axis] in "xyz"]
+    if along and device.device_law is None:
+        law = max(along, key=lambda law: (law.stiffness, law.damping))
+        names = "stiffness", "damping", "period", "delay", "cutoff"
+        fixed |= {f"device_{name}": getattr(law, name) for name in names}
+        if law.stiffness:  # the target wall itself
+            stiffness, damping = 0.0, 0.0
+    lag = scene_lag(scene) if device.driver_lag is None else device.driver_lag
+    own = device.replace(**fixed, driver_lag=lag)
+    return own, own.loop(stiffness=stiffness, damping=damping, axis="x", velocity=own.velocity or controller.velocity)
 
 
 def _transparent(forced: Forced, stiffness: float, damping: float, period: float) -> float:
@@ -260,24 +295,22 @@ def _transparent(forced: Forced, stiffness: float, damping: float, period: float
     return float(first_crossing(within, angles_of(forced.poles))) / (2.0 * math.pi * period)
 
 
-def fly_impedance(
-    scene: Scene, mass: float, stiffness: float, damping: float, cycles: Array, lag: float = 0.0
-) -> Array:
+def fly_impedance(scene: Scene, loop: Loop, cycles: Array) -> Array:
     """Return the impedance on the exact plant under a sinusoidal hand force [N s/m].
 
     NaN for a wall that does not settle. One device per number of cycles in 400 samples; the force is constant between
     samples.
     """
-    loop = SampledLoop(period=scene.period, delay=scene.delay, mass=mass, driver_lag=lag)
-    spectral_radius = loop.spectral_radius(stiffness, damping)
+    stiffness, damping, lag, spectral_radius = loop.stiffness, loop.damping, loop.driver_lag, loop.spectral_radius
     settle = math.ceil(math.log(_SETTLED) / math.log(spectral_radius)) if spectral_radius < 1.0 else _LONGEST
     if settle >= _LONGEST:
         return np.full(cycles.size, np.nan)
     none, turn, moved = np.zeros(cycles.size), 2.0 * np.pi * cycles / _WINDOW, list[Any]()
     start, hand = np.zeros((cycles.size, 6)), lambda tick, *_: [np.sin(turn * tick), *[none] * 5]
-    controller = Controller([Hold(axes="x", stiffness=stiffness, damping=damping)], period=scene.period)
+    law = Hold(axes="x", stiffness=stiffness, damping=damping)
+    controller = Controller([law], period=scene.period, velocity=loop.velocity)
     own: Any = {"driver_lag": True, "driver_time_constant": lag} if lag else {}
-    with ExactPlant(scene.timing(), mass=mass, pose=start, gravity=0.0, hand_force=hand, **own) as plant:
+    with ExactPlant(scene.timing(), mass=loop.inertia, pose=start, gravity=0.0, hand_force=hand, **own) as plant:
         drive(plant, controller, settle + _WINDOW, observe=lambda sample, _: moved.append(sample.position[0]))
     swing = np.abs(np.fft.fft(moved[settle:], axis=0)[cycles.astype(int), np.arange(cycles.size)]) * 2.0 / _WINDOW
     return np.asarray(scene.period / (turn * swing))

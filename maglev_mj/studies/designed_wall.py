@@ -6,14 +6,14 @@ Figures: stability, penetration, peak force, and force noise at rest.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control import Law
+from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.control.timeline import split_delay
@@ -28,7 +28,9 @@ from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, GRAVITY, MAX_DELAY_PERIODS, Spec
 from maglev_mj.theory.boundary import rigid_note
-from maglev_mj.theory.design import Case, DesignedWall, WallRequirements
+from maglev_mj.theory.design import DesignedWall, WallRequirements
+from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_parameters import PLAIN
 
 _ANYWHERE = (1e150, 1.0)  # a flotor that flies off is a verdict, not an error
 _TICKS, _CONTACT_TICKS = 800, 100
@@ -59,7 +61,7 @@ class Contact(Parameters):
         """
         if not self.pulse:
             return 0.0
-        return max(wall.requirements.mass[0] / self.pulse_width - wall.damping, 0.0)
+        return max(wall.requirements.bodies[0] / self.pulse_width - wall.damping, 0.0)
 
     def gate(self, period: float) -> float:
         """Return the least approach speed for a pulse [m/s].
@@ -76,21 +78,21 @@ class DesignResult(Result):
     Attributes:
         wall: Its gains, and its figures by theory.
         contact: Contact conditions.
-        cases: Cases simulated, in and out of contact: corners and middles of the ranges, the worst, random ones. None,
-            and no simulated figure, with own damping, a mode, a device law or more than ten periods of delay: the
-            plants have none of them.
+        cases: Loops simulated, in and out of contact: corners and middles of the ranges, the worst, random ones. None,
+            and no simulated figure, on a rotary axis, with own damping, a mode, a device law or more than ten periods
+            of delay: the plants have none of them.
         grows: True for each case that does not settle, (C,).
         depth: Maximum penetration at the approach speed over corners, hands and phases [m].
         peak: Largest force there [N].
         hum: Force noise at rest over the sensor, standard deviation [N]: middle of the ranges, first hand, worst start.
-        masses: Masses of the map [kg], (M,).
+        masses: Masses [kg], or moments of inertia [kg m²], of the map, (M,).
         delays: Delays of the map [s], (D,).
         map: Spectral radius over the hands, (M, D).
     """
 
     wall: DesignedWall
     contact: Contact
-    cases: Sequence[Case]
+    cases: Sequence[Loop]
     grows: Mask
     depth: float
     peak: float
@@ -99,18 +101,29 @@ class DesignResult(Result):
     delays: Array
     map: Array
     derived: ClassVar = ("pulse", "gate")
-    units: ClassVar = {"mass": "kg", "delay": "s"}
     picture: ClassVar = "maglev_mj.studies.pictures:design_map"
+
+    @property
+    def body_name(self) -> str:
+        """Name of the masses: mass, or inertia of a rotary axis."""
+        return "inertia" if self.wall.requirements.rotary else "mass"
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """See `Result`."""
+        return {self.body_name: self.wall.requirements.unit("kg"), "delay": "s"}
 
     def _headline(self) -> str:
         wall = self.wall
-        gains = f"{wall.stiffness:.0f} N/m and {wall.damping:.1f} N s/m"
+        unit, digits = wall.requirements.unit, (".4g", ".4g") if wall.requirements.rotary else (".0f", ".1f")
+        stiffness, damping = (f"{gain:{digit}}" for gain, digit in zip((wall.stiffness, wall.damping), digits))
+        gains = f"{stiffness} {unit('N/m')} and {damping} {unit('N s/m')}"
         return f"PD wall of {gains}: spectral radius {wall.spectral_radius:.3g} in the worst case"
 
     def columns(self) -> dict[str, Array]:
         """Return mass, delay and spectral radius of each cell."""
         mass, delay = np.meshgrid(self.masses, self.delays, indexing="ij")
-        return {"mass": mass.ravel(), "delay": delay.ravel(), "spectral_radius": self.map.ravel()}
+        return {self.body_name: mass.ravel(), "delay": delay.ravel(), "spectral_radius": self.map.ravel()}
 
     @property
     def warnings(self) -> Sequence[str]:
@@ -123,31 +136,34 @@ class DesignResult(Result):
     def table(self) -> Table:
         """Return gains, margins, contact and simulated check of the wall."""
         wall, contact, needs = self.wall, self.contact, self.wall.requirements
+        force, damping, softest = needs.unit("N/m"), needs.unit("N s/m"), needs.describe(wall.softest)
         outside = self.depth > needs.hardware.reach[2]
         far = "outside the range of motion" if outside else "largest over mass, delay, hands, phases"
         limit = "at the force limit" if contact.force_limit is not None and self.peak >= contact.force_limit else ""
         rows: list[tuple[str, float, str, str]] = [
-            ("stiffness", wall.stiffness, "N/m", ""),
-            ("damping", wall.damping, "N s/m", ""),
-            ("spectral radius", wall.spectral_radius, "", str(wall.worst)),
-            ("min. dynamic stiffness over frequency", wall.dynamic_stiffness, "N/m", str(wall.softest)),
+            ("stiffness", wall.stiffness, force, ""),
+            ("damping", wall.damping, damping, ""),
+            ("spectral radius", wall.spectral_radius, "", needs.describe(wall.worst)),
+            ("min. dynamic stiffness over frequency", wall.dynamic_stiffness, force, softest),
+        ]
+        contacts: list[tuple[str, float, str, str]] = [
             ("force noise at rest", self.hum, "N", f"{contact.quantize * 1e6:g} µm sensor, hand {needs.hands[0]}"),
             (f"penetration at {contact.speed:g} m/s", self.depth * 1e3, "mm", far),
             (f"peak force at {contact.speed:g} m/s", self.peak, "N", limit),
         ]
-        if contact.pulse:
+        rows += [] if needs.rotary else contacts  # contacts are along z
+        if contact.pulse and not needs.rotary:
             words = f"added for {contact.pulse_width * 1e3:g} ms, above {self.gate * 1e3:.1f} mm/s"
             rows.insert(2, ("pulse", self.pulse, "N s/m", words))
         if wall.island is not None:
-            rows.append(("stable island, not used", wall.island, "N/m", "and above: stable again in some cases"))
-        growing = [str(case) for case, grows in zip(self.cases, self.grows) if grows]
+            rows.append(("stable island, not used", wall.island, force, "and above: stable again in some cases"))
+        growing = [needs.describe(case) for case, grows in zip(self.cases, self.grows) if grows]
         more = [f"and {len(growing) - _MOST_LISTED} more"] if len(growing) > _MOST_LISTED else []
         runs = f"{len(self.cases)} runs simulated from random heights, speeds and phases"
         note = f"{runs}; not settling: {len(growing) or 'none'}"
         if not _simulated(needs):
-            note = "not simulated: plants have a rigid flotor without damping, under one law"
-            if needs.plain:
-                note = f"not simulated: plants have delays of at most {MAX_DELAY_PERIODS} periods"
+            words = f"delays of at most {MAX_DELAY_PERIODS} periods" if needs.plain else PLAIN
+            note = f"not simulated: plants have {words}"
         if needs.mode:
             note += f"\n{rigid_note(needs.loops([wall.worst])[0][1].part((1,), 0))}"
         title = f"Stiffest PD wall at {1.0 / needs.period:g} Hz with spectral radius at most {needs.spectral_radius:g}"
@@ -192,20 +208,21 @@ def evaluate_wall(wall: DesignedWall, contact: Contact, *, seed: int = 0) -> Des
         none = np.zeros(0, dtype=bool), math.nan, math.nan, math.nan
         return DesignResult(wall, contact, [], *none, masses, delays, spectral_radius)
     cases = [*needs.grid(3), wall.worst, *needs.random(_RANDOM, seed)]
+    cases = [replace(case, stiffness=wall.stiffness, damping=wall.damping) for case in cases]
     grows = growing_cases(wall, contact, cases, seed=seed)
     depth, peak = hardest_contact(wall, contact)
     mass, delay = needs.nominal
     at_rest = 0.0
     if contact.quantize:
         around: Any = {"quantum": contact.quantize, "delay": delay, "period": needs.period, "mass": mass}
-        around["hand"] = get_hand(needs.hands[0])
+        around |= {"hand": get_hand(needs.hands[0]), "velocity": needs.velocity}
         duration = _TICKS * needs.period
         noise = hum(0.0, stiffness=wall.stiffness, damping=wall.damping, duration=duration, **around)
         at_rest = float(noise.force[0])
     return DesignResult(wall, contact, cases, grows, depth, peak, at_rest, masses, delays, spectral_radius)
 
 
-def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *, seed: int = 0) -> Mask:
+def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Loop], *, seed: int = 0) -> Mask:
     """Return True for cases that do not settle on the exact plant within 800 samples, (C,).
 
     Each starts at random from 1 mm behind the wall to 2 mm above it, moving down at up to the approach speed, at a
@@ -279,6 +296,7 @@ def hum(
     period: float = 1.0 / Spec.control_rate.value,
     mass: float = Spec.moving_mass.value,
     hand: Hand | None = None,
+    velocity: VelocityEstimator | None = None,
     device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
     duration: float = 4.0,
     offsets: int = 32,
@@ -297,6 +315,7 @@ def hum(
         period: Sample period [s].
         mass: Moving mass [kg].
         hand: The hand on the flotor; None for none.
+        velocity: Velocity estimator; None for the finite difference.
         device: Sample period and delay of walls on the device [s].
         duration: Simulated time [s].
         offsets: Number of starts over two steps of the sensor.
@@ -319,7 +338,7 @@ def hum(
         sensor=stepped("z", quantum),
         record=True,
     )
-    around: Any = {"period": period, "delay": delay, "mass": mass}
+    around: Any = {"period": period, "delay": delay, "mass": mass, "velocity": velocity}
     with plant:
         controller = wall_controller(law, stiffness=stiffness, damping=damping, **around)
         drive(plant, controller, round(duration / period))
@@ -332,7 +351,7 @@ def hum(
 def _plants(
     wall: DesignedWall,
     contact: Contact,
-    cases: Sequence[Case],
+    cases: Sequence[Loop],
     height: Array,
     speed: Array,
     phase: Array,
@@ -346,8 +365,7 @@ def _plants(
     needs = wall.requirements
     groups: dict[tuple[bool, int], list[int]] = {}
     for number, case in enumerate(cases):
-        hand = get_hand(case.hand)
-        key = hand is not None and hand.soft, int(split_delay(case.delay, needs.period)[0])
+        key = case.hand is not None and case.hand.soft, int(split_delay(case.delay, needs.period)[0])
         groups.setdefault(key, []).append(number)
     for (soft, _), index in groups.items():
         some = [cases[number] for number in index]
@@ -355,10 +373,10 @@ def _plants(
             index,
             ExactPlant(
                 Timing(period=needs.period, delay=np.array([case.delay for case in some]), phase=phase[index]),
-                mass=np.array([case.mass for case in some]),
+                mass=np.array([case.inertia for case in some]),
                 pose=along("z", height[index]),
                 twist=along("z", -speed[index]),
-                hand=_hands([case.hand for case in some], soft),
+                hand=_hands([case.hand or Hand() for case in some], soft),
                 driver_lag=needs.lag > 0.0,
                 driver_time_constant=needs.lag or None,
                 sensor=stepped("z", contact.quantize),
@@ -381,15 +399,12 @@ def _controller(wall: DesignedWall, contact: Contact) -> Controller:
         period=needs.period,
         delay=delay,
         mass=mass,
+        velocity=needs.velocity,
     )
 
 
-def _hands(names: Sequence[str], soft: bool) -> Hand:
-    """Return the hands of a batch along z.
-
-    "none" is a hand without mass.
-    """
-    hands = [get_hand(name) or Hand() for name in names]
+def _hands(hands: Sequence[Hand], soft: bool) -> Hand:
+    """Return the hands of a batch along z; none is one without mass."""
     mass, damping, stiffness, grip_damping, grip_stiffness = np.array([hand.values for hand in hands]).T
     grip = {"grip_damping": grip_damping, "grip_stiffness": grip_stiffness} if soft else {}
     return Hand(mass=mass, damping=damping, stiffness=stiffness, axes="z", **grip)

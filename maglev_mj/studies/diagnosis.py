@@ -17,8 +17,8 @@ from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import AXES
 from maglev_mj.keywords import checked, rate_of, with_period
-from maglev_mj.parameters import loop_delay, param
-from maglev_mj.plants.hand import HANDS, Hand, get_hand
+from maglev_mj.parameters import param
+from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import body_of
 from maglev_mj.result import NoTruthValue, Result, Table, number_text, plain
 from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD, RANGE
@@ -26,8 +26,9 @@ from maglev_mj.theory.boundary import StiffestWall, least_passive_damping, rigid
 from maglev_mj.theory.closed_loop import LinearisedLaw, PdLaw, SampledLoop, pd
 from maglev_mj.theory.held import Held, held_of
 from maglev_mj.theory.loop import Bound, Loop, Loops, StableDelays, StableRange, holds
+from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.remedies import MOST_DAMPING, Remedy, has_room, hidden_amplitude, short
-from maglev_mj.theory.two_rates import DeviceParameters, rates_of
+from maglev_mj.theory.two_rates import rates_of
 from maglev_mj.theory.verdict import Verdict, judge, margin_words, verdicts
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ _NAMES = (
 """Figures in the JSON."""
 
 
-class DiagnosedLoop(DeviceParameters):
+class DiagnosedLoop(LoopParameters):
     """One axis of a device that renders a wall, a spring or any stiffness with damping.
 
     Raises:
@@ -56,17 +57,8 @@ class DiagnosedLoop(DeviceParameters):
     damping: float = param("damping B of the law", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
     period: float = param("sample period T", "s", default=MAX_PERIOD, at_least=MIN_PERIOD, at_most=MAX_PERIOD)
     rate: float = rate_of("period")
-    delay: float = param("delay from a sample to the effect of its command", "s", default=0.0, at_least=0.0)
-    mass: float | None = param("moving mass with the handle", "kg", default=None, above=0.0, optional=True)
-    inertia: float | None = param(
-        "moment of inertia of a rotary axis, whose units are N m/rad", "kg m²", default=None, above=0.0, optional=True
-    )
-    friction: float = param("Coulomb friction of the device", "N", default=0.0, at_least=0.0)
-    quantum: float = param("resolution of the position sensor", "m", default=0.0, at_least=0.0)
-    cutoff: float | None = param(
-        "cutoff of the velocity's low-pass filter", "Hz", default=None, above=0.0, optional=True
-    )
-    hand: str = param(f"hand: {', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_...]", default="none")
+    delay: float = LoopParameters.like("delay", default=0.0, derive=None)
+    mass: float | None = LoopParameters.like("mass", derive=None, at_least=None, at_most=None, above=0.0)
     target: float = param("wanted ratio of critical to requested stiffness", default=2.0, above=1.0, at_most=100.0)
     law: LinearisedLaw | PdLaw | None = param(
         "law with memory on the axis, linearised at some gains; or PD with any linear estimator",
@@ -75,35 +67,11 @@ class DiagnosedLoop(DeviceParameters):
         parse=lambda law: law,
     )
 
-    def check(self) -> None:
-        """See `Parameters`."""
-        super().check()
-        if self.mass is not None and self.inertia is not None:
-            raise ParameterError(f"mass and inertia must not both be given (got {self.mass:g}, {self.inertia:g})")
-        loop_delay(self.delay, self.period)
-        get_hand(self.hand)
-
     def trial(self, **changes: Any) -> DiagnosedLoop:
         """Return a copy with changes that the user did not state: their bounds are not checked."""
         copy = object.__new__(type(self))
         vars(copy).update(vars(self) | changes)
         return copy
-
-    @property
-    def rotary(self) -> bool:
-        """True for a rotary axis."""
-        return self.inertia is not None
-
-    @property
-    def body(self) -> float:
-        """Moving mass [kg] or moment of inertia [kg m²]."""
-        return float(self.inertia if self.mass is None else self.mass)  # type: ignore[arg-type]
-
-    @property
-    def holding(self) -> Hand | None:
-        """Hand on the axis; None for none."""
-        hand = get_hand(self.hand)
-        return replace(hand, axes=AXES[3:]) if hand is not None and self.rotary else hand
 
     @property
     def on_host(self) -> bool:
@@ -136,21 +104,7 @@ class DiagnosedLoop(DeviceParameters):
     @property
     def whole(self) -> Loop:
         """Loop with the laws on host and device where they are."""
-        return Loop(
-            stiffness=self.stiffness,
-            damping=self.damping,
-            period=self.period,
-            delay=self.delay,
-            inertia=self.body,
-            own_damping=self.own_damping,
-            driver_lag=self.lag,
-            mode=self.flexible,
-            hand=self.holding,
-            axis="rx" if self.rotary else "z",
-            velocity=None if self.cutoff is None else LowPass(cutoff=self.cutoff),
-            law=self.law,
-            device=self.device_law,
-        )
+        return self.loop(stiffness=self.stiffness, damping=self.damping, law=self.law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,8 +276,7 @@ class Diagnosis(NoTruthValue, Result):
 
     def unit(self, unit: str) -> str:
         """Return a unit of a translation, or that of a rotation for a rotary axis."""
-        turned = {"N/m": "N m/rad", "N s/m": "N m s/rad", "m": "rad", "N": "N m", "kg": "kg m²"}
-        return turned[unit] if self.loop.rotary else unit
+        return self.loop.unit(unit)
 
     @property
     def units(self) -> Mapping[str, str]:

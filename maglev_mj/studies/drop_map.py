@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-import maglev_mj.theory as theory
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, Mask, Sample
@@ -25,6 +24,7 @@ from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controll
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, gain_axes
+from maglev_mj.theory.boundary import boundary_of
 
 PART = 10_000
 """Number of walls simulated at once; they fit the cache."""
@@ -70,6 +70,11 @@ class DropMapParameters(StabilityParameters):
     pulse_width: float = param("pulse duration", "s", default=0.003, above=0.0, at_most=1.0)
     force_limit: float | None = WallScene.like("force_limit", help="force limit along z, or none")
     quantize: float = WallScene.like("quantize")
+
+    def check(self) -> None:
+        """See `Parameters`."""
+        self.refuse({"inertia": "a drop is along z"})
+        super().check()
 
     @property
     def start(self) -> str:
@@ -205,7 +210,7 @@ def run_drop_map(
     swing, ending = (
         np.concatenate([result[name] for result in results]).reshape(shape) for name in ("swing", "ending")
     )
-    boundary = theory.largest_stable_stiffness(damping, **parameters.loop)
+    boundary = boundary_of(parameters.loop().array(), damping)
     return DropMap(parameters, damping, stiffness, boundary, best, swing, ending)
 
 
@@ -236,7 +241,7 @@ def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters)
     limit = along("z", p.force_limit or _MOST_FORCE, math.inf)
     plant = ExactPlant(
         timing,
-        mass=p.mass,
+        mass=p.body,
         hand=get_hand(p.hand),
         pose=along("z", np.full(count, p.height)),
         escape=_FAR,
@@ -252,8 +257,9 @@ def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters)
         pulse_width=p.pulse_width,
         period=p.period,
         delay=p.delay,
-        mass=p.mass,
+        mass=p.body,
         moments=p.hardware.body.inertia,
+        velocity=p.velocity,
     )
     quarters = _Quarters(count)
     with plant:

@@ -44,6 +44,7 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
 from maglev_mj.theory.boundary import stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.loop import Loop
 
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT
@@ -194,13 +195,15 @@ def loop_of(scene: Scene, level: str) -> SampledLoop:
         ParameterError: If there is no such level, or the delay is more than 10 periods.
     """
     device = scene.hardware
-    return SampledLoop(
+    return Loop(
+        stiffness=0.0,
+        damping=0.0,
         period=scene.period,
         delay=scene.delay + _more_delay(LEVELS[level_index(level)], device),
-        mass=float(scene.body.inertia[2]),
+        inertia=float(scene.body.inertia[2]),
         hand=_hand_of(scene),
         driver_lag=device.driver.time_constant if options_of(level, device)["driver_lag"] else 0.0,
-    )
+    ).array()
 
 
 def _more_delay(level: Level, device: Device) -> float:

@@ -30,7 +30,7 @@ from maglev_mj.studies.compare import LawSweep
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.drop_map import DropMap
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
-from maglev_mj.studies.stability_map import StabilityMap
+from maglev_mj.studies.stability_map import StabilityMap, StabilityParameters
 from maglev_mj.studies.sweep import Sweep, chosen_text
 
 _STAR: dict[str, Any] = {
@@ -45,8 +45,11 @@ _DECADES = [10.0**power for power in range(-6, 0)]
 _SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#43a2ca", "#0868ac"]
 _UNSTABLE = "#fbe3da"
 _LETTERS = 80  # of tick labels that fit across a chart
-_GAINS = {"xlabel": "damping (N s/m)", "ylabel": "stiffness (N/m)"}
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
+
+
+def _gain_labels(p: StabilityParameters) -> dict[str, str]:
+    return {"xlabel": f"damping ({p.unit('N s/m')})", "ylabel": f"stiffness ({p.unit('N/m')})"}
 
 
 def level_sets(panel: Any, x: Array, y: Array, spectral_radius: Array) -> None:
@@ -111,7 +114,7 @@ def stability_map(result: StabilityMap) -> Any:
     def is_shown(gains: Any) -> bool:
         return bool(x[0] <= gains.damping <= x[-1] and y[0] <= gains.stiffness <= y[-1])
 
-    if is_shown(used):
+    if is_shown(used) and not p.rotary:
         name = f"scene drop: {used.stiffness:g} N/m, {used.damping:g} N s/m"
         panel.plot(used.damping, used.stiffness, "D", color=FIRST, markeredgecolor="white", markersize=9, label=name)
     best = result.maximum
@@ -126,7 +129,7 @@ def stability_map(result: StabilityMap) -> Any:
             wrong = result.disagreement
             panel.plot(b[wrong], k[wrong], "x", color=SECOND, label="simulation and theory differ")
     (low, high), (soft, stiff) = ((axis.min(), axis.max()) for axis in (result.damping, result.stiffness))
-    panel.set(**_GAINS, xlim=(low, high), ylim=(soft, stiff))
+    panel.set(**_gain_labels(p), xlim=(low, high), ylim=(soft, stiff))
     name_curves(figure, [panel])
     return figure
 
@@ -171,7 +174,7 @@ def drop_panels(figure: Any, panels: Sequence[Any], results: Sequence[DropMap]) 
         panel.contour(x, y, result.settles, levels=[0.5], colors=[STOP], linewidths=0.9)
         panel.plot([], [], color=STOP, linewidth=0.9, label="settling boundary (simulation)")
         panel.plot(x, result.boundary, color=SECOND, linewidth=2.0, label="stability boundary (theory)")
-        panel.set(**_GAINS, xlim=edges[:2], ylim=edges[2:])
+        panel.set(**_gain_labels(result.parameters), xlim=edges[:2], ylim=edges[2:])
     bar = figure.colorbar(image, ax=list(panels), ticks=_DECADES, aspect=40, pad=0.02, fraction=0.04)
     bar.ax.set_yticklabels(["1 µm", "10 µm", "0.1 mm", "1 mm", "10 mm", "0.1 m"])
     bar.ax.tick_params(labelsize=9.0)
@@ -208,7 +211,8 @@ def design_map(result: DesignResult) -> Any:
         raise ParameterError("mass or delay must be a range to draw a chart")
     details = f"{1.0 / needs.period:g} Hz, {needs.description}"
     figure, (panel,) = new_figure((result.headline, details), 1, 1, 5.3)
-    marked = f"worst case: {wall.spectral_radius:.4g}, hand {worst.hand}"
+    marked = f"worst case: {wall.spectral_radius:.4g}, hand {needs.hand_of(worst)}"
+    body = f"{result.body_name} ({needs.unit('kg')})"
     if min(sizes) > 1:
         low, high = float(result.map.min()), float(result.map.max())
         inner = [level for level in MaxNLocator(8).tick_values(low, high) if low < level < high]
@@ -219,16 +223,16 @@ def design_map(result: DesignResult) -> Any:
         lines = panel.contour(result.delays * 1e3, result.masses, result.map, levels=inner, colors=[REFERENCE])
         panel.plot([], [], color=REFERENCE, label="contours: spectral radius")
         panel.clabel(lines, fmt="%g", fontsize=8.5)
-        panel.plot(worst.delay * 1e3, worst.mass, label=marked, **_STAR)
-        panel.set(xlabel="delay (ms)", ylabel="mass (kg)")
+        panel.plot(worst.delay * 1e3, worst.inertia, label=marked, **_STAR)
+        panel.set(xlabel="delay (ms)", ylabel=body)
     else:
         along_mass = sizes[0] > 1
         x = result.masses if along_mass else result.delays * 1e3
         panel.plot(x, result.map.ravel(), color=FIRST, linewidth=2.0)
-        at = worst.mass if along_mass else worst.delay * 1e3
+        at = worst.inertia if along_mass else worst.delay * 1e3
         panel.plot(at, wall.spectral_radius, label=marked, **_STAR)
         panel.axhline(needs.spectral_radius, color=REFERENCE, linestyle=":", label=f"limit: {needs.spectral_radius:g}")
-        panel.set(xlabel="mass (kg)" if along_mass else "delay (ms)", ylabel="spectral radius")
+        panel.set(xlabel=body if along_mass else "delay (ms)", ylabel="spectral radius")
     name_curves(figure, [panel])
     return figure
 

@@ -18,7 +18,7 @@ from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.two_rates import rates_of
 
 _PAIRS = ("inertia", "delay"), ("own_damping", "delay"), ("inertia", "own_damping")
-_FIELDS = {"inertia": "mass", "delay": "delay", "own_damping": "own_damping"}  # keywords of `Loop.array`
+_FIELDS = "inertia", "delay", "own_damping"
 _AGREES = 0.05  # largest change of a stated value that is put down to noise
 _CLOSE, _SURE = 0.003, 5.0  # distance of two poles: relative, in standard errors
 _SPREAD, _FINEST = 2.0, 1e-4  # half an interval: in standard errors, and the least that is printed, relative
@@ -246,7 +246,7 @@ def _scales(loop: Loop) -> dict[str, float]:
 
 def _gap(loop: Loop, z: complex, values: Mapping[str, Array]) -> Complex:
     """Return the force of an impulse over the position that it leaves at z, (N,): 0 at a pole, smooth in all values."""
-    around = loop.array(**{_FIELDS[name]: value for name, value in values.items()})
+    around = loop.array(**values)
     matrix = around.matrix(loop.stiffness, loop.damping)
     host = 1 if loop.device is None else rates_of(loop.period, loop.device).host
     rest = z**host * np.eye(matrix.shape[-1]) - matrix

@@ -15,33 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 import maglev_mj.theory as theory
-from maglev_mj.control import Law, Wall
+from maglev_mj.control import Law, LowPass, VelocityEstimator, Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.parameters import loop_delay, param, param_range
+from maglev_mj.parameters import param, param_range
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
-from maglev_mj.plants.hand import HANDS, Hand, get_hand
+from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_controller
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
-from maglev_mj.theory.boundary import rigid_note
-from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
-from maglev_mj.theory.read import scene_lag
-from maglev_mj.theory.two_rates import DeviceParameters
+from maglev_mj.theory.boundary import boundary_of, rigid_note, stiffest_of
+from maglev_mj.theory.closed_loop import SampledLoop, pd
+from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_parameters import PLAIN, LoopParameters
 
 _MOVED = 1e-6
 _DECIDED = 1e4
 _BLOCK = 16
 _FEW = 48
 _FAR = (1e15, 1.0)
-HAND_HELP = f"{', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]"
-"""Help text of the hand parameter."""
-
 _GAINS = "stiffness", "damping"
 _PATIENCE = (128, 512, 2048, 8192)
 _BATCHES: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoBatchPlant}
@@ -49,7 +46,7 @@ _NEAR = 0.005
 _TOGETHER = 240
 _AT_ONCE = 50_000
 _FINE = 200
-_AROUND = ("plant", "period", "delay", "mass", "hand")
+_AROUND = ("period", "delay", "mass", "hand", "cutoff", "driver_lag")
 
 
 class Growth(NamedTuple):
@@ -81,11 +78,17 @@ class RestingWall(Scene):
     stiffness: float = WallScene.like("stiffness", above=0.0, at_least=None, live=False)
     damping: float = WallScene.like("damping", live=False)
     mass: float = WallScene.like("mass")
-    hand: str = param(HAND_HELP, default="none")
+    hand: str = LoopParameters.like("hand")
+    cutoff: float | None = LoopParameters.like("cutoff")
+    driver_lag: float | None = LoopParameters.like("driver_lag")
 
     def check(self) -> None:
         """See `Scene`."""
         get_hand(self.hand)
+
+    def velocity_estimator(self) -> VelocityEstimator | None:
+        """See `Scene`."""
+        return None if self.cutoff is None else LowPass(self.cutoff)
 
     def laws(self) -> list[Law]:
         """Return the wall and the hold of the other axes."""
@@ -102,7 +105,10 @@ class RestingWall(Scene):
 
     def plant_options(self) -> dict[str, Any]:
         """See `Scene`."""
-        return {"mass": self.mass, "hand": self.impedance, "escape": _FAR}
+        own: dict[str, Any] = {"mass": self.mass, "hand": self.impedance, "escape": _FAR}
+        if self.driver_lag is not None:
+            own |= {"driver_lag": self.driver_lag > 0.0, "driver_time_constant": self.driver_lag or None}
+        return own
 
     @property
     def impedance(self) -> Hand | None:
@@ -118,10 +124,10 @@ class RestingWall(Scene):
         return float(body.inertia[2] * body.gravity[2]) / (self.stiffness + arm)
 
     @property
-    def loop(self) -> LoopKeywords:
-        """Keywords of the theory besides the gains."""
-        around: LoopKeywords = {"period": self.period, "delay": self.delay, "mass": float(self.body.inertia[2])}
-        return {**around, "hand": self.impedance, "driver_lag": scene_lag(self)}
+    def loop(self) -> Loop:
+        """Loop without the gains."""
+        own = LoopParameters(device=self.device, **{name: getattr(self, name) for name in _AROUND})
+        return own.loop(inertia=float(self.body.inertia[2]), velocity=self.velocity_estimator())
 
     def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
         """Return the figures of theory and simulation.
@@ -142,11 +148,10 @@ class RestingWall(Scene):
         for indices in _alike(scenes).values():
             walls = [scenes[index] for index in indices]
             stiffness, damping = (np.array([getattr(wall, name) for wall in walls]) for name in _GAINS)
-            first = walls[0]
-            stiffest = stiffest_in(first.period, first.delay, first.mass, first.hand, scene_lag(first))
+            stiffest, loop = stiffest_in(walls[0].loop), walls[0].loop.array()
             columns = {
-                "spectral_radius": theory.spectral_radius(stiffness, damping, **first.loop),
-                "largest_stiffness": theory.largest_stable_stiffness(damping, **first.loop),
+                "spectral_radius": loop.spectral_radius(stiffness, damping),
+                "largest_stiffness": boundary_of(loop, damping),
                 "stiffest_wall": np.full(len(walls), stiffest.stiffness),
                 "at_damping": np.full(len(walls), stiffest.damping),
             }
@@ -159,17 +164,16 @@ class RestingWall(Scene):
 
 
 @lru_cache(maxsize=1024)
-def stiffest_in(period: float, delay: float, mass: float, hand: str, driver_lag: float) -> theory.StiffestWall:
+def stiffest_in(loop: Loop) -> theory.StiffestWall:
     """Return the stiffest wall, cached for all gains."""
-    around: Any = {"period": period, "delay": delay, "mass": mass, "driver_lag": driver_lag}
-    return theory.stiffest_wall(hand=get_hand(hand), **around)
+    return stiffest_of(loop.array())
 
 
 def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
     """Return indices of walls, grouped by loop: a group differs in its gains only."""
     groups: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for index, wall in enumerate(walls):
-        groups[wall.period, wall.delay, wall.mass, wall.hand, wall.device].append(index)
+        groups[*(getattr(wall, name) for name in _AROUND), wall.device].append(index)
     return groups
 
 
@@ -273,7 +277,7 @@ def _judge(sizes: Array, *, last: bool) -> tuple[Growth, Mask]:
     return Growth(stable, rate, (pick + 1.0) * _BLOCK), decided
 
 
-class StabilityParameters(DeviceParameters):
+class StabilityParameters(LoopParameters):
     """Grid of gains with its loop.
 
     Without ranges the grid covers the whole stable region.
@@ -289,40 +293,26 @@ class StabilityParameters(DeviceParameters):
         "stiffness", "stiffness range", "N/m", default=None, at_least=0.0, at_most=1e8
     )
     grid: int = param("points per axis; a single value has one", default=60, at_least=2, at_most=1000)
-    period: float = RestingWall.like("period", live=False)
-    delay: float = RestingWall.like("delay")
-    mass: float = RestingWall.like("mass")
-    hand: str = RestingWall.like("hand")
     plant: str = param("simulated plant, or none for theory only", default="none", choices=RestingWall.plants)
-    friction: float = param("Coulomb friction of the device", "N", default=0.0, at_least=0.0)
-    quantum: float = param("resolution of the position sensor", "m", default=0.0, at_least=0.0)
 
     def check(self) -> None:
         """See `Parameters`."""
         super().check()
-        loop_delay(self.delay, self.period)
-        get_hand(self.hand)
         for name in ("friction", "quantum"):
             if self.plant != "none" and getattr(self, name):
                 raise ParameterError(f"{name} must be 0 on a simulated plant (got {getattr(self, name):g})")
         if bool(self.friction) != bool(self.quantum):
             raise ParameterError("friction and quantum must be given together: a wall is quiet by both")
-        if self.plant != "none" and not (self.plain and self.driver_lag is None):
-            raise ParameterError(
-                f"plant must be none{self.described} (got {self.plant}): plants have a rigid flotor under one law"
-            )
+        if self.plant != "none" and not self.plain:
+            what = self.described or ", rotary axis"
+            raise ParameterError(f"plant must be none{what} (got {self.plant}): plants have {PLAIN}")
 
     @property
     def loop_title(self) -> str:
         """Rate, delay, mass and hand in a few words."""
         hand = "no hand" if self.hand == "none" else f"hand {self.hand}"
-        return f"{1.0 / self.period:g} Hz, delay {self.delay * 1e3:g} ms, mass {self.mass:g} kg, {hand}{self.described}"
-
-    @property
-    def loop(self) -> LoopKeywords:
-        """Keywords of the theory besides the gains."""
-        around: LoopKeywords = {"period": self.period, "delay": self.delay, "mass": self.mass}
-        return {**around, "hand": get_hand(self.hand), **self.around}  # type: ignore[typeddict-item]
+        body = f"{'inertia' if self.rotary else 'mass'} {self.body:g} {self.unit('kg')}"
+        return f"{1.0 / self.period:g} Hz, delay {self.delay * 1e3:g} ms, {body}, {hand}{self.described}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,10 +332,15 @@ class GainMap(Result):
     stiffness: Array
     boundary: Array
     maximum: theory.StiffestWall
-    units: ClassVar = {"stiffness": "N/m", "damping": "N s/m", "swing": "m"}
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """See `Result`."""
+        units = {"stiffness": "N/m", "damping": "N s/m", "swing": "m"}
+        return {name: self.parameters.unit(unit) for name, unit in units.items()}
 
     def _headline(self) -> str:
-        return f"Stiffest stable wall: {self.maximum.describe()}"
+        return f"Stiffest stable wall: {self.maximum.describe(self.parameters.axis)}"
 
     def cells(self) -> Mapping[str, NDArray[Any]]:
         """Return the map's values by name, (K, B) each."""
@@ -391,8 +386,14 @@ class StabilityMap(GainMap):
 
         See `least_passive_damping`; a hand is any passive one.
         """
-        times: Any = {"period": self.parameters.period, "delay": self.parameters.delay}
+        times = self._times
         return np.array([theory.least_passive_damping(row, damping, **times) for row in stiffness])  # memory for a row
+
+    @property
+    def _times(self) -> dict[str, Any]:
+        """Keywords of `least_passive_damping`."""
+        p = self.parameters
+        return {"period": p.period, "delay": p.delay, "design": pd(p.velocity)}
 
     def quiet_stiffness(self, damping: Array) -> Array:
         """Return the stiffness below which a stable wall always comes to rest, at each damping [N/m], (B,).
@@ -402,8 +403,8 @@ class StabilityMap(GainMap):
 
         K <= 2 f/q - 2 B/T.
 
-        Above, it may hum. Derived here; the bound 2 f/q alone, for passivity without damping, is that of Abbott &
-        Okamura 2005 (as quoted by others).
+        Above, it may hum. A low-pass filter of the velocity only lowers the second part. Derived here; the bound 2 f/q
+        alone, for passivity without damping, is that of Abbott & Okamura 2005 (as quoted by others).
         """
         p = self.parameters
         return 2.0 * p.friction / p.quantum - 2.0 * damping / p.period
@@ -411,7 +412,7 @@ class StabilityMap(GainMap):
     def level_sets(self) -> tuple[Array, Array, Array]:
         """Return dampings and stiffnesses of a fine grid, (200,) each, and the spectral radius there, (200, 200)."""
         x, y = (np.linspace(values.min(), values.max(), _FINE) for values in (self.damping, self.stiffness))
-        return x, y, theory.spectral_radius(y[:, None], x, **self.parameters.loop)
+        return x, y, self.parameters.loop().array().spectral_radius(y[:, None], x)
 
     @property
     def disagreement(self) -> Mask | None:
@@ -427,9 +428,11 @@ class StabilityMap(GainMap):
         """Return the stiffest wall, and the numbers of stable cells."""
         p, best, damping = self.parameters, float(self.maximum.stiffness), float(self.maximum.damping)
         remark = "; on a jump: at nearby dampings, softer walls are unstable" if self.maximum.on_jump else ""
-        rows = [("stiffest stable wall", best, f"at {damping:.1f} N s/m{remark}" if best else "no wall is stable")]
+        force, damper = p.unit("N/m"), p.unit("N s/m")
+        at = f"at {damping:{'.4g' if p.rotary else '.1f'}} {damper}{remark}"
+        rows = [("stiffest stable wall", best, at if best else "no wall is stable")]
         stable = theory.is_stable(self.spectral_radius)
-        ranges = f"damping {_span(self.damping)} N s/m, stiffness {_span(self.stiffness)} N/m"
+        ranges = f"damping {_span(self.damping)} {damper}, stiffness {_span(self.stiffness)} {force}"
         note = [f"grid: {stable.sum()} of {stable.size} cells stable by theory; {ranges}"]
         if self.simulated is not None and self.disagreement is not None:
             different = (stable != self.simulated).sum()
@@ -438,12 +441,12 @@ class StabilityMap(GainMap):
                 f"theory, {self.disagreement.sum()} outside ±0.5 % of the boundary ({self.near.sum()} cells inside)"
             )
         if p.mode:
-            note.append(rigid_note(SampledLoop(**p.loop)))
+            note.append(rigid_note(p.loop().array()))
         if best and p.device_law is None:
-            least = float(theory.least_passive_damping(best, damping, period=p.period, delay=p.delay))
-            note.append(f"the stiffest wall is passive with {least:.4g} N s/m of the device's own damping")
+            least = float(theory.least_passive_damping(best, damping, **self._times))
+            note.append(f"the stiffest wall is passive with {least:.4g} {damper} of the device's own damping")
         note += self._regions()
-        head = "", "stiffness [N/m]", ""
+        head = "", f"stiffness [{force}]", ""
         return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note))
 
     def _regions(self) -> Iterator[str]:
@@ -452,7 +455,8 @@ class StabilityMap(GainMap):
         for name, cells in self.cells().items():
             if name in ("passive", "quiet") and (found := np.where(cells, stiffness, 0.0)).any():
                 row = int(found.argmax())
-                at = f"{found.flat[row]:.4g} N/m at {damping.flat[row]:.4g} N s/m"
+                unit = self.parameters.unit
+                at = f"{found.flat[row]:.4g} {unit('N/m')} at {damping.flat[row]:.4g} {unit('N s/m')}"
                 yield f"{name}: {cells.sum()} of {cells.size} cells, stiffest {at}"
             elif name in ("passive", "quiet"):
                 yield f"{name}: no cell"
@@ -477,14 +481,14 @@ def run_stability(
     Raises:
         StudyInterrupted: On Ctrl-C; the cells done are in the record.
     """
-    p, loop = parameters, parameters.loop
+    p, loop = parameters, parameters.loop().array()
     damping, stiffness, best = gain_axes(p)
     k, b = stiffness[:, None], damping[None, :]
     spectral_radius = _spectral_radii(stiffness, damping, loop, progress)
     simulated, near = None, np.zeros(spectral_radius.shape, dtype=bool)
     if p.plant != "none":
         for share in (1.0 - _NEAR, 1.0 + _NEAR):
-            for moved in (theory.spectral_radius(share * k, b, **loop), theory.spectral_radius(k, share * b, **loop)):
+            for moved in (loop.spectral_radius(share * k, b), loop.spectral_radius(k, share * b)):
                 near |= theory.is_stable(moved) != theory.is_stable(spectral_radius)
         cells = _cells(p, stiffness, damping, spectral_radius)
         results = run_cells(
@@ -492,7 +496,7 @@ def run_stability(
         )
         verdict = {(cell["stiffness"], cell["damping"]): _stable(result) for cell, result in zip(cells, results)}
         simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
-    boundary = theory.largest_stable_stiffness(damping, **loop)
+    boundary = boundary_of(loop, damping)
     return StabilityMap(p, damping, stiffness, boundary, best, spectral_radius, simulated, near)
 
 
@@ -503,15 +507,15 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
     """
     if all(ends and ends[0] == ends[1] for ends in (p.damping, p.stiffness)):
         raise ParameterError("damping or stiffness must be a range (got one wall): for one, maglev-mj diagnose")
-    best = theory.stiffest_wall(**p.loop)
+    best = stiffest_of(p.loop().array())
     # no stable wall: fall back to mass / period
-    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) or p.mass / p.period)
-    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) or p.mass / p.period**2)
+    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) or p.body / p.period)
+    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) or p.body / p.period**2)
     return damping, stiffness, best
 
 
 def _spectral_radii(
-    stiffness: Array, damping: Array, loop: LoopKeywords, progress: Callable[[int, int], None] | None
+    stiffness: Array, damping: Array, loop: SampledLoop, progress: Callable[[int, int], None] | None
 ) -> Array:
     """Return each cell's spectral radius, computed in groups of rows.
 
@@ -520,7 +524,7 @@ def _spectral_radii(
     rows = max(_AT_ONCE // damping.size, 1)
     parts = []
     for start in range(0, stiffness.size, rows):
-        parts.append(theory.spectral_radius(stiffness[start : start + rows, None], damping, **loop))
+        parts.append(loop.spectral_radius(stiffness[start : start + rows, None], damping))
         if progress is not None:
             progress(min(start + rows, stiffness.size) * damping.size, stiffness.size * damping.size)
     return np.concatenate(parts)
@@ -531,7 +535,8 @@ def _cells(p: StabilityParameters, stiffness: Array, damping: Array, spectral_ra
 
     These are near the boundary and so run together.
     """
-    around = {name: getattr(p, name) for name in _AROUND} | ({} if p.hardware.published else {"device": p.device})
+    around = {name: value for name in ("plant", *_AROUND) if (value := getattr(p, name)) is not None}
+    around |= {} if p.hardware.published else {"device": p.device}
     order = np.argsort(np.abs(np.log(np.maximum(spectral_radius, 1e-9))).ravel())[::-1]
     cells = zip(*np.unravel_index(order, spectral_radius.shape), strict=True)
     gains = [{"stiffness": float(stiffness[row]), "damping": float(damping[column])} for row, column in cells]
@@ -543,9 +548,9 @@ def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
 
     The growth is that per sample.
 
-    Each cell has plant, period, delay, mass, hand, stiffness and damping; they share the plant.
+    Each cell has a plant, the parameters of its loop, stiffness and damping; they share the plant.
     """
-    names = (*_AROUND[1:], "device", "stiffness", "damping")
+    names = (*_AROUND, "device", "stiffness", "damping")
     walls = [RestingWall(**{name: cell[name] for name in names if name in cell}) for cell in cells]
     growth = measure_growth(walls, cells[0]["plant"])
     return [

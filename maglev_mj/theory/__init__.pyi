@@ -8,7 +8,6 @@ from maglev_mj.theory.closed_loop import critical_delay as critical_delay
 from maglev_mj.theory.closed_loop import is_stable as is_stable
 from maglev_mj.theory.closed_loop import least_dynamic_stiffness as least_dynamic_stiffness
 from maglev_mj.theory.closed_loop import spectral_radius as spectral_radius
-from maglev_mj.theory.design import Case as Case
 from maglev_mj.theory.design import DesignedWall as DesignedWall
 from maglev_mj.theory.design import WallRequirements as WallRequirements
 from maglev_mj.theory.design import design_wall as design_wall

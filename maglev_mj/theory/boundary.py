@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, Mask
+from maglev_mj.frames import Array, Mask, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.plants.hand import Mode
@@ -39,6 +39,7 @@ from maglev_mj.theory.closed_loop import (
     is_stable,
     pd,
     rendered_stiffness,
+    sampled_fields,
 )
 from maglev_mj.theory.frequencies import angles_of, peak
 
@@ -76,12 +77,15 @@ class StiffestWall(NamedTuple):
     damping: Array
     on_jump: Mask
 
-    def describe(self) -> str:
-        """Return one wall as a phrase."""
+    def describe(self, axis: str = "z") -> str:
+        """Return one wall as a phrase, in the units of an axis."""
         if not self.stiffness > 0.0:
             return "none: no wall is stable"
         jump = ", at a jump of the boundary" if self.on_jump else ""
-        return f"{self.stiffness:.0f} N/m at {self.damping:.1f} N s/m{jump}"
+        force, damping = unit_of("N/m", axis), unit_of("N s/m", axis)
+        if axis.startswith("r"):
+            return f"{float(self.stiffness):.4g} {force} at {float(self.damping):.4g} {damping}{jump}"
+        return f"{self.stiffness:.0f} {force} at {self.damping:.1f} {damping}{jump}"
 
 
 def flattened(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tuple[int, ...]]:
@@ -251,7 +255,7 @@ def stable_ranges(damping: float, *, limit: float = 1.0, **loop: Unpack[LoopKeyw
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    return ranges_of(SampledLoop(**loop), damping, limit)
+    return ranges_of(SampledLoop(**sampled_fields(loop)), damping, limit)
 
 
 @overload
@@ -287,7 +291,7 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
     """
     if damping is None:
         return stiffest_wall(**loop)
-    return boundary_of(SampledLoop(**loop), numbers("damping", damping, at_least=0.0))
+    return boundary_of(SampledLoop(**sampled_fields(loop)), numbers("damping", damping, at_least=0.0))
 
 
 def boundary_of(loop: SampledLoop, damping: Array) -> Array:
@@ -349,7 +353,7 @@ def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    return stiffest_of(SampledLoop(**loop))
+    return stiffest_of(SampledLoop(**sampled_fields(loop)))
 
 
 def stiffest_of(loop: SampledLoop, finest: float | None = None) -> StiffestWall:

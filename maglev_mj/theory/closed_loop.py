@@ -8,7 +8,7 @@ stable if all eigenvalues of the matrix are inside the unit circle.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias, TypedDict, Unpack
 
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import FiniteDifference, LinearController, VelocityEstimator
 from maglev_mj.control.timeline import split_delay
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import KeywordError, ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import checked, rate_of
 from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, loop_delay, number, numbers, store
@@ -33,6 +33,8 @@ _TOGETHER = 1024
 _DIVIDES = "device period must divide the host's, {0} s (got {1.period:g})"
 _ALMOST = 1.0 - 2e-9
 """Largest fraction that does not count as a whole period."""
+_NAMES = {"inertia": "mass", "law": "design"}
+"""Names of a `Loop` for two fields of `SampledLoop`."""
 _BATCHED = "period", "delay", "mass", "prediction", "own_damping"
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
@@ -60,7 +62,7 @@ class LinearisedLaw(NamedTuple):
 
 
 class LoopKeywords(TypedDict, total=False):
-    """Keywords of `SampledLoop`, accepted by the stability functions."""
+    """Keywords of the stability functions: those of `SampledLoop`, and `inertia` and `law` as `Loop` names two."""
 
     period: ArrayLike
     rate: ArrayLike
@@ -74,6 +76,16 @@ class LoopKeywords(TypedDict, total=False):
     own_damping: ArrayLike
     mode: Mode | None
     device: DeviceLaw | None
+    inertia: ArrayLike
+    law: Design | None
+
+
+def sampled_fields(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return keywords of `SampledLoop` of these, in which mass and design may have their names in a `Loop`."""
+    for name, other in _NAMES.items():
+        if name in fields and other in fields:
+            raise KeywordError(f"{other} and {name} must not both be given")
+    return {_NAMES.get(name, name): value for name, value in fields.items()}
 
 
 def is_linear(estimator: object) -> bool:
@@ -675,7 +687,7 @@ def spectral_radius(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loo
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    return SampledLoop(**loop).spectral_radius(stiffness, damping)
+    return SampledLoop(**sampled_fields(loop)).spectral_radius(stiffness, damping)
 
 
 @checked
@@ -703,7 +715,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     if "delay" in loop:
         raise ParameterError(f"critical_delay accepts no delay, because it returns one (got {loop['delay']!r})")
     loop["delay"] = 0.0
-    around = SampledLoop(**loop)
+    around = SampledLoop(**sampled_fields(loop))
     return critical_delay_of(around, *around.broadcast(stiffness, damping))
 
 
@@ -771,7 +783,7 @@ def least_dynamic_stiffness(
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    around = SampledLoop(**loop)
+    around = SampledLoop(**sampled_fields(loop))
     if np.ndim(around.period):
         raise ParameterError(f"period must be a number (got shape {np.shape(around.period)})")
     stable = is_stable(around.spectral_radius(stiffness, damping))

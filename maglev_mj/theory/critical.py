@@ -74,7 +74,7 @@ def affine_limit(three: Sequence[Loop]) -> Bound | None:
     """Return the critical ratio of one loop at the three gains; None if its law is not affine in the gain."""
     if (law := affine_law(three)) is None:
         return None
-    array = three[0].array(design=law.__call__, velocity=None)
+    array = three[0].array(law=law.__call__, velocity=None)
     limit, highest = float(boundary_of(array, np.asarray(0.0))), float(highest_of(array))
     return Bound(limit, limit >= highest * (1.0 - _ROUNDING))
 

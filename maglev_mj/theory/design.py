@@ -7,73 +7,71 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.device import lag_of, sample_period
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.keywords import checked, rate_of
-from maglev_mj.parameters import loop_delay, param, param_range
-from maglev_mj.plants.hand import get_hand
+from maglev_mj.keywords import checked
+from maglev_mj.parameters import param, param_range
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
 from maglev_mj.theory.closed_loop import SampledLoop, least_dynamic_stiffness
-from maglev_mj.theory.two_rates import DeviceParameters
+from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_parameters import LoopParameters, device_mass
 
 _DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 60)])
 _DENSE = np.array([0.0, *np.geomspace(1e-4, 8.0, 1000)])
 _GRID, _RANDOM, _ROUNDS, _MAP, _COARSE = 9, 200, 8, 33, 5
 _GOOD, _NEAR = 1e-3, 1e-6
-_SINGLE = "period", "hand", "driver_lag", "own_damping", "mode", "device"
+_SINGLE = "period", "hand", "driver_lag", "velocity", "own_damping", "mode", "device"
+_NO_EFFECT = {
+    "friction": "a design is of the linear loop",
+    "quantum": "the resolution of the sensor is quantize, of the simulated contact",
+}
 _SOFTER = 1.0 - np.array([0.0, 1e-6, 1e-5, 1e-4, 1e-3])
 
 
-class Case(NamedTuple):
-    """One loop of the requirements: mass [kg], delay [s], and the name or numbers of the hand."""
-
-    mass: float
-    delay: float
-    hand: str
-
-    def __str__(self) -> str:
-        return f"{self.mass:.3g} kg, {self.delay * 1e3:.3g} ms, hand {self.hand}"
-
-
 @checked
-class WallRequirements(DeviceParameters):
-    """Loops in which a wall must be stable: every combination of masses, delays and hands.
+class WallRequirements(LoopParameters):
+    """Loops in which a wall must be stable: every combination of masses or moments of inertia, delays and hands.
 
     Raises:
         ParameterError: If a value is outside its bounds.
 
     Example:
-        >>> WallRequirements(mass=(0.56, 0.84), hands=["none", "arm"]).nominal
+        >>> WallRequirements(mass=(0.56, 0.84), hand=["none", "arm"]).nominal
         (0.7, 0.0015)
     """
 
-    period: float = sample_period()
-    rate: float = rate_of("period")
-    mass: tuple[float, float] = param_range(
+    mass: tuple[float, float] | None = param_range(  # type: ignore[assignment]
         "mass",
         "range of the moving mass",
         "kg",
         default=None,
-        derive=lambda needs: (needs.hardware.mass,) * 2,
+        derive=lambda needs: (mass := device_mass(needs)) and (mass, mass),
+        optional=True,
         at_least=1e-3,
         at_most=1e3,
     )
-    delay: tuple[float, float] = param_range(
+    inertia: tuple[float, float] | None = param_range(  # type: ignore[assignment]
+        "inertia",
+        "range of the moment of inertia of a rotary axis, whose units are N m/rad",
+        "kg m²",
+        default=None,
+        at_least=1e-9,
+        at_most=1e3,
+    )
+    delay: tuple[float, float] = param_range(  # type: ignore[assignment]
         "delay", "range of the transport delay", "s", default=None, derive=lambda needs: (needs.hardware.delay,) * 2
     )
-    hands: Sequence[str] = param(
+    hand: Sequence[str] = param(  # type: ignore[assignment]
         'hands, as names or numbers (see `get_hand`); "none" for a free flotor',
         default=("none",),
         parse=lambda hands: (hands,) if isinstance(hands, str) else tuple(hands),
     )
-    driver_lag: bool = param("lag of the current drivers", default=False)
     spectral_radius: float = param(
         "largest spectral radius allowed; 1 for no margin", default=0.97, above=0.0, at_most=1.0
     )
@@ -81,40 +79,64 @@ class WallRequirements(DeviceParameters):
     def check(self) -> None:
         """See `Parameters`."""
         super().check()
-        loop_delay(self.delay, self.period)
+        self.refuse(_NO_EFFECT)
         if not self.hands or len(set(self.hands)) != len(self.hands):
             raise ParameterError(
-                f"hands must be at least one, without duplicates (got {', '.join(self.hands) or 'none'})"
+                f"hand must be at least one, without duplicates (got {', '.join(self.hands) or 'none'})"
             )
-        for hand in self.hands:
-            get_hand(hand)
 
     @property
-    def lag(self) -> float:
-        """Time constant of the drivers [s]; the published joystick's only if it is asked for."""
-        return self.hardware.driver.time_constant if self.driver_lag else lag_of(self.hardware)
+    def hands(self) -> tuple[str, ...]:
+        """See `LoopParameters`."""
+        return tuple(self.hand)
+
+    @property
+    def bodies(self) -> tuple[float, float]:
+        """Range of the mass [kg] or of the moment of inertia [kg m²]."""
+        found = self.mass if self.inertia is None else self.inertia
+        assert found is not None
+        return found
 
     @property
     def nominal(self) -> tuple[float, float]:
-        """Mass and delay at the middle of their ranges."""
-        return 0.5 * sum(self.mass), 0.5 * sum(self.delay)
+        """Mass or moment of inertia, and delay, at the middle of their ranges."""
+        return 0.5 * sum(self.bodies), 0.5 * sum(self.delay)
 
     @property
     def description(self) -> str:
         """One-line summary of the requirements."""
-        mass, delay = _span(self.mass, 1.0), _span(self.delay, 1e3)
-        return f"mass {mass} kg, delay {delay} ms, hand: {', '.join(self.hands)}{self.described}"
+        body, delay = _span(self.bodies, 1.0), _span(self.delay, 1e3)
+        name = "inertia" if self.rotary else "mass"
+        return f"{name} {body} {self.unit('kg')}, delay {delay} ms, hand: {', '.join(self.hands)}{self.described}"
 
-    def grid(self, points: int) -> list[Case]:
+    def describe(self, case: Loop) -> str:
+        """Return mass, delay and hand of a case in words."""
+        return f"{case.inertia:.3g} {self.unit('kg')}, {case.delay * 1e3:.3g} ms, hand {self.hand_of(case)}"
+
+    def hand_of(self, case: Loop) -> str:
+        """Return the name or numbers of the hand of a case."""
+        return next(name for name, loop in self._held.items() if loop.hand == case.hand)
+
+    @cached_property
+    def _held(self) -> dict[str, Loop]:
+        """Loop in each hand, at the middle of the ranges."""
+        body, delay = self.nominal
+        return {name: self.loop(inertia=body, delay=delay, hand=self.holding(name)) for name in self.hands}
+
+    def case(self, body: float, delay: float, hand: str) -> Loop:
+        """Return the loop of a mass [kg] or moment of inertia [kg m²], a delay [s] and a hand."""
+        return replace(self._held[hand], inertia=float(body), delay=float(delay))
+
+    def grid(self, points: int) -> list[Loop]:
         """Return cases on a grid over masses and delays for each hand, corners included."""
-        masses, delays = (np.unique(np.linspace(*ends, points)) for ends in (self.mass, self.delay))
-        return [Case(float(m), float(d), hand) for m, d, hand in itertools.product(masses, delays, self.hands)]
+        bodies, delays = (np.unique(np.linspace(*ends, points)) for ends in (self.bodies, self.delay))
+        return list(itertools.starmap(self.case, itertools.product(bodies, delays, self.hands)))
 
-    def random(self, count: int, seed: int = 0) -> list[Case]:
+    def random(self, count: int, seed: int = 0) -> list[Loop]:
         """Return random cases, uniform over masses and delays, with the hands in turn."""
         random = np.random.default_rng(seed)
-        drawn = zip(random.uniform(*self.mass, count), random.uniform(*self.delay, count))
-        return [Case(float(m), float(d), hand) for (m, d), hand in zip(drawn, itertools.cycle(self.hands))]
+        drawn = zip(random.uniform(*self.bodies, count), random.uniform(*self.delay, count))
+        return [self.case(*pair, hand) for pair, hand in zip(drawn, itertools.cycle(self.hands))]
 
     def map(self, stiffness: float, damping: float) -> tuple[Array, Array, Array]:
         """Return masses (M,), delays (D,), and the largest spectral radius over the hands (M, D).
@@ -127,30 +149,26 @@ class WallRequirements(DeviceParameters):
         """
         cases = self.grid(_MAP)
         spectral_radii = self.spectral_radii(cases, stiffness, damping)
-        masses, delays = (np.unique([case[column] for case in cases]) for column in (0, 1))
-        return masses, delays, spectral_radii.reshape(masses.size, delays.size, len(self.hands)).max(axis=-1)
+        bodies, delays = (np.unique([getattr(case, name) for case in cases]) for name in ("inertia", "delay"))
+        return bodies, delays, spectral_radii.reshape(bodies.size, delays.size, len(self.hands)).max(axis=-1)
 
-    def spectral_radii(self, cases: Sequence[Case], stiffness: float, damping: float) -> Array:
+    def spectral_radii(self, cases: Sequence[Loop], stiffness: float, damping: float) -> Array:
         """Return the spectral radius of each case, (C,); see `map`."""
         result = np.zeros(len(cases))
         for index, loop in self.loops(cases):
             result[index] = loop.spectral_radius(stiffness, damping)
         return result
 
-    def loops(self, cases: Sequence[Case]) -> list[tuple[Array, SampledLoop]]:
+    def loops(self, cases: Sequence[Loop]) -> list[tuple[Array, SampledLoop]]:
         """Return one loop per hand, of shape (C,), with the indices of its cases."""
-        result = []
-        for hand in dict.fromkeys(case.hand for case in cases):
-            index = np.array([row for row, case in enumerate(cases) if case.hand == hand])
-            loop = SampledLoop(
-                period=self.period,
-                mass=[cases[row].mass for row in index],
-                delay=[cases[row].delay for row in index],
-                hand=get_hand(hand),
-                **self.around,
-            )
-            result.append((index, loop))
-        return result
+        rows: dict[Any, list[int]] = {}
+        for row, case in enumerate(cases):
+            rows.setdefault(case.hand, []).append(row)
+        values = {name: np.array([getattr(case, name) for case in cases]) for name in ("inertia", "delay")}
+        return [
+            (np.array(index), cases[index[0]].array(**{name: array[index] for name, array in values.items()}))
+            for index in rows.values()
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,9 +180,9 @@ class DesignedWall:
         stiffness: Gain on the position [N/m].
         damping: Gain on the velocity [N s/m].
         spectral_radius: Largest spectral radius over the requirements.
-        worst: Case with the largest spectral radius.
+        worst: Loop with the largest spectral radius.
         dynamic_stiffness: Least dynamic stiffness over the requirements [N/m].
-        softest: Case with the least dynamic stiffness.
+        softest: Loop with the least dynamic stiffness.
         island: Lower end of the first stable island at this damping in any case [N/m]; None without islands.
     """
 
@@ -172,9 +190,9 @@ class DesignedWall:
     stiffness: float
     damping: float
     spectral_radius: float
-    worst: Case
+    worst: Loop
     dynamic_stiffness: float
-    softest: Case
+    softest: Loop
     island: float | None
 
 
@@ -223,12 +241,12 @@ def design_wall(requirements: WallRequirements) -> DesignedWall:
     )
 
 
-def _first_cases(requirements: WallRequirements) -> list[Case]:
+def _first_cases(requirements: WallRequirements) -> list[Loop]:
     """Return the corners and the middle of the ranges for each hand."""
-    return list(dict.fromkeys([*requirements.grid(2), *(Case(*requirements.nominal, h) for h in requirements.hands)]))
+    return list(dict.fromkeys([*requirements.grid(2), *requirements._held.values()]))
 
 
-def _common_stiffness(requirements: WallRequirements, cases: Sequence[Case], damping: Array) -> Array:
+def _common_stiffness(requirements: WallRequirements, cases: Sequence[Loop], damping: Array) -> Array:
     """Return the largest stiffness that meets the limit in all cases at each damping [N/m], (B,); 0 for none."""
     ranges, caps = [], []
     for _, loop in requirements.loops(cases):
@@ -252,7 +270,7 @@ def _common_stiffness(requirements: WallRequirements, cases: Sequence[Case], dam
     return result
 
 
-def _stiffest(requirements: WallRequirements, cases: Sequence[Case]) -> _Gains | None:
+def _stiffest(requirements: WallRequirements, cases: Sequence[Loop]) -> _Gains | None:
     """Return the gains of the stiffest wall; a dense grid is searched only if the coarse one has none."""
     unit, figure = requirements.nominal[0] / requirements.period, partial(_common_stiffness, requirements, cases)
     for grid in (_DAMPINGS * unit, _DENSE * unit):
@@ -265,7 +283,7 @@ def _stiffest(requirements: WallRequirements, cases: Sequence[Case]) -> _Gains |
 
 
 def _dynamic_stiffness(
-    requirements: WallRequirements, cases: Sequence[Case], stiffness: Array, damping: Array
+    requirements: WallRequirements, cases: Sequence[Loop], stiffness: Array, damping: Array
 ) -> Array:
     """Return each case's least dynamic stiffness [N/m], (C, ...); 0 for an unstable loop."""
     result = np.zeros((len(cases), *stiffness.shape))
@@ -278,7 +296,7 @@ def _dynamic_stiffness(
 
 
 @checked
-def worst_case(requirements: WallRequirements, stiffness: float, damping: float) -> tuple[float, Case]:
+def worst_case(requirements: WallRequirements, stiffness: float, damping: float) -> tuple[float, Loop]:
     """Return the largest spectral radius over the requirements, and its case.
 
     Args:
@@ -290,14 +308,15 @@ def worst_case(requirements: WallRequirements, stiffness: float, damping: float)
     spectral_radii = requirements.spectral_radii(cases, stiffness, damping)
     worst, largest = cases[int(np.argmax(spectral_radii))], float(spectral_radii.max())
     for hand in requirements.hands:  # decreasing steps from the worst case of each hand
-        start = max((index for index, case in enumerate(cases) if case.hand == hand), key=lambda at: spectral_radii[at])
+        held = requirements._held[hand].hand
+        start = max((index for index, case in enumerate(cases) if case.hand == held), key=lambda at: spectral_radii[at])
         centre, size, spectral_radius = cases[start], 1.0 / _GRID, float(spectral_radii[start])
         for _ in range(12):
             mass, delay = (
                 np.unique(np.clip(at + size * (high - low) * np.linspace(-1.0, 1.0, 5), low, high))
-                for at, (low, high) in ((centre.mass, requirements.mass), (centre.delay, requirements.delay))
+                for at, (low, high) in ((centre.inertia, requirements.bodies), (centre.delay, requirements.delay))
             )
-            near = [Case(float(m), float(d), hand) for m, d in itertools.product(mass, delay)]
+            near = [requirements.case(m, d, hand) for m, d in itertools.product(mass, delay)]
             around = requirements.spectral_radii(near, stiffness, damping)
             if around.max() > spectral_radius:
                 centre, spectral_radius = near[int(np.argmax(around))], float(around.max())
@@ -307,7 +326,7 @@ def worst_case(requirements: WallRequirements, stiffness: float, damping: float)
     return largest, worst
 
 
-def _evaluated(requirements: WallRequirements, gains: _Gains, spectral_radius: float, worst: Case) -> DesignedWall:
+def _evaluated(requirements: WallRequirements, gains: _Gains, spectral_radius: float, worst: Loop) -> DesignedWall:
     """Return the designed wall with its figures over all combinations of the requirements."""
     cases = [*requirements.grid(_COARSE), worst]
     least = _dynamic_stiffness(requirements, cases, np.asarray(gains.stiffness), np.asarray(gains.damping))
@@ -318,7 +337,7 @@ def _evaluated(requirements: WallRequirements, gains: _Gains, spectral_radius: f
         for low, _ in ranges_of(loop.part(loop.shape, index), gains.damping)
         if low > gains.stiffness
     ]
-    softest = cases[int(np.argmin(least))]
+    softest, worst = (replace(case, **gains._asdict()) for case in (cases[int(np.argmin(least))], worst))
     figures: Any = {"spectral_radius": spectral_radius, "worst": worst, "dynamic_stiffness": float(least.min())}
     return DesignedWall(
         requirements=requirements, **gains._asdict(), **figures, softest=softest, island=min(islands, default=None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any, NamedTuple, overload
 
@@ -18,7 +18,7 @@ from maglev_mj.lazy import loaded
 from maglev_mj.plants.hand import Hand, Mode
 from maglev_mj.result import number_text
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
-from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, critical_delay_of, pd
+from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, critical_delay_of, pd, sampled_fields
 from maglev_mj.theory.delay import stable_intervals
 from maglev_mj.theory.linearise import Linearised, StateSpace
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
@@ -297,6 +297,11 @@ class Loop:
         found: Loops = loaded("maglev_mj.theory.read:loops_of")(what, **changes)
         return found
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields without those that are their default."""
+        values = {item.name: (getattr(self, item.name), item.default) for item in fields(self)}
+        return {name: value for name, (value, default) in values.items() if value is not default and value != default}
+
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of its axes."""
@@ -363,9 +368,9 @@ class Loop:
 
     def array(self, **values: Any) -> SampledLoop:
         """Return the loop without its gains, for arrays of them and of any other field."""
-        names = "period", "delay", "hand", "driver_lag", "velocity", "own_damping", "mode", "device"
+        names = "period", "delay", "inertia", "hand", "driver_lag", "velocity", "law", "own_damping", "mode", "device"
         own = {name: getattr(self, name) for name in names}
-        return SampledLoop(**own | {"mass": self.inertia, "design": self.law} | values)
+        return SampledLoop(**sampled_fields(own) | sampled_fields(values))
 
     def controller(self) -> LinearController:
         """Return the linear controller of the host's law on one axis, with its gains."""
@@ -555,7 +560,7 @@ def _pd_poles(gains: tuple[tuple[float, float, float], ...], **around: Any) -> N
 
 def _law_poles(gains: tuple[tuple[float, float, float], ...], loop: Loop) -> NDArray[np.complex128]:
     stiffness, damping, inertia = np.array(gains).T
-    return loop.array(mass=inertia).poles(stiffness, damping)
+    return loop.array(inertia=inertia).poles(stiffness, damping)
 
 
 @lru_cache(maxsize=512)

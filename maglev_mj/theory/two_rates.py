@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +16,16 @@ from numpy.typing import NDArray
 from maglev_mj.control import FiniteDifference, LinearController, LowPass
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.timeline import split_delay
-from maglev_mj.device import OnDevice, lag_of
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.keywords import checked, rate_of
-from maglev_mj.parameters import LAG, SAMPLE_PERIOD, number, param, transport_delay
-from maglev_mj.plants.hand import Mode, exponential, get_mode
-from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, MAX_PERIOD, MIN_PERIOD
+from maglev_mj.keywords import checked
+from maglev_mj.parameters import SAMPLE_PERIOD, number, transport_delay
+from maglev_mj.plants.hand import exponential
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD
 
 _FEWEST, _MOST, _EVENTS = 4, 128, 512  # denominators, and device periods in a hyperperiod
 _TOLERANCE, _EXACT = 0.02, 1e-9
 _PHASES, _FAST = 10, 4.0
-_LAG: float = LAG["at_most"]
 
 
 @checked
@@ -77,80 +75,6 @@ def laws_on_device(controller: Controller, device: tuple[float, float]) -> dict[
     """
     walls = sorted(controller.device_walls, key=lambda wall: (wall.stiffness, wall.damping))
     return {wall.axis: DeviceLaw(wall.stiffness, wall.damping, *device, wall.cutoff) for wall in walls}
-
-
-class DeviceParameters(OnDevice):
-    """Device of a loop besides its mass: own damping, first flexible mode, and a law at a second rate.
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-    """
-
-    own_damping: float = param("damping of the device's own", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
-    mode: str | None = param(
-        "first flexible mode HZ,ZETA,RHO: frequency, damping ratio, participation (-1: sensor at the handle)",
-        default=None,
-        optional=True,
-    )
-    device_stiffness: float = param("stiffness of a law on the device", "N/m", default=0.0, at_least=0.0, at_most=1e9)
-    device_damping: float = param("damping of a law on the device", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
-    device_period: float = param(
-        "sample period of a law on the device", "s", default=DEVICE_PERIOD, at_least=MIN_PERIOD, at_most=MAX_PERIOD
-    )
-    device_rate: float = rate_of("device_period")
-    device_delay: float = param("delay of a law on the device", "s", default=DEVICE_DELAY, at_least=0.0, at_most=0.01)
-    device_cutoff: float | None = param(
-        "cutoff of the velocity's low-pass filter on the device", "Hz", default=None, above=0.0, optional=True
-    )
-    driver_lag: float | None = param(
-        "time constant of the current drivers", "s", default=None, at_least=0.0, at_most=_LAG, optional=True
-    )
-
-    def check(self) -> None:
-        """See `Parameters`."""
-        transport_delay(self.device_delay, self.device_period, "device_delay", "on a device")
-        get_mode(self.mode)
-
-    @property
-    def flexible(self) -> Mode | None:
-        """Flexible mode; None for a rigid flotor."""
-        return get_mode(self.mode)
-
-    @property
-    def device_law(self) -> DeviceLaw | None:
-        """Law on the device; None for none."""
-        if not (self.device_damping or self.device_stiffness):
-            return None
-        clock = self.device_period, self.device_delay
-        return DeviceLaw(self.device_stiffness, self.device_damping, *clock, self.device_cutoff)
-
-    @property
-    def lag(self) -> float:
-        """Time constant of the current drivers, the device's own if none is stated [s]."""
-        return lag_of(self.hardware) if self.driver_lag is None else self.driver_lag
-
-    @property
-    def around(self) -> dict[str, Any]:
-        """Keywords of `SampledLoop`."""
-        own: dict[str, Any] = {"own_damping": self.own_damping, "mode": self.flexible, "device": self.device_law}
-        return own | {"driver_lag": self.lag}
-
-    @property
-    def plain(self) -> bool:
-        """True for a rigid flotor without damping under one law, which the plants simulate."""
-        return not (self.own_damping or self.mode or self.device_law)
-
-    @property
-    def described(self) -> str:
-        """Those that are set, in words that follow others."""
-        words = [f"own damping {self.own_damping:g} N s/m"] if self.own_damping else []
-        words += [f"mode {self.mode}"] if self.mode else []
-        words += [f"driver lag {1e3 * self.lag:g} ms"] if self.lag else []
-        if self.device_law is not None:
-            gains, rate = f"{self.device_stiffness:g} N/m, {self.device_damping:g} N s/m", 1.0 / self.device_period
-            filtered = f", filter {self.device_cutoff:g} Hz" if self.device_cutoff else ""
-            words.append(f"on the device {gains} at {rate:g} Hz, {1e3 * self.device_delay:g} ms{filtered}")
-        return "".join(f", {word}" for word in words)
 
 
 class Rates(NamedTuple):

@@ -594,7 +594,7 @@ def nearest(loops: Loops, axis: str = "z") -> Loop:
         own = [one.in_question for one in some]
         stiffness, damping, inertia = np.array([(one.stiffness, one.damping, one.inertia) for one in own]).T
         with np.errstate(divide="ignore"):
-            found = stiffness / boundary_of(alike.array(mass=inertia), damping)
+            found = stiffness / boundary_of(alike.array(inertia=inertia), damping)
         shares |= dict(zip(map(id, some), found.tolist(), strict=True))
     most = max(shares.values()) * (1.0 - _ROUNDING)  # the first of those equal within rounding
     return next(loop for loop in stiff if shares[id(loop)] >= most)
@@ -621,7 +621,7 @@ def _delay_of(loops: Loops, loop: Loop) -> Bound:
         return _scanned_delay(loops.only([loop]))
     system = loop.linear.states.with_units(loop.period, np.array([loop.inertia]))
     design = StateSpace(*(part[None] for part in system)).single
-    return delay_bounds(loop.array(design=design), 0.0, 0.0, np.array([loop.linear.still > 0]))[0]
+    return delay_bounds(loop.array(law=design), 0.0, 0.0, np.array([loop.linear.still > 0]))[0]
 
 
 @lru_cache(maxsize=512)  # rotations are the same in every hand

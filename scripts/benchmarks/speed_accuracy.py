@@ -38,13 +38,13 @@ from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies import levels
 from maglev_mj.studies.fidelity import preset_of, stepping_name
 from maglev_mj.studies.levels import Motion, apart, closed_loop, level_parts, median_times, motion_of
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.loop import Loop
 from maglev_mj.versions import versions
 from peers import Task, available
 from work_precision import EXACT_ENOUGH, WorkPoint, pareto, work_precision
 
 CLOSED_FORM = ("drop", "drop-no-pulse", "press", "stick-slip")
-_LOOP = SampledLoop()
+_LOOP = Loop.of("ubc", stiffness=0.0, damping=0.0)[0].array()
 SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
 _LEAST_STEP = dict.fromkeys(("corrected", "rk4", *SEMI_IMPLICIT), 1e-4) | {"euler": 1e-5}
 GROUPS = {"corrected": "corrected Euler", "rk4": "RK4"} | dict.fromkeys(SEMI_IMPLICIT, "raw Euler")

@@ -10,7 +10,7 @@ from maglev_mj.pictures import Panel, small_multiples
 from maglev_mj.plants import INTEGRATORS
 from maglev_mj.spec import Spec
 from maglev_mj.studies.levels import boundary_shift
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.loop import Loop
 from maglev_mj.versions import versions
 
 options = script_options(__doc__, quick="one delay and one time step")
@@ -23,7 +23,7 @@ shifts: list[dict[str, object]] = []
 
 def shift(kind: str, delay: float, aligned: bool) -> Array:
     """Return a simulation's shift of the stiffest wall [%]; it is printed too."""
-    loop = SampledLoop(period=PERIOD, delay=delay)
+    loop = Loop.of("ubc", stiffness=0.0, damping=0.0, period=PERIOD, delay=delay)[0].array()
     fractions = [boundary_shift(kind, step, loop, aligned=aligned) for step in steps]
     percent = np.round(np.array(fractions) * 100.0, 6) + 0.0
     row = {"integrator": kind, "delay": delay, "aligned": aligned}

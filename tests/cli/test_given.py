@@ -42,7 +42,7 @@ UNDERSTOOD: Mapping[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
         lambda: m.sweep("drop", {"height": [0.001]}, plant="exact").figure("penetration"),
         lambda: m.sweep(m.find_scene("drop")(), {"height": [0.001]}, plant="exact").figure("penetration"),
     ),
-    "one hand of a design": (lambda: m.WallRequirements(hands="arm").hands, lambda: ("arm",)),
+    "one hand of a design": (lambda: m.WallRequirements(hand="arm").hands, lambda: ("arm",)),
     "a run by path": (
         lambda: m.run(Path(__file__).parents[2] / "scripts" / "examples" / "detents.py", plant="exact").trace.pose,
         lambda: m.run(str(Path(__file__).parents[2] / "scripts" / "examples" / "detents.py"), plant="exact").trace.pose,

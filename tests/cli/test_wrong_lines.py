@@ -51,7 +51,7 @@ fidelity all --out pictures                         | out is not supported for a
 fidelity all --tolerance 1e-3                       | unrecognized arguments: --tolerance 1e-3
 design --mass a:b                                   | mass must be LOW HIGH, LOW:HIGH or one value (got 'a:b')
 design --hand fist                                  | hand must be one of none, arm, stylus, fingertip
-design --held                                       | hands must be at least one, without duplicates (got none)
+design --held                                       | hand must be at least one, without duplicates (got none)
 design --spectral-radius 0.4                                | spectral_radius must be above 0.4: no pd wall
 design --out x                                      | mass or delay must be a range for a chart
 stability --grid 3 --height 0 --plant mujoco        | plant must be one of exact (got 'mujoco')

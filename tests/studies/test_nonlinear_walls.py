@@ -12,7 +12,7 @@ from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.studies.cells import local_workers
 from maglev_mj.studies.drop_map import SAMPLES, DropMapParameters, Ending, _Quarters, judge_drops, run_drop_map
 from maglev_mj.studies.record import Record
-from maglev_mj.theory import is_stable, spectral_radius
+from maglev_mj.theory import is_stable
 from tests.studies.test_charts import details
 from tests.sweeps import sweep
 
@@ -23,7 +23,7 @@ ALL: dict[str, Any] = {"pulse": 220.0, "force_limit": 60.0, "quantize": 5e-6}
 def test_released_at_the_edge_a_wall_settles_where_theory_has_it_stable(delay: float, hand: str) -> None:
     # In every cell whose spectral radius is further than 0.005 from 1: it changes by a factor of 1.6 over a quarter.
     found = run_drop_map(DropMapParameters(grid=40, height=0.0, delay=delay, hand=hand))
-    radius = spectral_radius(found.stiffness[:, None], found.damping, **found.parameters.loop)
+    radius = found.parameters.loop().array().spectral_radius(found.stiffness[:, None], found.damping)
     away = np.abs(radius - 1.0) > 0.005
     assert away.mean() > 0.9 and 0.3 < found.settles.mean() < 0.7
     assert (found.settles == is_stable(radius))[away].all()
@@ -65,7 +65,7 @@ def test_steps_keep_walls_of_much_damping_from_resting_that_theory_has_stable() 
     # A step is much force where the damping is high: a hum of ten steps and more.
     k, b = (part.ravel() for part in np.meshgrid(np.linspace(3000.0, 8000.0, 60), np.linspace(120.0, 165.0, 30)))
     p = DropMapParameters(height=0.0)
-    stable = spectral_radius(k, b, **p.loop) < 0.99
+    stable = p.loop().array().spectral_radius(k, b) < 0.99
     assert stable.sum() > 250 and (judge_drops(k, b, p)[1][stable] == Ending.SETTLES).all()
     swing, found = judge_drops(k, b, DropMapParameters(height=0.0, quantize=5e-6))
     hums = stable & (found != Ending.SETTLES)

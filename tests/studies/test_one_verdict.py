@@ -20,7 +20,6 @@ from maglev_mj import (
     gain,
     hold,
     judge,
-    largest_stable_stiffness,
     param,
     stability,
 )
@@ -32,7 +31,7 @@ from maglev_mj.scenes.stability_check import stability_warning, unstable, wall_l
 from maglev_mj.session.margin import margin
 from maglev_mj.studies.compare import compare, sweep_laws
 from maglev_mj.studies.stability_map import StabilityParameters
-from maglev_mj.theory.boundary import boundary_of
+from maglev_mj.theory.boundary import boundary_of, stiffest_of
 from maglev_mj.theory.closed_loop import spectral_radius
 from maglev_mj.theory.loop import Loop
 from tests.bridge.test_preflight import GOOD
@@ -121,7 +120,7 @@ FRONTS: dict[str, Callable[[Drop], Any]] = {
     "page": lambda scene: (margin(scene).words, margin(scene).stiffnesses.tolist()),
     "flight": lambda scene: judge_change(scene, scene.body.inertia.tolist(), [], report=GOOD, anyway=False),
     "card": lambda scene: float(device_card(scene).walls[0].stiffness),
-    "map": lambda scene: float(largest_stable_stiffness(**StabilityParameters(device=scene.device).loop).stiffness),
+    "map": lambda scene: float(stiffest_of(StabilityParameters(device=scene.device).loop().array()).stiffness),
 }
 LOOP: dict[str, Any] = {"stiffness": 40_000.0, "damping": 140.9, "pulse": 0.0}
 

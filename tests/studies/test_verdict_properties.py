@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,20 +15,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AxisLaw, compare, device_card, diagnose, gain, hold, judge, largest_stable_stiffness
+from maglev_mj import AxisLaw, compare, device_card, diagnose, gain, hold, judge
 from maglev_mj import stability as stability_of
 from maglev_mj.bridge.preflight import _critical_delay
+from maglev_mj.cli import main
 from maglev_mj.control import LowPass
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import Mode, get_hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.stability_check import stability_warning, unstable, wall_loops
 from maglev_mj.session.margin import margin
+from maglev_mj.studies.card import _target
 from maglev_mj.studies.compare import sweep_laws
-from maglev_mj.studies.stability_map import StabilityParameters
+from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import DeviceLaw
+from maglev_mj.theory.boundary import boundary_of, stiffest_of
 from maglev_mj.theory.design import WallRequirements, design_wall
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.remedies import critical_of
 from tests.studies.test_one_verdict import Notch, lagging
 from tests.sweeps import further
@@ -169,57 +174,138 @@ def test_loops_of_devices_scenes_controllers_and_numbers_are_read_by_one_name() 
 
 # every effect moves every verdict
 
-NUMBERS: dict[str, Any] = {"stiffness": 30_000.0, "damping": 120.0, "period": 1e-3, "delay": 8e-4}
-STAGE = 0.3
-
-
-def of_loop(**values: Any) -> tuple[Any, ...]:
-    return judge(**{**NUMBERS, "inertia": STAGE, **values}).spectral_radius, 0
-
-
-def of_diagnosis(**values: Any) -> tuple[Any, ...]:
-    own = {"inertia": "mass", "device": "", "velocity": "cutoff"}
-    changed = {own.get(name, name): value for name, value in values.items()}
-    law = changed.pop("", None)
-    if law is not None:
-        changed |= {f"device_{name}": getattr(law, name) for name in ("damping", "cutoff", "delay")}
-    if "cutoff" in changed:
-        changed["cutoff"] = changed["cutoff"].cutoff
-    found = diagnose(**{**NUMBERS, "mass": STAGE, **changed})
-    return found.spectral_radius, found.critical_stiffness
-
-
-def of_map(**values: Any) -> tuple[Any, ...]:
-    loop = {name: value for name, value in {**NUMBERS, "mass": STAGE}.items() if name not in ("stiffness", "damping")}
-    own = {"mass" if name == "inertia" else name: value for name, value in values.items()}
-    return (float(largest_stable_stiffness(NUMBERS["damping"], **{**loop, **own})),)
-
-
-LAW = DeviceLaw(0.0, 60.0)
+NUMBERS: dict[str, Any] = {"period": 1e-3, "delay": 8e-4, "mass": 0.3}
+GAINS = 30_000.0, 120.0
+LAW: dict[str, Any] = {"device_damping": 60.0}
 EFFECTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "lag": ({}, {"driver_lag": 1e-3}),
     "own damping": ({}, {"own_damping": 5.0}),
     "mode": ({}, {"mode": "120,0.05,0.3"}),
-    "device gains": ({}, {"device": LAW}),
-    "device filter": ({"device": LAW}, {"device": replace(LAW, cutoff=60.0)}),
-    "device delay": ({"device": LAW}, {"device": replace(LAW, delay=9e-4)}),
-    "host filter": ({}, {"velocity": LowPass(cutoff=60.0)}),
+    "device gains": ({}, LAW),
+    "device filter": (LAW, LAW | {"device_cutoff": 60.0}),
+    "device delay": (LAW, LAW | {"device_delay": 9e-4}),
+    "device rate": (LAW, LAW | {"device_period": 5e-4}),
+    "host filter": ({}, {"cutoff": 60.0}),
     "hand": ({}, {"hand": "arm"}),
     "delay": ({}, {"delay": 1.2e-3}),
-    "inertia": ({}, {"inertia": 0.4}),
+    "period": ({}, {"period": 1.5e-3}),
+    "inertia": ({}, {"mass": 0.4}),
+    "rotary": ({"mass": None, "inertia": 0.3}, {"mass": None, "inertia": 0.4}),
 }
+"""Options of `diagnose`, `stability`, `design` and `card`, without and with an effect."""
 
 
-SLOW = {(of_diagnosis, effect) for effect in ("device gains", "device filter", "device delay")}
-CASES = [case for case in product([of_loop, of_diagnosis, of_map], EFFECTS) if case not in SLOW]
+def of_loop(p: dict[str, Any]) -> Loop:
+    """Return the loop that the options describe, written from the fields of `Loop`."""
+    p = {"mass": None, "inertia": None, "hand": "none", "mode": None, "cutoff": None} | p
+    beside = {name.removeprefix("device_"): p.pop(name) for name in list(p) if name.startswith("device_")}
+    cutoff, mass, inertia = p.pop("cutoff"), p.pop("mass"), p.pop("inertia")
+    hand, mode = get_hand(p.pop("hand")), p.pop("mode")
+    return Loop(
+        **dict(zip(("stiffness", "damping"), GAINS)),
+        **p,
+        inertia=mass or inertia,
+        hand=hand,
+        mode=None if mode is None else Mode(*map(float, mode.split(","))),
+        velocity=None if cutoff is None else LowPass(cutoff=cutoff),
+        device=DeviceLaw(**beside) if beside else None,
+    )
 
 
-@pytest.mark.parametrize(("front", "effect"), [*CASES, *further(*SLOW)])
-def test_every_effect_on_numbers_moves_the_verdict(front: Callable[..., Any], effect: str) -> None:
-    before, after = ({**values} for values in EFFECTS[effect])
-    if front is of_map and "mode" in after:
-        after["mode"] = Mode(120.0, 0.05, 0.3)
-    assert front(**before) != front(**after)
+def of_diagnosis(p: dict[str, Any]) -> tuple[float, float | None]:
+    found = diagnose(stiffness=GAINS[0], damping=GAINS[1], **p)
+    return found.spectral_radius, found.critical_stiffness
+
+
+def of_map(p: dict[str, Any]) -> tuple[float, float | None]:
+    ranges: Any = {name: (gain, 1.1 * gain) for name, gain in zip(("stiffness", "damping"), GAINS)}
+    found = run_stability(StabilityParameters(**ranges, grid=2, **p))
+    return float(found.spectral_radius[0, 0]), float(found.boundary[0])
+
+
+def of_design(p: dict[str, Any]) -> tuple[float, float | None]:
+    ranges = {name: (p[name],) * 2 for name in ("mass", "inertia", "delay") if p.get(name)}
+    needs = WallRequirements(**p | ranges)
+    ((_, loop),) = needs.loops(cases := needs.grid(1))
+    return float(needs.spectral_radii(cases, *GAINS)[0]), float(boundary_of(loop, np.array([GAINS[1]]))[0])
+
+
+def of_card(p: dict[str, Any]) -> tuple[float, float | None]:
+    own = {name: p[name] for name in ("period", "delay", "mass")}
+    scene = Drop(**own, stiffness=GAINS[0], damping=GAINS[1])
+    return _target(scene, LoopParameters(**p), *GAINS)[1].spectral_radius, None
+
+
+FRONTS = of_diagnosis, of_map, of_design, of_card
+ELSEWHERE = {(of_card, "rotary"), (of_card, "hand")}
+"""A card is along a translation and has a wall for each hand: both are refused."""
+SLOW = {(front, effect) for front in (of_diagnosis, of_map) for effect in EFFECTS if effect.startswith("device")}
+SLOW |= {(of_diagnosis, "mode"), (of_map, "mode")}
+CASES = [case for case in product(FRONTS, EFFECTS) if case not in SLOW]
+
+
+@pytest.mark.parametrize(("front", "effect"), [*CASES, *further(*sorted(SLOW, key=str))])
+def test_every_effect_moves_the_verdict_of_every_front_end_to_that_of_the_loop(
+    front: Callable[..., Any], effect: str
+) -> None:
+    before, after = (NUMBERS | values for values in EFFECTS[effect])
+    if (front, effect) in ELSEWHERE:
+        with pytest.raises(ParameterError, match=r"(hand|inertia) must be none .*: a card "):
+            front(after)
+        return
+    found = [front(values) for values in (before, after)]
+    assert found[0] != found[1]
+    for (radius, critical), values in zip(found, (before, after)):
+        loop = of_loop(values)
+        assert radius == pytest.approx(loop.spectral_radius, rel=1e-6)
+        if critical is not None:
+            assert critical == pytest.approx(float(boundary_of(loop.array(), np.asarray(GAINS[1]))), rel=1e-6)
+
+
+@pytest.mark.parametrize("command", ["diagnose", "stability", "design", "card"])
+def test_every_front_end_has_the_same_options(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    listed = set(re.findall(r"--([a-z-]+)", capsys.readouterr().out))
+    assert {name.replace("_", "-") for _, effect in EFFECTS.values() for name in effect} <= listed
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("card --hand arm", "hand must be none (got arm): a card has a wall for each hand"),
+        ("card --inertia 1e-3", "inertia must be none (got 0.001): a card is along a translation"),
+        ("design --friction 0.1", "friction must be 0 (got 0.1): a design is of the linear loop"),
+        ("stability --inertia 1e-3 --plant exact", "rotary axis (got exact): plants have a wall along z"),
+        ("stability --inertia 1e-3 --height 1e-3", "inertia must be none (got 0.001): a drop is along z"),
+        ("design --inertia 1e-3 --mass 0.7", "mass and inertia must not both be given"),
+    ],
+)
+def test_an_option_without_an_effect_is_refused_in_one_line(
+    line: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(line.split()) == 2
+    text = capsys.readouterr().err
+    assert says in text and text.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["stability", "design", "diagnose"])
+def test_a_rotary_axis_has_its_units_in_text_and_json(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    own = {"stability": "--grid 3", "design": "", "diagnose": "--stiffness 3 --damping 0.03 --rate 500 --delay 1e-3"}
+    assert main([command, "--inertia", "0.002", "--cutoff", "100", *own[command].split()]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"N m/rad", text) and re.search(r"0\.002 kg m²", text)
+    assert not re.search(r"N/m|N s/m|kg(?! m²)", text)
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+@pytest.mark.parametrize("effect", [{"driver_lag": 1e-3}, {"cutoff": 60.0}])
+def test_a_simulated_wall_has_driver_lag_and_filter_of_its_map(effect: dict[str, Any], plant: str) -> None:
+    p, damping = StabilityParameters(**effect), (75.0, 75.0)
+    critical, without = (float(boundary_of(one.loop().array(), np.asarray(75.0))) for one in (p, StabilityParameters()))
+    assert critical < 0.85 * without
+    found = run_stability(p.replace(stiffness=(0.93 * critical, 1.07 * critical), damping=damping, grid=2, plant=plant))
+    assert found.simulated is not None and found.simulated[:, 0].tolist() == [True, False]
 
 
 def drop(folder: Path, lag: float = 0.0, cls: type[Drop] = Drop, **values: Any) -> Drop:
@@ -239,7 +325,7 @@ SCENES: dict[str, Callable[[Drop], Any]] = {
     "preflight": lambda scene: float(_critical_delay(scene, scene.body.inertia)),
     "warning": lambda scene: stability_warning(scene.replace(stiffness=5.0 * scene.stiffness)),
     "card": lambda scene: float(device_card(scene).walls[0].stiffness),
-    "map": lambda scene: float(largest_stable_stiffness(**StabilityParameters(device=scene.device).loop).stiffness),
+    "map": lambda scene: float(stiffest_of(StabilityParameters(device=scene.device).loop().array()).stiffness),
     "design": lambda scene: (
         design_wall(WallRequirements(device=scene.device, mass=(0.3, 0.3), delay=(8e-4, 8e-4), period=1e-3)).stiffness
     ),
@@ -254,8 +340,8 @@ SCENE_EFFECTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "damping": ({}, {"damping": 90.0}),
 }
 NOT_OF_THE_SCENE = {(front, effect) for front in ("map", "design") for effect in SCENE_EFFECTS if effect != "lag"}
-NOT_OF_THE_SCENE |= {("preflight", "delay"), ("card", "device gains"), ("card", "device filter"), ("card", "damping")}
-"""Map and design take a device alone; preflight returns a delay; a card describes the device, not the scene's walls."""
+NOT_OF_THE_SCENE |= {("preflight", "delay"), ("card", "damping")}
+"""Map and design take a device alone; preflight returns a delay; a card has the best damping."""
 
 
 SCENE_CASES = [case for case in product(SCENES, SCENE_EFFECTS) if case not in SLOW_SCENES]

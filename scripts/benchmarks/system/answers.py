@@ -26,7 +26,7 @@ from timing import Run, answered, columns
 HANDS = "none", "arm", "stylus", "fingertip", "0.1,5,300,20,5000"
 ESTIMATES: Sequence[VelocityEstimator] = (FiniteDifference(), LowPass(), Window(samples=8))
 DELAYS = 0.0, 0.3, 1.0, 1.5, 3.0, 5.0, 10.0
-DESIGNED: dict[str, Any] = {"mass": (0.56, 0.84), "delay": (0.0012, 0.0018), "hands": HANDS[:4]}
+DESIGNED: dict[str, Any] = {"mass": (0.56, 0.84), "delay": (0.0012, 0.0018), "hand": HANDS[:4]}
 
 
 def loops(count: int) -> list[LoopKeywords]:
