@@ -273,7 +273,7 @@ def hardest_contact(wall: DesignedWall, contact: Contact) -> tuple[float, float]
     return depth, peak
 
 
-class Hum(NamedTuple):
+class _Hum(NamedTuple):
     """Limit cycle of a flotor at rest in a wall, from the worst start.
 
     Attributes:
@@ -300,7 +300,7 @@ def hum(
     device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
     duration: float = 4.0,
     offsets: int = 32,
-) -> Hum:
+) -> _Hum:
     """Measure the limit cycle of a flotor that rests in a wall over a quantized sensor.
 
     The last quarter of the time is evaluated.
@@ -345,7 +345,7 @@ def hum(
     trace = plant.trace()
     last = slice(-len(trace.time) // 4, -1)
     swing, force = np.ptp(trace.pose[last, :, 2], axis=0), np.std(trace.wrench[last, :, 2], axis=0)
-    return Hum(*(part.reshape(-1, offsets).max(axis=1) for part in (swing, force)))
+    return _Hum(*(part.reshape(-1, offsets).max(axis=1) for part in (swing, force)))
 
 
 def _plants(

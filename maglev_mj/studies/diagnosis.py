@@ -208,9 +208,9 @@ class Diagnosis(NoTruthValue, Result):
 
     @cached_property
     def passive_damping(self) -> float:
-        """Damping of the device's own that makes the law passive [N s/m, N m s/rad]; NaN at two rates."""
+        """Damping of the device's own that makes the law passive [N s/m, N m s/rad]; NaN at two rates, with lag or mode."""
         around = self.loop.sampled
-        if around.device is not None:
+        if around.device is not None or around.driver_lag or around.mode is not None:
             return math.nan
         times: Any = {"period": around.period, "delay": around.delay, "design": around.design or pd(around.velocity)}
         return float(least_passive_damping(*self.loop.gains, **times))

@@ -100,7 +100,7 @@ def stability_map(result: StabilityMap) -> Any:
     x, y, spectral_radius = result.level_sets()
     level_sets(panel, x, y, spectral_radius)
     above: dict[str, tuple[Array, Any]] = {}  # their boundary
-    if p.own_damping:
+    if p.own_damping and p.direct:
         above["passive"] = result.passive_damping(x, y) - p.own_damping, {"colors": [REFERENCE], "linestyles": ["--"]}
     if p.quantum:
         above["quiet"] = y[:, None] - result.quiet_stiffness(x), {"colors": [SECOND], "linestyles": ["-."]}

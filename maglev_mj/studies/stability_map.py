@@ -49,7 +49,7 @@ _FINE = 200
 _AROUND = ("period", "delay", "mass", "hand", "cutoff", "driver_lag")
 
 
-class Growth(NamedTuple):
+class _Growth(NamedTuple):
     """Growth of the motion in each loop, (N,) each.
 
     Attributes:
@@ -177,7 +177,7 @@ def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
     return groups
 
 
-def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keywords: Any) -> Growth:
+def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keywords: Any) -> _Growth:
     """Simulate walls with a resting flotor; measure the growth.
 
     The growth is that of a small displacement in closed loop.
@@ -211,7 +211,7 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
             done = undecided[decided]
             stable[done], rate[done], spent[done] = (part[decided] for part in growth)
             undecided = undecided[~decided]
-    return Growth(stable, rate, spent)
+    return _Growth(stable, rate, spent)
 
 
 def _engine(walls: Sequence[RestingWall]) -> dict[str, Any]:
@@ -257,7 +257,7 @@ def _decisive(sizes: Array) -> Mask:
     return (sizes < 1.0 / _DECIDED) | (sizes > _DECIDED)
 
 
-def _judge(sizes: Array, *, last: bool) -> tuple[Growth, Mask]:
+def _judge(sizes: Array, *, last: bool) -> tuple[_Growth, Mask]:
     """Return the growth by block sizes, and a decided mask."""
     decisive = _decisive(sizes)
     decided: Mask = np.any(decisive, axis=0)
@@ -274,7 +274,7 @@ def _judge(sizes: Array, *, last: bool) -> tuple[Growth, Mask]:
         stable = np.where(decided, stable, fourth < second)
         rate = np.where(decided, rate, (fourth / second) ** (1.0 / (2 * quarter * _BLOCK)))
         decided = np.ones(column.size, dtype=bool)
-    return Growth(stable, rate, (pick + 1.0) * _BLOCK), decided
+    return _Growth(stable, rate, (pick + 1.0) * _BLOCK), decided
 
 
 class StabilityParameters(LoopParameters):
@@ -374,7 +374,7 @@ class StabilityMap(GainMap):
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return spectral radius, `passive` and `quiet` where they are known, and `settles` if walls were simulated."""
         cells: dict[str, NDArray[Any]] = {"spectral_radius": self.spectral_radius}
-        if self.parameters.own_damping:
+        if self.parameters.own_damping and self.parameters.direct:
             cells["passive"] = self.passive_damping(self.damping, self.stiffness) <= self.parameters.own_damping
         if self.parameters.quantum:
             quiet = self.stiffness[:, None] <= self.quiet_stiffness(self.damping)
@@ -442,7 +442,7 @@ class StabilityMap(GainMap):
             )
         if p.mode:
             note.append(rigid_note(p.loop().array()))
-        if best and p.device_law is None:
+        if best and p.direct:
             least = float(theory.least_passive_damping(best, damping, **self._times))
             note.append(f"the stiffest wall is passive with {least:.4g} {damper} of the device's own damping")
         note += self._regions()

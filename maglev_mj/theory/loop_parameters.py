@@ -176,6 +176,11 @@ class LoopParameters(OnDevice):
         return not (self.rotary or self.own_damping or self.mode or self.device_law)
 
     @property
+    def direct(self) -> bool:
+        """True if the host's law acts directly on the flotor and alone, as `least_passive_damping` has it."""
+        return not (self.lag or self.mode or self.device_law)
+
+    @property
     def described(self) -> str:
         """Those that are set, in words that follow others."""
         force, damping = self.unit("N/m"), self.unit("N s/m")

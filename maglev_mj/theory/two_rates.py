@@ -77,7 +77,7 @@ def laws_on_device(controller: Controller, device: tuple[float, float]) -> dict[
     return {wall.axis: DeviceLaw(wall.stiffness, wall.damping, *device, wall.cutoff) for wall in walls}
 
 
-class Rates(NamedTuple):
+class _Rates(NamedTuple):
     """Host and device periods in a hyperperiod, the device period used [s], and the phases between the clocks."""
 
     host: int
@@ -86,7 +86,7 @@ class Rates(NamedTuple):
     phases: tuple[float, ...]
 
 
-def rates_of(period: float, device: DeviceLaw) -> Rates:
+def rates_of(period: float, device: DeviceLaw) -> _Rates:
     """Return the rates of a host period T = p/q device periods h: the nearest fraction, p up to 512 and q up to 128.
 
     If h changes by it, the clocks are not commensurate. Below T/h = 4, where the phase between them matters, ten phases
@@ -103,7 +103,7 @@ def rates_of(period: float, device: DeviceLaw) -> Rates:
             f"device period must be at most {period * _MOST:g} s, {_MOST} of the host's (got {device.period:g})"
         )
     count = _PHASES if error > _EXACT and ratio < _FAST else 1
-    return Rates(nearest.denominator, nearest.numerator, own, tuple((np.arange(count) / count).tolist()))
+    return _Rates(nearest.denominator, nearest.numerator, own, tuple((np.arange(count) / count).tolist()))
 
 
 class TwoRates:
@@ -133,7 +133,7 @@ class TwoRates:
         controller: LinearController,
         period: float,
         delay: float,
-        rates: Rates,
+        rates: _Rates,
         phase: float,
     ) -> None:
         a, b = motion

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, ExactPlant, Hold, Sensor, Timing, theory
+from maglev_mj import Controller, ExactPlant, Hold, Sensor, Timing, diagnose, theory
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
 from maglev_mj.studies.stability_map import StabilityMap, StabilityParameters, run_stability
@@ -61,6 +61,19 @@ def test_a_map_of_stable_passive_and_quiet_walls() -> None:
     assert cells["quiet"].any() and not (cells["passive"] & ~stable).any()
     alone = replace(found, parameters=StabilityParameters(period=1e-3, delay=5e-4))
     assert alone.cells().keys() == {"spectral_radius"}
+
+
+@pytest.mark.parametrize(
+    "effect", [{}, {"cutoff": 100.0}, {"driver_lag": 5e-4}, {"mode": "120,0.05,-1"}, {"hand": "arm"}]
+)
+def test_a_passive_wall_is_stable_and_none_is_called_passive_with_a_lag_or_a_mode(effect: dict[str, Any]) -> None:
+    found = run_stability(StabilityParameters(own_damping=100.0, grid=14, **effect))
+    passive = found.cells().get("passive")
+    assert (passive is None) == bool(effect.keys() & {"driver_lag", "mode"})
+    if passive is not None:
+        assert passive.any() and not (passive & ~theory.is_stable(found.spectral_radius)).any()
+    law: Any = {"stiffness": 6000.0, "damping": 80.0, "period": 5e-3, "delay": 1.5e-3, "mass": 0.7}
+    assert np.isnan(diagnose(**law, **effect).passive_damping) == (passive is None)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Exact closed loop against published figures, derivations and three plants."""
 
+import dataclasses
 import itertools
 import math
 from typing import Any
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, drive
 from maglev_mj.control import AdaptiveWindow, FiniteDifference, LowPass, VelocityEstimator, Window
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import KeywordError, ParameterError
 from maglev_mj.plants import MuJoCoBatchPlant
 from maglev_mj.plants.hand import Hand, exponential, get_hand
 from maglev_mj.spec import Spec
@@ -23,7 +24,9 @@ from maglev_mj.theory import (
     spectral_radius,
     stiffest_wall,
 )
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.boundary import boundary_of
+from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop, pd
+from maglev_mj.theory.loop import Loop
 from tests.sweeps import sweep
 
 T, M = 0.005, 0.7
@@ -274,3 +277,14 @@ def test_published_hands_shift_the_critical_delay(gains: tuple[list[float], list
             held = critical_delay(stiffness, damping, period=period, hand=get_hand(hand))
             known = np.isfinite(alone) & np.isfinite(held) & (alone > 0.0)
             assert least < (held / np.where(known, alone, 1.0))[known].min() < most
+
+
+def test_the_stability_functions_accept_the_fields_of_a_loop_by_its_names() -> None:
+    fields = {item.name for item in dataclasses.fields(SampledLoop) if item.init} | {"rate"}
+    assert set(LoopKeywords.__annotations__) == fields | {"inertia", "law"}
+    loop: Any = {"period": 1e-3, "delay": 5e-4, "inertia": 0.3, "law": pd(LowPass(100.0)), "hand": "arm"}
+    array = Loop(stiffness=0.0, damping=0.0, **loop | {"hand": get_hand("arm")}).array()
+    assert largest_stable_stiffness(80.0, **loop) == boundary_of(array, np.array(80.0))
+    assert spectral_radius(6e3, [40.0, 80.0], **loop).tolist() == array.spectral_radius(6e3, [40.0, 80.0]).tolist()
+    with pytest.raises(KeywordError, match="mass and inertia must not both be given"):
+        spectral_radius(6e3, 80.0, mass=0.7, inertia=0.3)
