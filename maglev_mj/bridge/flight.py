@@ -68,7 +68,7 @@ class Flight:
         step_force: Largest force step caused by new settings [N]; see `check_step`.
         critical_delay: Critical delay of the scene [s]; see `preflight` and `delay_limit`.
         rendered: Wall stiffness of the scene as text, for the recording; see `Preflight`.
-        judge: `judge_change` in a separate process, started before the thread becomes real-time; None to accept new
+        check: `check_change` in a separate process, started before the thread becomes real-time; None to accept new
             settings unchecked.
 
     Attributes:
@@ -92,7 +92,7 @@ class Flight:
         step_force: float = STEP_FORCE,
         critical_delay: float = math.inf,
         rendered: str = "",
-        judge: SideAnswers | None = None,
+        check: SideAnswers | None = None,
     ) -> None:
         if scene.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s (got {scene.period:g})")
@@ -115,7 +115,7 @@ class Flight:
         self._warn, self._check_due = warn, session.FrameClock(1.0)  # of the recording: once a second
         self._delay_guard = DelayGuard(delay_limit(critical_delay, plant.period, own=plant.delay))
         self._power_guard = PowerGuard(plant.period, self._inertia, plant.scale)
-        self.reason, self._judge = "", judge
+        self.reason, self._checker = "", check
         self._name = ", ".join(filter(None, (f"{scene.name} on a device", rendered)))
         if file is not None:
             file.attach("device.toml", "application/toml", plant.calibration.device.toml().encode())
@@ -277,9 +277,9 @@ class Flight:
     def _change(self, target: Scene) -> Iterator[None]:
         """Check settings and apply them, one step per sample; sample rate and delay stay the device's."""
         scene, limit, note = session.changed(self._scene, target), self._delay_guard.limit, ""
-        if self._judge is not None:
-            self._judge.ask(scene, self._inertia, tuple(self._delays))
-            while (answer := self._judge.answer()) is None:
+        if self._checker is not None:
+            self._checker.ask(scene, self._inertia, tuple(self._delays))
+            while (answer := self._checker.answer()) is None:
                 yield
             critical, note = answer
             if critical is None:

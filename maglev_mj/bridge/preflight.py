@@ -365,7 +365,7 @@ def assess(scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -
     return Preflight(scene, report, critical_delay, problem, reduction, requested, _held(scene, inertia, report))
 
 
-def judge_change(
+def check_change(
     scene: Scene, inertia: Sequence[float], delays: Sequence[float], *, report: LinkReport, anyway: bool
 ) -> tuple[float | None, str]:
     """Check new settings in flight, as `preflight` checks a scene.

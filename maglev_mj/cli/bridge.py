@@ -25,7 +25,7 @@ from maglev_mj.bridge.haply.flight import fly_arm, preflight_arm
 from maglev_mj.bridge.haply.plant import Arm, HaplyPlant
 from maglev_mj.bridge.landing import LANDING_TIME, StopSwitch
 from maglev_mj.bridge.links import open_link
-from maglev_mj.bridge.preflight import MARGIN, Preflight, judge_change, measure_link, preflight, stiffest_walls
+from maglev_mj.bridge.preflight import MARGIN, Preflight, check_change, measure_link, preflight, stiffest_walls
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.bridge.realtime import realtime as scheduled
 from maglev_mj.bridge.remote import RemotePlant
@@ -289,10 +289,10 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
         file = None if flown.record is None else open_recording(flown.record)
         if file is not None:
             last.push(partial(_keep, file))
-        judge = None
+        check = None
         if viewer is not None:  # before real-time scheduling, which a child process would inherit
-            judge = SideAnswers(partial(judge_change, report=result.report, anyway=flown.anyway), UNKNOWN, _ANSWER)
-            last.callback(judge.close, 0.0)
+            check = SideAnswers(partial(check_change, report=result.report, anyway=flown.anyway), UNKNOWN, _ANSWER)
+            last.callback(check.close, 0.0)
         flight = Flight(
             plant,
             scene,
@@ -302,7 +302,7 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
             warn=_warn,
             rendered=result.rendered,
             critical_delay=result.report.anyway if result.problem else result.critical_delay,
-            judge=judge,
+            check=check,
         )
         if viewer is not None:
             viewer.on_close, viewer.on_emergency = switch.land, switch.cut

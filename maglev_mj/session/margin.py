@@ -1,10 +1,12 @@
-"""Stability margin of a session's scene with the boundary to draw; computed without delaying its viewer."""
+"""Verdict on a session's scene in words, with the boundary to draw; computed without delaying its viewer."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,48 +15,47 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.stability_check import UNKNOWN, wall_loops
+from maglev_mj.scenes.stability_check import UNKNOWN
 from maglev_mj.session.snapshot import Snapshot
-from maglev_mj.theory import Verdict, judge, stability, stated_gains
+from maglev_mj.theory import Verdict, stability, stated_gains
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.loop import Loop
-from maglev_mj.theory.verdict import critical_stiffness_of, margin_words, nearest
+from maglev_mj.theory.verdict import critical_stiffness_of, margin_words
 
 _DAMPINGS = 32  # points of a stability boundary
 _EMPTY = np.zeros(0)
 
 
-class Margin(NamedTuple):
-    """Stability margin of a scene's gains.
+@dataclass(frozen=True)
+class _Words:
+    """Words of a verdict on a scene's gains, and the loop to draw; a `Verdict` itself cannot be pickled.
 
     Attributes:
         words: Verdict, such as "stable: 59 % of critical stiffness".
         stable: None if not computed.
-        axis: Axis with the smallest margin; empty if the laws do not state their gains.
-        stiffness: Total stiffness of the active laws on that axis [N/m, N m/rad].
-        damping: Total damping of the active laws on that axis [N s/m, N m s/rad].
-        dampings: Dampings of the stability boundary, increasing, (N,).
-        stiffnesses: Critical stiffness at each damping, (N,).
+        loop: The loop with the smallest margin, see `Verdict.marginal`; None if the laws do not state their gains, or
+            beside walls on the device, whose boundary takes long.
     """
 
     words: str
     stable: bool | None = None
-    axis: str = ""
-    stiffness: float = 0.0
-    damping: float = 0.0
-    dampings: Array = _EMPTY
-    stiffnesses: Array = _EMPTY
+    loop: Loop | None = None
 
     @property
     def colour(self) -> Colour | None:
         """Colour of the verdict; None if not computed."""
         return None if self.stable is None else GOOD if self.stable else BAD
 
+    @cached_property
+    def boundary(self) -> tuple[Array, Array]:
+        """Dampings and the critical stiffness of the loop at each."""
+        return (_EMPTY, _EMPTY) if self.loop is None else _boundary(self.loop)
+
 
 def margin(
     scene: Scene, delay: float | None = None, inertia: Sequence[float] | None = None, *, linearised: bool = True
-) -> Margin:
-    """Return a scene's smallest stability margin over axes and combinations of laws, free and in the scene's hand.
+) -> _Words:
+    """Return the verdict on a scene with its smallest margin over axes and states, free and in the scene's hand.
 
     Args:
         scene: The scene.
@@ -68,42 +69,31 @@ def margin(
         if ((gains := stated_gains(controller)) is None or controller.on_device) and not linearised:
             return _COMPUTING
         verdict = stability(scene, inertia=body, delay=lag)
-        if gains is None:
-            return Margin(str(verdict), verdict.stable)
-        if controller.on_device:
-            loops = wall_loops(scene, inertia=body, delay=lag) if verdict.stable else ()
-            words = _words(judge(loops)) if loops else f"unstable on {verdict.axes[0]}"
-            return Margin(words, verdict.stable)
-        return _smallest(scene, verdict)
+        return _Words(str(verdict), verdict.stable) if gains is None else _words_of(verdict, bool(controller.on_device))
     except Exception as error:  # of a user's laws, too
         return _not_computed(error)
 
 
-def _not_computed(error: Exception) -> Margin:
-    return Margin(f"{UNKNOWN}: {str(error).removeprefix(f'{UNKNOWN}: ')}")
+def _not_computed(error: Exception) -> _Words:
+    return _Words(f"{UNKNOWN}: {str(error).removeprefix(f'{UNKNOWN}: ')}")
 
 
-def _words(verdict: Verdict) -> str:
-    return margin_words(verdict.stable, verdict.ratio)
-
-
-def _smallest(scene: Scene, verdict: Verdict) -> Margin:
-    loop = nearest(verdict.loops, scene.axis)
+def _words_of(verdict: Verdict, on_device: bool) -> _Words:
+    loop, _ = verdict.marginal
+    if loop is None:
+        return _Words(str(verdict), verdict.stable)
     ratio = critical_stiffness_of(verdict.loops, loop).ratio
     if not verdict.stable:
         words = f"unstable on {verdict.axes[0]}"
-        loop = verdict.loop or loop
         if 0.0 < ratio <= 1.0:
             words += f": {100.0 / ratio:.0f} % of critical stiffness"
-    elif loop.stiffness:
-        words = margin_words(True, ratio)
     else:
-        words = "stable: no stiffness"
-    return Margin(words, verdict.stable, loop.axis, loop.stiffness, loop.damping, *_boundary(loop))
+        words = margin_words(True, ratio) if loop.total[0] else "stable: no stiffness"
+    return _Words(words, verdict.stable, None if on_device else loop)
 
 
-class StabilityMap:
-    """Stability margin of the newest scene.
+class LiveVerdict:
+    """Verdict on the newest scene.
 
     It is computed at once from declared gains, in milliseconds. Linearisation can take seconds, and walls on the device
     tenths: they run in a side process without a deadline.
@@ -114,7 +104,7 @@ class StabilityMap:
         self._arguments: tuple[Any, ...] = (None,)
         self._margin, self._waiting, self._reused = _COMPUTING, False, False
 
-    def of(self, snapshot: Snapshot, *, wait: bool = False) -> Margin:
+    def of(self, snapshot: Snapshot, *, wait: bool = False) -> _Words:
         """Return the margin of a snapshot's scene; that of the last delay while another one is computed.
 
         Args:
@@ -135,7 +125,7 @@ class StabilityMap:
                 self._answers.ask(*arguments)
         if self._waiting:
             try:
-                answer: Margin | None = self._answers.answer()
+                answer: _Words | None = self._answers.answer()
             except Exception as error:  # the process has ended, or a scene that cannot be pickled
                 answer = _not_computed(error)
                 if self._answers.ended and self._reused:  # perhaps before the question: ask a new one
@@ -145,8 +135,8 @@ class StabilityMap:
         return self._margin
 
 
-_COMPUTING = Margin("computing stability")
-STABILITY = StabilityMap()
+_COMPUTING = _Words("computing stability")
+STABILITY = LiveVerdict()
 """Shared by all viewers of this process."""
 
 

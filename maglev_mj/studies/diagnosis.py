@@ -75,8 +75,8 @@ class DiagnosedLoop(LoopParameters):
 
     @property
     def on_host(self) -> bool:
-        """False if the whole stiffness is on the device: gains, rate and delay in question are then the device's."""
-        return not self.device_stiffness or self.stiffness > 0.0
+        """False if the law on the device is the stiffer one, so that gains, rate and delay in question are its own."""
+        return self.stiffness >= self.device_stiffness
 
     def name(self, word: str) -> str:
         """Return the name of stiffness, damping, period or delay of the law in question."""
@@ -373,7 +373,7 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     elif on_axis is not None:
         raise ParameterError(f"on_axis must be of a scene (got {on_axis!r} without one)")
     if wrong := [name for name in values if name not in accepted]:
-        raise KeywordError(choice_message("argument of diagnose", ("scene", *accepted), wrong[0]))
+        raise KeywordError(choice_message("argument of diagnose", ("scene", "on_axis", *accepted), wrong[0]))
     measured: Oscillation | None = None
     remarks, stated = tuple[str, ...](), values
     if recorded:

@@ -202,8 +202,8 @@ def run_drop_map(
         if progress is not None:
             progress(min(done * part, count), count)
 
-    judge = partial(_judge_parts, parameters, stiffness, damping)
-    results = run_cells(judge, parts, record=record, workers=workers, progress=progress_of_walls)
+    endings = partial(_endings_of_parts, parameters, stiffness, damping)
+    results = run_cells(endings, parts, record=record, workers=workers, progress=progress_of_walls)
     if lost := [result for result in results if "swing" not in result]:
         raise MaglevError(f"map part without verdicts: {lost[0]!r}")
     shape = stiffness.size, damping.size
@@ -214,20 +214,20 @@ def run_drop_map(
     return DropMap(parameters, damping, stiffness, boundary, best, swing, ending)
 
 
-def _judge_parts(
+def _endings_of_parts(
     parameters: DropMapParameters, stiffness: Array, damping: Array, cells: list[Cell]
 ) -> list[dict[str, Any]]:
     """Return swing and ending of each part's walls."""
     results = []
     for cell in cells:
         row, column = np.divmod(np.arange(cell["first"], cell["last"]), damping.size)
-        swing, ending = judge_drops(stiffness[row], damping[column], parameters)
+        swing, ending = drop_endings(stiffness[row], damping[column], parameters)
         results.append({"swing": swing.tolist(), "ending": ending.tolist()})
     return results
 
 
-def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters) -> tuple[Array, Array]:
-    """Simulate drops on N walls and judge them.
+def drop_endings(stiffness: Array, damping: Array, parameters: DropMapParameters) -> tuple[Array, Array]:
+    """Return how simulated drops on N walls end.
 
     Returns the last swing [m] and the `Ending`, (N,) each.
 

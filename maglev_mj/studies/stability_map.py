@@ -207,7 +207,7 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
             options = {**_engine(some), **keywords} if plant == "mujoco" else keywords
             device = some[0].plant(_BATCHES[plant], pose=pose, wrench=wrench, **options)
             sizes = _sizes(device, _controller(some), np.array([wall.rest for wall in some]), ticks)
-            growth, decided = _judge(sizes, last=ticks == _PATIENCE[-1])
+            growth, decided = _growths(sizes, last=ticks == _PATIENCE[-1])
             done = undecided[decided]
             stable[done], rate[done], spent[done] = (part[decided] for part in growth)
             undecided = undecided[~decided]
@@ -257,7 +257,7 @@ def _decisive(sizes: Array) -> Mask:
     return (sizes < 1.0 / _DECIDED) | (sizes > _DECIDED)
 
 
-def _judge(sizes: Array, *, last: bool) -> tuple[_Growth, Mask]:
+def _growths(sizes: Array, *, last: bool) -> tuple[_Growth, Mask]:
     """Return the growth by block sizes, and a decided mask."""
     decisive = _decisive(sizes)
     decided: Mask = np.any(decisive, axis=0)

@@ -315,15 +315,14 @@ class Loop:
 
     @property
     def on_host(self) -> bool:
-        """False if all stiffness of declared gains is on the device."""
-        return self.device is None or self.stiffness > 0.0 or not self.device.stiffness
+        """False if the law on the device is the stiffer one of declared gains."""
+        return self.device is None or self.stiffness >= self.device.stiffness
 
     @property
     def in_question(self) -> Loop:
         """Loop whose gains, clock and filter are those of the law in question, with the other law as its device law.
 
-        That is the law on the host, or the one on the device if it has all of the stiffness. Of laws linearised on one
-        axis, the memory scales with the stiffness.
+        That is the stiffer one, on host or device. The memory of laws linearised on one axis scales with the stiffness.
         """
         if self.linear is not None:
             law = LinearisedLaw(self.controller(), self.stiffness, max(self.damping, 0.0))
@@ -332,9 +331,9 @@ class Loop:
         if law is None or self.on_host:
             return self
         beside = None
-        if self.damping:
+        if self.stiffness or self.damping:
             cutoff = own.cutoff if isinstance(own, LowPass) else None
-            beside = DeviceLaw(0.0, self.damping, self.period, self.delay, cutoff)
+            beside = DeviceLaw(self.stiffness, self.damping, self.period, self.delay, cutoff)
         gains: Any = {"stiffness": law.stiffness, "damping": law.damping, "period": law.period, "delay": law.delay}
         return replace(self, **gains, velocity=law.velocity, law=None, device=beside)
 

@@ -51,7 +51,7 @@ _LAWS = {"contact": "walls", "stuck": "friction"}
 _NO_RANGE = StableRange(Bound(math.nan), Bound(math.nan))
 
 
-class LoopState(NamedTuple):
+class _LoopState(NamedTuple):
     """Closed loop of axes with equal gains in one combination of law states.
 
     Attributes:
@@ -118,7 +118,7 @@ class Verdict(NoTruthValue, Result):
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
     unknown: Array = field(default_factory=lambda: np.zeros((0, 6)))
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    states: tuple[LoopState, ...] = ()
+    states: tuple[_LoopState, ...] = ()
     unjudged: tuple[str, ...] = ()
     doubts: Mapping[str, str] = field(default_factory=dict)
     valid_to: Bound | None = None
@@ -478,7 +478,7 @@ def _verdict(loops: Loops, poles: Sequence[NDArray[np.complex128]]) -> Verdict:
         jumps=loops.jumps,
         unknown=loops.unknown,
         away=loops.away,
-        states=tuple(LoopState(tuple(axes), *kind) for kind, axes in kinds.items()),
+        states=tuple(_LoopState(tuple(axes), *kind) for kind, axes in kinds.items()),
         unjudged=loops.unjudged,
         loops=loops,
         loop=worst,

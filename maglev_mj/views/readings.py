@@ -112,14 +112,16 @@ class Charts:
         """Return the stability map; the verdict alone if a law states no gains."""
         margin = STABILITY.of(snapshot)
         title = [(margin.words, margin.colour)]
-        if not (axis := margin.axis):
+        if (loop := margin.loop) is None:
             return Chart(title, [], (0.0, 1.0), (0.0, 1.0))
+        axis = loop.axis
         factor, prefix = (1.0, "") if axis.startswith("r") else (1e-3, "k")
-        boundary, stiffness = factor * margin.stiffnesses, factor * margin.stiffness
-        width = max(float(margin.dampings.max(initial=0.0)), 1.1 * margin.damping, _LEAST_GAIN)
+        dampings, stiffnesses = margin.boundary
+        boundary, stiffness = factor * stiffnesses, factor * loop.stiffness
+        width = max(float(dampings.max(initial=0.0)), 1.1 * loop.damping, _LEAST_GAIN)
         height = max(float(boundary.max(initial=0.0)), 1.1 * stiffness, factor * _LEAST_GAIN)
-        here = Line(margin.colour or BOUNDARY, [margin.damping], [stiffness], dot=True)
-        lines = [Line(BOUNDARY, margin.dampings, boundary), here]
+        here = Line(margin.colour or BOUNDARY, [loop.damping], [stiffness], dot=True)
+        lines = [Line(BOUNDARY, dampings, boundary), here]
         foot, side = f"damping [{unit_of('N s/m', axis)}], {axis}", f"stiffness [{prefix}{unit_of('N/m', axis)}]"
         return Chart(title, lines, (0.0, round_up(width)), (0.0, round_up(height)), foot, side)
 

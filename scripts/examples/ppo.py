@@ -16,7 +16,7 @@ from gym_environment import AXES, ENVIRONMENT, spring_and_damper
 GAMMA = 0.95  # horizon of 0.1 s, longer than the flotor needs to cross its range
 
 
-def judge(name, agent):
+def score(name, agent):
     """Print reward and distance over 64 unseen targets."""
     many, rewards, distances, over = gymnasium.make_vec(ENVIRONMENT, num_envs=64, axes=AXES), [], [], [False]
     states, _ = many.reset(seed=1000)
@@ -32,8 +32,8 @@ if __name__ == "__main__":
     env = VecNormalize(make_vec_env(ENVIRONMENT, 8, seed, env_kwargs={"axes": AXES, "render_mode": None}), gamma=GAMMA)
     settings = {"n_steps": 256, "batch_size": 128, "gamma": GAMMA, "learning_rate": 1e-3, "device": "cpu", "seed": seed}
     model = PPO("MlpPolicy", env, policy_kwargs={"log_std_init": -1.0}, **settings)
-    judge("random", lambda states: random.uniform(-1.0, 1.0, (len(states), 1)))
-    judge("PD", spring_and_damper)
+    score("random", lambda states: random.uniform(-1.0, 1.0, (len(states), 1)))
+    score("PD", spring_and_damper)
     for name, steps in {"PPO before": 0, "PPO after": 200_000}.items():
         model.learn(steps)
-        judge(name, lambda states: model.predict(env.normalize_obs(states), deterministic=True)[0])
+        score(name, lambda states: model.predict(env.normalize_obs(states), deterministic=True)[0])

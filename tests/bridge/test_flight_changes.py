@@ -19,7 +19,7 @@ from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.flight_guards import delay_limit
-from maglev_mj.bridge.preflight import LinkReport, judge_change, measure_link
+from maglev_mj.bridge.preflight import LinkReport, check_change, measure_link
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge
 from maglev_mj.cli.peripherals import PageOptions
@@ -121,7 +121,7 @@ class Judge:
 
     def answer(self) -> Any:
         self._left -= 1
-        return judge_change(*self.asked[-1], **self._how) if self._left < 0 else None
+        return check_change(*self.asked[-1], **self._how) if self._left < 0 else None
 
 
 class Wishes:
@@ -160,11 +160,11 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
     def run(*wishes: tuple[int, Scene], make: Callable[[LinkReport], Any] = Judge) -> tuple[Flight, Wishes, Any]:
         asks = Wishes(wishes)
         with device() as plant:
-            judge = make(measure_link(plant, 0.2))
+            check = make(measure_link(plant, 0.2))
             scene = Joystick(period=plant.period, delay=plant.delay)
-            flown = Flight(plant, scene, publishers=[asks], judge=judge, critical_delay=0.0027)
+            flown = Flight(plant, scene, publishers=[asks], check=check, critical_delay=0.0027)
             assert flown.run(0.6).landing.at_rest and not flown.reason
-        return flown, asks, judge
+        return flown, asks, check
 
     return run
 
@@ -196,8 +196,8 @@ def test_anyway_flies_it_with_a_warning_and_twice_the_planned_delay(fly: Fly) ->
 
 def test_a_newer_request_replaces_a_pending_one(fly: Fly) -> None:
     # A held key repeats its request, which is checked once.
-    _, asks, judge = fly((20, STIFF), (22, GOOD), (24, GOOD), (25, GOOD))
-    assert [scene.stiffness for scene, *_ in judge.asked] == [60_000.0, 4000.0]
+    _, asks, check = fly((20, STIFF), (22, GOOD), (24, GOOD), (25, GOOD))
+    assert [scene.stiffness for scene, *_ in check.asked] == [60_000.0, 4000.0]
     assert asks.answers[:-1] == [REPLACED] * 3 and isinstance(asks.answers[-1], int)
     assert {one.scene for one in asks.snapshots} == {Joystick(), GOOD}
 

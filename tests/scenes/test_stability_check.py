@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES
-from maglev_mj.bridge.preflight import judge_change
+from maglev_mj.bridge.preflight import check_change
 from maglev_mj.control import Hold, Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Sample
@@ -238,7 +238,7 @@ class Slow(Drop):
         (stability_warning, 40_000, "not computed"),
         (lambda scene: judge(wall_loops(scene, held=True)), 7_000, "spectral radius 0.877"),
         (lambda scene: margin(scene).words, 40_000, "not computed"),
-        (lambda scene: judge_change(scene, [*INERTIA], [], report=GOOD, anyway=False)[1], 40_000, "not computed"),
+        (lambda scene: check_change(scene, [*INERTIA], [], report=GOOD, anyway=False)[1], 40_000, "not computed"),
         (lambda scene: unstable([scene]), 5_000, "False"),
         (lambda scene: unstable([scene.replace(stiffness=k) for k in (4e3, 5e3, 6e3)]), 5_000, "False, False"),
     ],

@@ -24,7 +24,7 @@ from maglev_mj.scenes.stability_check import wall_loops
 from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.session import Snapshot
 from maglev_mj.session import margin as session_margin
-from maglev_mj.session.margin import StabilityMap, margin
+from maglev_mj.session.margin import LiveVerdict, margin
 from maglev_mj.theory import DeviceLaw, judge, stability
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.critical import critical_ratios
@@ -140,10 +140,10 @@ class Quick(NamedTuple):
 
 
 @pytest.fixture
-def own(monkeypatch: pytest.MonkeyPatch) -> StabilityMap:
+def own(monkeypatch: pytest.MonkeyPatch) -> LiveVerdict:
     """Give viewers a stability map of their own, with answers of this process instead of another."""
     monkeypatch.setattr("maglev_mj.session.margin.SideAnswers", Here)
-    monkeypatch.setattr("maglev_mj.views.readings.STABILITY", own := StabilityMap())
+    monkeypatch.setattr("maglev_mj.views.readings.STABILITY", own := LiveVerdict())
     return own
 
 
@@ -160,7 +160,7 @@ def verdict(snapshot: Snapshot) -> str:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_the_verdict_is_one_number_without_waiting(name: str, own: StabilityMap) -> None:
+def test_the_verdict_is_one_number_without_waiting(name: str, own: LiveVerdict) -> None:
     scene: Any = find_scene(name)()
     scenes = [scene, *(scene.replace(stiffness=2.5 * scene.stiffness) for _ in range(hasattr(scene, "stiffness")))]
     for changed in scenes:
@@ -168,7 +168,7 @@ def test_the_verdict_is_one_number_without_waiting(name: str, own: StabilityMap)
     assert verdict(shown(Drop(stiffness=15_000.0))) == "unstable on z: 148 % of critical stiffness"
 
 
-def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(own: StabilityMap) -> None:
+def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(own: LiveVerdict) -> None:
     flying: dict[str, Any] = {"state": "flying", "inertia": [0.75] * 3 + [1e-3] * 3}
     texts = [verdict(shown(Joystick(), delay=delay, **flying)) for delay in (0.0021, 0.00212, 0.0031)]
     want = [margin(Joystick(), delay, flying["inertia"]).words for delay in (0.0021, 0.0031)]
@@ -178,7 +178,7 @@ def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(own: Stabili
 
 
 def test_without_declared_gains_the_last_verdict_is_of_the_same_scene(
-    own: StabilityMap, monkeypatch: pytest.MonkeyPatch
+    own: LiveVerdict, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(session_margin, "stability", lambda scene, *, inertia, delay: Quick(scene.stiffness, delay))
     flying: dict[str, Any] = {"state": "flying"}
@@ -192,7 +192,7 @@ def test_without_declared_gains_the_last_verdict_is_of_the_same_scene(
 
 @pytest.mark.machine
 def test_a_viewer_outlives_the_process() -> None:
-    own = StabilityMap()
+    own = LiveVerdict()
     for scene in (Undeclared(), Undeclared(stiffness=2000.0)):
         while (found := own.of(shown(scene)).words) == "computing stability":
             time.sleep(0.005)
@@ -214,7 +214,7 @@ ENDED = MaglevError("stability not computed: its process has ended")
     ids=["slow", "killed", "raises"],
 )
 def test_each_question_of_a_viewer_is_answered_in_the_end(
-    answers: list[Any], words: str, own: StabilityMap, monkeypatch: pytest.MonkeyPatch
+    answers: list[Any], words: str, own: LiveVerdict, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Faulty(Here):
         """Process with the next of the answers at each poll, then the right one."""

@@ -10,7 +10,7 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.studies.cells import local_workers
-from maglev_mj.studies.drop_map import SAMPLES, DropMapParameters, Ending, _Quarters, judge_drops, run_drop_map
+from maglev_mj.studies.drop_map import SAMPLES, DropMapParameters, Ending, _Quarters, drop_endings, run_drop_map
 from maglev_mj.studies.record import Record
 from maglev_mj.theory import is_stable
 from tests.studies.test_charts import details
@@ -39,7 +39,7 @@ def test_a_map_of_drops_states_loop_and_drop() -> None:
 
 
 def ending(stiffness: float, damping: float, **values: Any) -> tuple[float, Ending]:
-    swing, found = judge_drops(np.array([stiffness]), np.array([damping]), DropMapParameters(**values))
+    swing, found = drop_endings(np.array([stiffness]), np.array([damping]), DropMapParameters(**values))
     return float(swing[0]), Ending(found[0])
 
 
@@ -66,8 +66,8 @@ def test_steps_keep_walls_of_much_damping_from_resting_that_theory_has_stable() 
     k, b = (part.ravel() for part in np.meshgrid(np.linspace(3000.0, 8000.0, 60), np.linspace(120.0, 165.0, 30)))
     p = DropMapParameters(height=0.0)
     stable = p.loop().array().spectral_radius(k, b) < 0.99
-    assert stable.sum() > 250 and (judge_drops(k, b, p)[1][stable] == Ending.SETTLES).all()
-    swing, found = judge_drops(k, b, DropMapParameters(height=0.0, quantize=5e-6))
+    assert stable.sum() > 250 and (drop_endings(k, b, p)[1][stable] == Ending.SETTLES).all()
+    swing, found = drop_endings(k, b, DropMapParameters(height=0.0, quantize=5e-6))
     hums = stable & (found != Ending.SETTLES)
     assert 0 < hums.sum() < 0.05 * stable.sum() and (swing[hums] > 50e-6).all() and (swing[hums] < 200e-6).all()
 

@@ -23,7 +23,7 @@ from maglev_mj import (
     param,
     stability,
 )
-from maglev_mj.bridge.preflight import judge_change
+from maglev_mj.bridge.preflight import check_change
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.scenes.drop import Drop
@@ -86,7 +86,7 @@ def test_an_axis_that_is_not_judged_is_stable_nowhere(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(8))
 def test_an_axis_that_is_not_judged_flies_and_is_diagnosed_nowhere(seed: int) -> None:
     scene = rough(seed)
-    assert judge_change(scene, scene.body.inertia.tolist(), [], report=GOOD, anyway=False)[1]
+    assert check_change(scene, scene.body.inertia.tolist(), [], report=GOOD, anyway=False)[1]
     try:
         assert not diagnose(scene).stable
     except ParameterError as error:
@@ -117,8 +117,8 @@ FRONTS: dict[str, Callable[[Drop], Any]] = {
     "compare": lambda scene: compare(scene.replace(duration=0.1), ["pd"], phases=1).margins["pd"]["spectral_radius"],
     "wall": lambda scene: judge(wall_loops(scene)).spectral_radius,
     "sweep": lambda scene: unstable([scene]),
-    "page": lambda scene: (margin(scene).words, margin(scene).stiffnesses.tolist()),
-    "flight": lambda scene: judge_change(scene, scene.body.inertia.tolist(), [], report=GOOD, anyway=False),
+    "page": lambda scene: (margin(scene).words, margin(scene).boundary[1].tolist()),
+    "flight": lambda scene: check_change(scene, scene.body.inertia.tolist(), [], report=GOOD, anyway=False),
     "card": lambda scene: float(device_card(scene).walls[0].stiffness),
     "map": lambda scene: float(stiffest_of(StabilityParameters(device=scene.device).loop().array()).stiffness),
 }

@@ -321,7 +321,7 @@ SCENES: dict[str, Callable[[Drop], Any]] = {
         scene, ["pd"], "damping", [scene.damping], figure="critical_stiffness"
     ).columns()["critical_stiffness"][0],
     "wall": lambda scene: judge(wall_loops(scene)).spectral_radius,
-    "page": lambda scene: (margin(scene).words, margin(scene).stiffnesses.tolist()),
+    "page": lambda scene: (margin(scene).words, margin(scene).boundary[1].tolist()),
     "preflight": lambda scene: float(_critical_delay(scene, scene.body.inertia)),
     "warning": lambda scene: stability_warning(scene.replace(stiffness=5.0 * scene.stiffness)),
     "card": lambda scene: float(device_card(scene).walls[0].stiffness),

@@ -165,10 +165,10 @@ def test_a_loop_that_no_block_decides_is_judged_by_its_trend(rate: float) -> Non
     sizes = np.stack(
         [slow, 10.0 * growing._DECIDED ** (blocks + 1.0), 0.1 * growing._DECIDED ** -(blocks + 1.0)], axis=1
     )
-    found, decided = growing._judge(sizes, last=True)
+    found, decided = growing._growths(sizes, last=True)
     assert decided.all() and found.stable.tolist() == [rate < 1.0, False, True]
     assert found.rate[0] == pytest.approx(rate, rel=1e-12)
-    _, decided = growing._judge(sizes, last=False)
+    _, decided = growing._growths(sizes, last=False)
     assert decided.tolist() == [False, True, True]
 
 

@@ -237,26 +237,31 @@ class Filtered(Drop):
 @pytest.mark.parametrize("scene", [Joystick(), Drop(), Filtered(stiffness=2000.0)])
 def test_the_drawn_boundary_is_where_the_verdict_has_its_limit(scene: Scene) -> None:
     found = margin(scene)
-    limit = np.interp(found.damping, found.dampings, found.stiffnesses)
+    assert found.loop is not None
+    limit = np.interp(found.loop.damping, *found.boundary)
     percent = int(re.findall(r"stable: (\d+) %", found.words)[0])
-    ratio = 1.0 + (limit - found.stiffness) / scene.stiffness  # type: ignore[attr-defined]
+    ratio = 1.0 + (limit - found.loop.stiffness) / scene.stiffness  # type: ignore[attr-defined]
     assert 100.0 / ratio == pytest.approx(percent, rel=0.02)  # the scene's stiffness alone grows
 
 
 def test_the_margin_is_that_of_the_total_gains() -> None:
     # Those of wall and centring, and of the loop that is refused; the wall's stiffness alone grows to the critical one.
     found, body = margin(Joystick()), Joystick().body.inertia
-    assert found.stable and found.axis == "x"
-    assert found.stiffness == pytest.approx(6000.0 + CENTRING) and found.damping == pytest.approx(92.0)
+    assert found.stable and found.loop is not None and found.loop.axis == "x"
+    assert found.loop.stiffness == pytest.approx(6000.0 + CENTRING) and found.loop.damping == pytest.approx(92.0)
     most = float(largest_stable_stiffness(92.0, period=0.005, delay=0.0015, mass=float(body[0])))
-    assert found.words == f"stable: {100.0 / (1.0 + (most - found.stiffness) / 6000.0):.0f} % of critical stiffness"
+    assert (
+        found.words == f"stable: {100.0 / (1.0 + (most - found.loop.stiffness) / 6000.0):.0f} % of critical stiffness"
+    )
     free = margin(Joystick(wall=False))
-    assert free.stable and max(free.stiffness, 12.0) <= CENTRING + 1e-9  # nothing of the wall that is off
+    assert (
+        free.stable and free.loop is not None and max(free.loop.stiffness, 12.0) <= CENTRING + 1e-9
+    )  # nothing of the wall that is off
     wrong = margin(Drop(stiffness=20000.0))
-    assert wrong.stable is False and wrong.axis == "z" and wrong.words.startswith("unstable on z: ")
-    assert wrong.stiffness >= 20000.0
+    assert wrong.stable is False and wrong.words.startswith("unstable on z: ")
+    assert wrong.loop is not None and wrong.loop.axis == "z" and wrong.loop.stiffness >= 20000.0
     six = margin(find_scene("six-axes")())
-    assert six.stable and six.stiffness < 6000.0
+    assert six.stable and six.loop is not None and six.loop.stiffness < 6000.0
     assert margin(find_scene("twist")()).words == "stable: no stiffness"
     for name in BUILT_IN:
         assert "not computed" not in margin(find_scene(name)()).words

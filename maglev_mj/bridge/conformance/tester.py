@@ -254,7 +254,7 @@ class Tester:
         before, arrived, self.arrived = self.last, self.arrived, self.now()
         is_newer = before is None or newer(frame.sequence, before.sequence)
         if is_newer:
-            self._judge(frame, before)
+            self._check_frame(frame, before)
             self.last, self._raw = frame, data
             if before is not None:
                 usual = ((frame.sequence - before.sequence) & WRAP) * self.welcome.period
@@ -267,7 +267,7 @@ class Tester:
             self.command(frame.sequence, *self._answer)
         return frame if is_newer else None
 
-    def _judge(self, frame: Any, before: Any) -> None:
+    def _check_frame(self, frame: Any, before: Any) -> None:
         """Record violations in a sample."""
         body, period = frame.body, self.welcome.period
         # after a cut, currents take a few samples to decay
