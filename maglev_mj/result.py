@@ -270,7 +270,8 @@ def _cells(tag: str, values: Sequence[Any]) -> str:
 
 
 def _text(value: Any) -> str:
-    return number_text(value) if isinstance(value, float) else printable(str(value))
+    more = "more than " * bool(getattr(value, "beyond", False))  # of a bound
+    return more + number_text(value) if isinstance(value, float) else printable(str(value))
 
 
 def _has_words(text: str) -> bool:

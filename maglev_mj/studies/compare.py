@@ -38,7 +38,7 @@ from maglev_mj.studies.wall_laws import LAWS, LawMaker, WallLaw, laws_of, wall_l
 from maglev_mj.theory import stated_gains
 from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.linearise import linearise
-from maglev_mj.theory.loop import Doubt, Loop, Loops
+from maglev_mj.theory.loop import Bound, Doubt, Loop, Loops
 from maglev_mj.theory.read import loops_at, partial_laws, scene_doubts, scene_lag, with_doubt
 from maglev_mj.theory.verdict import Verdict, verdicts
 
@@ -73,7 +73,8 @@ class Comparison(Variants):
             peak-to-peak motion there [m], see `hum`; `spectral_radius`, that of the wall alone, or of free air if the
             law acts there and is less stable, below 1 for a stable wall; `critical_stiffness`, the stiffness gain at
             which stability changes, other gains unchanged [N/m]; and `margin`, its ratio to the law's gain. The last
-            two are NaN if nothing changes up to ten times the gain, and for a law without a stiffness.
+            two are of type `Bound`: more than the end of the search if nothing changes; NaN if softer walls are
+            unstable, and for a law without a stiffness.
         laws: Row of each law in the table of laws.
         scene: The scene with its own wall.
         reasons: Reason for NaN among the margins of a law, or for a verdict on a part of it, by law.
@@ -110,7 +111,8 @@ class Comparison(Variants):
     def as_json(self) -> dict[str, Any]:
         """Return the columns, and the figures of each law at each phase, ready for JSON."""
         head = {"scene": self.scene.name, "plant": self.first.plant, "parameters": self.scene.as_json()}
-        columns = plain(self.columns()) | {"verdict": list(self.verdicts.values())}
+        margins = {name: [one[name] for one in self.margins.values()] for name in _MARGINS}  # with ends of searches
+        columns = plain(self.columns() | margins) | {"verdict": list(self.verdicts.values())}
         return {**head, "columns": columns, "laws": plain(self.phases), "reasons": dict(self.reasons)}
 
     def table(self) -> Table:
@@ -126,7 +128,7 @@ class Comparison(Variants):
         named = {name: _MARGIN_HEADS.get(name, name.replace("_", " ")) for name in _MARGINS}
         still = ["law", "verdict", *(with_unit(named[name], one.unit) for name, one in _MARGINS.items())]
         rest = [
-            [label, verdicts[label], *(one[name] * figure.scale for name, figure in _MARGINS.items())]
+            [label, verdicts[label], *(_scaled(one[name], figure.scale) for name, figure in _MARGINS.items())]
             for label, one in self.margins.items()
         ]
         equations = [[label, law.status, law.text] for label, law in self.laws.items()]
@@ -147,6 +149,15 @@ class Comparison(Variants):
         if not pulsed:
             return text
         return f"{text}, pulse {self.scene.pulse:g} N s/m for law{'s' * (len(pulsed) > 1)} {', '.join(pulsed)}"
+
+
+def _scaled(value: float, scale: float) -> float:
+    return Bound(scale * value, True) if _ends(value) else scale * value
+
+
+def _ends(value: float) -> bool:
+    """Return True for the end of a search."""
+    return isinstance(value, Bound) and value.beyond
 
 
 def _verdict(radius: float) -> str:
@@ -293,7 +304,8 @@ def sweep_laws(
 
     def value_of(variant: WallScene) -> float:
         if shown in _MARGINS:
-            return _at_rest(variant)[0][shown]
+            value = _at_rest(variant)[0][shown]
+            return math.nan if _ends(value) else value
         with suppress(DivergenceError):
             each = run_phases(variant, phases, plant=plant).figures[shown]
             return float(known[shown].percentile(np.ravel(each), 50.0))
@@ -308,7 +320,8 @@ def sweep_laws(
             at_rest = _AtRest(variants)
             radii = [*map(_radius, at_rest.present)]
             if shown == _MAPPED:
-                values = [ratio * one.stiffness for ratio, one in zip(at_rest.critical(), variants, strict=True)]
+                ratios = (math.nan if _ends(ratio) else ratio for ratio in at_rest.critical())
+                values = [ratio * one.stiffness for ratio, one in zip(ratios, variants, strict=True)]
             else:
                 values = [*map(value_of, variants)]
             for index, value, radius in zip(indices, values, radii, strict=True):
@@ -396,13 +409,9 @@ class _AtRest:
         """Verdict on each scene."""
         return verdicts(self.loops(range(len(self.scenes)), [1.0] * len(self.scenes)))
 
-    def critical(self) -> list[float]:
-        """Return the ratio of critical to present stiffness of each scene: all softer walls are stable.
-
-        NaN if nothing changes up to the end of the search, or if not computed.
-        """
-        ratios = critical_ratios(self.loops, [verdict.loops for verdict in self.present])
-        return [math.nan if ratio.beyond else float(ratio) for ratio in ratios]
+    def critical(self) -> list[Bound]:
+        """Return the ratio of critical to present stiffness of each scene: all softer walls are stable."""
+        return critical_ratios(self.loops, [verdict.loops for verdict in self.present])
 
 
 def _radius(verdict: Verdict) -> float:
@@ -418,14 +427,14 @@ def _at_rest(scene: WallScene) -> tuple[dict[str, float], list[str]]:
     at_rest = _AtRest([scene])
     (verdict,), (margin,) = at_rest.present, at_rest.critical()
     stiffness, radius = verdict.loops[0].total[0], _radius(verdict)
-    margin = margin if margin > 0.0 else math.nan
+    margin = margin if margin > 0.0 else Bound(math.nan)
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
     around |= {"hand": at_rest.hand, "quantum": scene.quantize or scene.hardware.sensor.resolution[2]}
     around["device"] = scene.device_clock
     rest = stiffness if 1.0 < stiffness < 1e9 else scene.stiffness
     swing, force = hum(0.0, law=scene.controller(), stiffness=rest, duration=_TICKS * scene.period, **around)
-    gain = margin * float(getattr(law, "stiffness", math.nan))
+    gain = Bound(margin * float(getattr(law, "stiffness", math.nan)), margin.beyond)
     margins = dict(zip(_MARGINS, (stiffness, force.item(), swing.item(), radius, gain, margin), strict=True))
     partial = partial_laws(scene.controller())
     return margins, [
@@ -441,6 +450,6 @@ def _reasons(verdict: Verdict, margins: Mapping[str, float]) -> Iterator[str]:
     elif not margins["stiffness"]:
         yield "no critical gain: the law has no stiffness at rest"
     elif math.isnan(margins["margin"]):
-        yield "no critical gain: softer walls are unstable, or nothing changes up to the end of the search"
+        yield "no critical gain: softer walls are unstable"
     elif math.isnan(margins["critical_stiffness"]):
         yield "no critical gain: the law has no gain called stiffness"

@@ -264,7 +264,7 @@ def drop_endings(stiffness: Array, damping: Array, parameters: DropMapParameters
     quarters = _Quarters(count)
     with plant:
         drive(plant, controller, SAMPLES, observe=quarters)
-    return quarters.judge(p)
+    return quarters.endings(p)
 
 
 class _Quarters:
@@ -283,7 +283,7 @@ class _Quarters:
             np.minimum(self._least[quarter], position, out=self._least[quarter])
             np.maximum(self._most[quarter], position, out=self._most[quarter])
 
-    def judge(self, p: DropMapParameters) -> tuple[Array, Array]:
+    def endings(self, p: DropMapParameters) -> tuple[Array, Array]:
         """Return last swing and ending, (N,) each."""
         before, swing = self._most - self._least
         inside = self._most.max(axis=0) <= 0.0

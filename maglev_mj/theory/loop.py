@@ -46,7 +46,7 @@ class Bound(float):
     def __new__(cls, value: float, beyond: bool = False, largest_gain: float | None = None) -> Bound:
         """Return the bound."""
         self = super().__new__(cls, value)
-        self.beyond, self.largest_gain = beyond, largest_gain
+        self.beyond, self.largest_gain = beyond and not math.isnan(value), largest_gain
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:

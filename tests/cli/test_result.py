@@ -6,9 +6,9 @@ import json
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from copy import copy
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cache
 from html import escape
 from types import UnionType
@@ -24,7 +24,7 @@ from maglev_mj.bridge.preflight import LinkReport
 from maglev_mj.device import Device
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.plants.shapes import device_report
-from maglev_mj.result import Result, Table, number_text
+from maglev_mj.result import Result, Table, number_text, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Figure, Variants
@@ -40,7 +40,9 @@ from maglev_mj.studies.oscillation import Oscillation
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, run_stability
 from maglev_mj.terminal import WIDTH
 from maglev_mj.theory import WallRequirements, design_wall
+from maglev_mj.theory.loop import Bound, StableRange
 from tests.analysis.test_analysis import analysed, recorded
+from tests.studies.test_verdict_properties import Linearised
 
 pytestmark = pytest.mark.xdist_group("tabular")  # one worker makes the results
 
@@ -145,6 +147,12 @@ def of_each_kind() -> dict[type[Result], Result]:
     return {type(one): one for one in [*results().values(), link, device_report(), laws, own]}
 
 
+@cache
+def data_of_each_kind() -> dict[type[Result], Any]:
+    """Return the JSON of one result of each class."""
+    return {kind: found.as_json() for kind, found in of_each_kind().items()}
+
+
 def values_of(hint: Any) -> Iterator[Any]:
     """Yield values of each alternative of a type, with NaN and complex numbers in them."""
     parts = get_args(hint)
@@ -164,7 +172,7 @@ def values_of(hint: Any) -> Iterator[Any]:
 def test_every_result_in_every_state_becomes_json() -> None:
     states, named = 0, {"Oscillation": Oscillation, "NDArray": NDArray}
     for kind, found in of_each_kind().items():
-        json.dumps(found.as_json(), allow_nan=False)
+        json.dumps(data_of_each_kind()[kind], allow_nan=False)
         if kind.as_json.__wrapped__ is not Result.as_json.__wrapped__:  # type: ignore[attr-defined]
             continue  # of its own: not of any values
         for item in fields(found):  # type: ignore[arg-type]
@@ -176,6 +184,43 @@ def test_every_result_in_every_state_becomes_json() -> None:
                 json.dumps(plain, allow_nan=False)
                 states += 1
     assert states > 60
+
+
+def bounds_of(value: Any) -> Iterator[Bound | StableRange]:
+    """Yield the bounds, and ranges of two, in a value of a result."""
+    if isinstance(value, Bound | StableRange):
+        yield value
+    elif isinstance(value, Mapping):
+        for one in value.values():
+            yield from bounds_of(one)
+    elif isinstance(value, tuple | list):
+        for one in value:
+            yield from bounds_of(one)
+
+
+def test_every_bound_of_a_result_has_the_end_of_its_search_in_the_json() -> None:
+    loop: dict[str, Any] = {"stiffness": 10.0, "damping": 1.0, "rate": 1000.0, "delay": 0.0, "mass": 0.7}
+    margins = {"pd": {**results()["comparison"].margins["pd"], "margin": Bound(640.0, True)}}
+    more: list[Any] = [diagnose(**loop), diagnose(**loop, hand="0.1,20,500"), stability(Linearised(duration=0.01))]
+    more.append(replace(results()["comparison"], margins=margins))
+    every = [*zip(of_each_kind().values(), data_of_each_kind().values()), *((found, found.as_json()) for found in more)]
+    written = set[str]()
+    for found, data in every:
+        text = str(data)
+        for name in {*data, *(item.name for item in fields(found))}:
+            for bound in bounds_of(getattr(found, name, None)):
+                end = str(plain(bound))
+                assert end in text, (type(found).__name__, name)
+                written |= {f"{type(found).__name__} {key}" for key in ("more_than", "less_than", "any") if key in end}
+    wanted = {
+        "Diagnosis more_than",
+        "Diagnosis less_than",
+        "Diagnosis any",
+        "Verdict more_than",
+        "Comparison more_than",
+    }
+    assert wanted <= written
+    assert "more than 640" in str(more[-1].table())
 
 
 def test_every_kind_of_result_has_a_headline() -> None:

@@ -129,6 +129,6 @@ def test_an_ending_is_that_of_the_last_quarter() -> None:
         late = tick - SAMPLES // 2
         heights = np.array(ranges[late // (SAMPLES // 4)]).T[tick % 2] if late >= 0 else np.full(4, 9e-3)
         quarters(Sample(tick, 0.005 * tick, [0.0, 0.0, heights, 0.0, 0.0, 0.0]), Command(ZERO))
-    swing, ending = quarters.judge(DropMapParameters(height=4.5e-3))
+    swing, ending = quarters.endings(DropMapParameters(height=4.5e-3))
     assert swing == pytest.approx([1e-4, 1.1e-3, 5e-3, 6e-3])
     assert ending.tolist() == [Ending.SETTLES, Ending.PERSISTS, Ending.PERSISTS, Ending.RISES]
