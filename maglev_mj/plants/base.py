@@ -100,6 +100,11 @@ class SampledPlant(ABC):
         check_instance("hand_force", plant.given.get("hand_force"), Callable | None, "a function (tick, time, state)")
         return plant
 
+    @property
+    def driver_lag(self) -> float:
+        """Time constant of the drivers [s]; 0 for none."""
+        return self._lag
+
     def __init__(
         self,
         timing: Timing,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control import Controller, FiniteDifference, LowPass
+from maglev_mj.device import Device, lag_of
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers, read_file
@@ -269,7 +270,12 @@ def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:
     if not (setup["kind"] == MEASURED and setup["parameters"].get("delay_assumed")):
         stated |= {"delay": metadata.delay}
     with suppress(MaglevError):  # user-defined plants are not rebuilt, user-defined laws not executed
-        plant, controller = rebuild_plant(setup), rebuild_controller(setup)
+        plant = rebuild_plant(setup)
+        if plant is not None:
+            stated["driver_lag"] = plant.driver_lag
+        elif device := setup.get("parameters", {}).get("device"):  # of a flight
+            stated["driver_lag"] = lag_of(Device.load(device))
+        controller = rebuild_controller(setup)
         if plant is not None:
             stated |= _stated_hand(plant.given.get("hand"), axis, stated)
             stated |= _stated_device(laws_on_device(controller, plant.timing.device).get(axis))

@@ -19,6 +19,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.oscillation import Oscillation, find_oscillation, read_motion, read_oscillation
 from maglev_mj.studies.recorded_loop import Explained, explain
 from maglev_mj.theory.loop import Loop
+from tests.studies.test_one_verdict import lagging
 
 Values: TypeAlias = tuple[float, float, float, float, float]
 """Stiffness, damping, period, mass, delay."""
@@ -243,6 +244,23 @@ def test_the_hand_of_a_recording_is_in_its_loop(tmp_path: Path) -> None:
     found = diagnose(tmp_path / "run.maglev")
     assert found.loop.hand == "0.3,2.0,60.0" and found.loop.mass == 0.7
     assert "the loop as given explains the oscillation" in found.remarks
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco", "device"])
+@pytest.mark.parametrize("lag", [0.0, 4e-4])
+def test_the_driver_lag_of_a_recording_is_in_its_loop(
+    plant: str, lag: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changes: dict[str, Any] = {"stiffness": 4000.0, "damping": 12.0, "pulse": 0.0, "period": 0.001, "delay": 0.001}
+    scene = Drop(device=lagging(lag, tmp_path), **changes, duration=0.5)
+    record_run(scene, plant="mujoco" if plant == "mujoco" else "exact").save(tmp_path / "run.maglev")
+    if plant == "device":  # which is not rebuilt
+        monkeypatch.setattr("maglev_mj.studies.oscillation.rebuild_plant", lambda setup: None)
+    _, stated = read_oscillation(tmp_path / "run.maglev")
+    assert stated["driver_lag"] == lag
+    found = diagnose(tmp_path / "run.maglev")
+    assert found.loop.driver_lag == lag and "the loop as given explains the oscillation" in found.remarks
+    assert found.spectral_radius == pytest.approx(diagnose(scene, on_axis="z").spectral_radius, abs=1e-9)
 
 
 def test_a_delay_that_an_import_assumed_is_fitted(tmp_path: Path) -> None:
