@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -12,14 +12,14 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, Six, components
 from maglev_mj.parameters import numbers
-from maglev_mj.scenes.cell_verdicts import unstable_cells
+from maglev_mj.scenes.cell_verdicts import cell_verdicts
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY, LEVER_ARM
 from maglev_mj.theory.loop import Loop, Loops
-from maglev_mj.theory.read import loops_at, scene_doubts, scene_hand, scene_lag, stated_gains, with_doubt
-from maglev_mj.theory.verdict import judge, verdicts
+from maglev_mj.theory.read import loops_at, scene_doubts, scene_hand, scene_lag, with_doubt
+from maglev_mj.theory.verdict import Verdict, judge
 
 STEP_FORCE = 2.0
 """Default limit of force steps caused by other programs [N].
@@ -148,21 +148,13 @@ def stability_warning(scene: Scene) -> str | None:
     return None if verdict.stable else f"{scene.name} is unstable: {verdict.details}"
 
 
-def unstable(scenes: Sequence[Scene]) -> list[bool | None]:
-    """Return whether each scene has an unstable loop, free or in its hand; None if not computed.
+def marks(scenes: Sequence[Scene]) -> list[str]:
+    """Return what `stability` says of each scene in short: "" if stable, "unstable", or why it is not computed."""
+    return [_mark(one) for one in cell_verdicts(scenes)]
 
-    Laws without declared gains are linearised once for all scenes that differ in stiffness alone; see `unstable_cells`.
-    """
-    loops, own = dict[int, Loops](), list[int]()
-    for index, scene in enumerate(scenes):
-        with suppress(Exception):  # of a user's scene, whose run reports it
-            if stated_gains(scene.controller()) is None:
-                own.append(index)
-            else:
-                loops[index] = Loop.of(scene)
-    found = {index: verdict.stable for index, verdict in zip(loops, verdicts([*loops.values()]), strict=True)}
-    result = [None if found.get(index) is None else not found[index] for index in range(len(scenes))]
-    with suppress(Exception):  # of a user's law at a pose outside of its run
-        for index, one in zip(own, unstable_cells([scenes[index] for index in own]), strict=True):
-            result[index] = one
-    return result
+
+def _mark(verdict: Verdict | Exception) -> str:
+    if isinstance(verdict, Verdict):
+        return {True: "", False: "unstable", None: f"stability {verdict}"}[verdict.stable]
+    reason = str(verdict).removeprefix(f"{UNKNOWN}: ") if isinstance(verdict, MaglevError) else repr(verdict)
+    return f"{UNKNOWN}: {reason}"

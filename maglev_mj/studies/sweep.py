@@ -33,7 +33,7 @@ from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.results import Figure, RunResult, figure_head, parameter_texts, parameters_json
 from maglev_mj.scenes.run import chaos_warning, checked_phase, checked_plant, figures_of, run, sensitivity
 from maglev_mj.scenes.scene import PLANTS, Scene
-from maglev_mj.scenes.stability_check import UNKNOWN, unstable
+from maglev_mj.scenes.stability_check import UNKNOWN, marks
 from maglev_mj.studies.cells import Study, Workers, chosen_workers
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.versions import hash_of
@@ -179,8 +179,17 @@ class Sweep(Result):
     @property
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
-        counts = Counter(mark for text in self._marks for mark in text.split(", ") if mark)
+        counts, reasons = Counter[str](), dict[str, list[str]]()
+        for text in self._marks:
+            others, unknown, reason = text.partition(UNKNOWN)
+            place, _, reason = reason.partition(": ")
+            counts.update(filter(None, [*others.split(", "), unknown + place]))
+            reasons.setdefault(unknown + place, []).append(reason)
         verdicts = [f"{count} of {_count(len(self._marks))}: {mark}" for mark, count in counts.items()]
+        for index, mark in enumerate(counts):
+            if mark.startswith(UNKNOWN):
+                first, *others = dict.fromkeys(reasons[mark])
+                verdicts[index] += f": {first}{', or alike' * bool(others)}"
         return [*verdicts, *filter(None, [self.chaos])]
 
     @cached_property
@@ -395,10 +404,11 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
         _run_single(run, text is not None) if figures is None else plain(figures)
         for run, figures in zip(runs, results, strict=True)
     ]
-    for result, grows in zip(done, unstable([scene for scene, _, _ in runs]), strict=True):
-        mark = {True: "unstable", None: UNKNOWN}.get(grows)
-        if mark and not (grows is None and "error" in result):
-            result["warnings"] = ", ".join(filter(None, [mark, result.get("warnings")]))
+    for result, mark in zip(done, marks([scene for scene, _, _ in runs]), strict=True):
+        judged = not mark.startswith(UNKNOWN)
+        if mark and (judged or "error" not in result):
+            both = [mark, result.get("warnings")] if judged else [result.get("warnings"), mark]
+            result["warnings"] = ", ".join(filter(None, both))
     return done
 
 

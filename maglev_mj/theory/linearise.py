@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.control import LinearController
+from maglev_mj.control import AxisLaw, LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.stack import stacked_controller
 from maglev_mj.errors import MaglevError, TooManyCallsError, named, require
@@ -20,7 +20,7 @@ from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.plants.hand import Hand
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory.closed_loop import SampledLoop, loop_matrix
+from maglev_mj.theory.closed_loop import SampledLoop, is_linear, loop_matrix
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
 """Largest speed of a test displacement [m/s, rad/s], far below the speed of sticking friction."""
@@ -30,6 +30,8 @@ _REST, _MEMORY, _LONGEST, _QUIET = 40, 64, 512, 8
 """Samples at rest before the displacement, recorded after it (initially and at most), and zero at the end."""
 _CALLS = 50_000
 """Largest number of calls of one controller; a time would refuse it on a busy machine alone."""
+_POSES = 128
+"""Poses whose responses are computed at once, limited by memory."""
 _CUT, _BENT = 1e-9, 1e-2
 """Thresholds of zero and of nonlinearity, relative to the largest response."""
 _RANK, _FIT, _MOST, _ROWS, _INTEGRATES = 1e-7, 1e-6, 24, 64, 1e-7
@@ -251,8 +253,9 @@ def linearise(
 
     Thirteen copies per pose, one undisturbed and two for each axis, rest there for 40 samples, so that friction sticks
     and filters settle. Then one coordinate is displaced for one sample, by at most 0.1 µm or 1 µrad in one direction
-    and half of that in the other. The difference of the wrenches is the impulse response, for any laws and estimator.
-    Braking pulses are ignored, because they are of finite duration.
+    and half of that in the other; for laws that act on each axis alone, all coordinates of three copies. The difference
+    of the wrenches is the impulse response, for any laws and estimator. Braking pulses are ignored, because they are of
+    finite duration.
 
     Args:
         controller: The controller, with laws for one device, or one for each pose, of equal period; none is changed.
@@ -277,37 +280,59 @@ def linearise(
     chosen, period = list(axis_indices(axes)), each[0].period
     n = len(chosen)
     size = np.minimum(_LARGEST, _SPEED * period)
-    shift = np.concatenate([np.zeros((1, 6)), np.diag(size)[chosen], np.diag(-0.5 * size)[chosen]])
+    alone = all(map(acts_on_each_axis_alone, {id(one): one for one in each}.values()))
+    places = np.zeros(n, dtype=int) if alone else np.arange(n)  # of the displaced copies, by axis
+    moves = np.zeros((1 if alone else n, 6))
+    moves[places, chosen] = size[chosen]
+    shift = np.concatenate([np.zeros((1, 6)), moves, -0.5 * moves])
     still = np.repeat(rest[:, None], len(shift), axis=1)
     moved = still + shift
     rows = _Responses(each, still, moved).rows()
-    change, linearised = moved - still, []  # the actual change of a coordinate, rounding included
-    for index, pose in enumerate(rest):
-        difference = np.moveaxis(rows[:, index, 1:] - rows[:, index, :1], 1, 2)  # [j, to, from]
-        up, down = np.zeros((2, len(rows), 6, 6))
-        steps = change[index, 1 + np.arange(2 * n), chosen * 2]
-        up[:, :, chosen], down[:, :, chosen] = np.split(difference / steps, 2, axis=2)
-        linearised.append(_near(pose, period, up, down))
+    change, linearised = moved - still, list[Linearised]()  # the actual change of a coordinate, rounding included
+    for first in range(0, len(rest), _POSES):
+        some = slice(first, first + _POSES)
+        difference = np.moveaxis(rows[:, some, 1:] - rows[:, some, :1], [0, 3], [1, 2])  # [pose, j, to, from]
+        both = []
+        for copies in (places, len(moves) + places):
+            response = np.zeros((*difference.shape[:2], 6, 6))
+            steps = change[some, 1 + copies, chosen]
+            response[..., chosen] = difference[..., copies] / steps[:, None, None]
+            both.append(response * np.eye(6) if alone else response)
+        linearised += _near(rest[some], period, *both)
     length = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
     return [replace(near, response=near.response[:length]) for near in linearised]
 
 
-def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
-    """Return the linearisation from the responses to a displacement and to minus half of it, per unit."""
-    finite = np.isfinite(up).all(axis=(0, 1)) & np.isfinite(down).all(axis=(0, 1))
-    up, down = np.where(finite, up, 0.0), np.where(finite, down, 0.0)
+def acts_on_each_axis_alone(controller: Controller) -> bool:
+    """Return True if the force on each axis is a function of the motion on that axis alone."""
+    return is_linear(controller.velocity) and all(
+        isinstance(law, AxisLaw) and not getattr(law, "coupled", False) and is_ours(type(law).__call__)
+        for law in controller.laws
+    )
+
+
+def is_ours(item: Any) -> bool:
+    """Return True for a class or function of this package."""
+    return bool(item.__module__.partition(".")[0] == "maglev_mj")
+
+
+def _near(poses: Array, period: float, up: Array, down: Array) -> Iterator[Linearised]:
+    """Yield the linearisation at each pose from the responses to a displacement and to minus half of it, per unit."""
+    finite = np.isfinite(up).all(axis=(1, 2)) & np.isfinite(down).all(axis=(1, 2))
+    up, down = (np.where(finite[:, None, None], one, 0.0) for one in (up, down))
     root = np.sqrt(np.asarray(INERTIA))
     weight = 1.0 / np.outer(root, root)
     # exact to second order in the displacement
     response = (up + 2.0 * down) / 3.0
     gap = np.abs(up - down)
-    largest = (weight * np.abs(response)).max(axis=(0, 1))
-    jumps = (weight * gap).max(axis=(0, 1)) > _BENT * largest
+    largest = (weight * np.abs(response)).max(axis=(1, 2))
+    jumps = (weight * gap).max(axis=(1, 2)) > _BENT * largest
     # a response that shrinks with the displacement, such as the creep of a bristle, vanishes in the limit
-    least = np.maximum(_CUT * largest / weight, np.where(jumps, 0.0, 2.0 * gap))
+    least = np.maximum(_CUT * largest[:, None, None] / weight, np.where(jumps[:, None, None], 0.0, 2.0 * gap))
     response = np.where(np.abs(response) > least, response, 0.0)
-    quiet = ~response[-_QUIET:].any(axis=(0, 1))
-    return Linearised(pose=pose, period=period, response=response, jumps=jumps, settled=np.asarray(finite & quiet))
+    settled = finite & ~response[:, -_QUIET:].any(axis=(1, 2))
+    for parts in zip(poses, response, jumps, settled, strict=True):
+        yield Linearised(pose=parts[0], period=period, response=parts[1], jumps=parts[2], settled=parts[3])
 
 
 class _Responses:
@@ -351,6 +376,8 @@ class _Responses:
         poses, devices = self._still.shape[:2]
         rows, memory, longest = np.zeros((_LONGEST, poses, devices, 6)), min(_MEMORY, _LONGEST), 0
         for index, (still, moved) in enumerate(zip(self._still.tolist(), self._moved.tolist(), strict=True)):
+            if self._controllers[index] is not self._controllers[index - 1]:
+                self._calls = 0  # a verdict does not depend on others
             rested, part = self._rest(self._controllers[index], still[0]), rows[:, index : index + 1]
             for length in dict.fromkeys((memory, _LONGEST)):
                 for device, pose in enumerate(moved):
@@ -380,7 +407,7 @@ class _Responses:
 
     def _step(self, controller: Controller, tick: int, position: Sequence[Any]) -> Sequence[Any]:
         self._calls += 1
-        too_many_calls(self._calls, self._controllers)
+        too_many_calls(self._calls, self._controllers[:1])
         return controller.step(Sample(tick, 0.0, position)).force
 
 

@@ -169,6 +169,7 @@ class AtPose(NamedTuple):
         system: Dimensionless state space; None without a low-order realisation of a long response.
         still: Number of directions without stiffness.
         moments: Sums of the response and of age times response, dimensionless.
+        unstable_equilibrium: True for negative stiffness.
     """
 
     near: Linearised
@@ -178,13 +179,7 @@ class AtPose(NamedTuple):
     system: StateSpace | None
     still: int
     moments: tuple[Array, Array]
-
-    @property
-    def unstable_equilibrium(self) -> bool:
-        """True for an unstable equilibrium."""
-        static = self.moments[0]
-        own = np.linalg.eigvals(-static).real if np.isfinite(static).all() else np.zeros(1)
-        return bool(own.min() < -FREE * np.abs(self.scaled).max())
+    unstable_equilibrium: bool
 
     def gains(self, body: Array) -> tuple[Array, Array]:
         """Return stiffness and damping without integral action, (6, 6) each, from mass and moments of inertia (6,)."""

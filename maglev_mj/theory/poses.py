@@ -28,16 +28,18 @@ _PROBE, _EDGE, _LOCATED = 1e-7, 1e-4, 10
 SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
-def poses_of(controller: Controller, start: Array, reach: ArrayLike) -> Array:
-    """Return start, centre, poses along each axis, and poses inside each face."""
-    (near,) = linearise(controller, start[None])
-    start = start + EDGE * SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
-    rows = [start, np.zeros(6)]
-    for axis, far in enumerate(np.asarray(reach)):
-        rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, POINTS) * far * _STRIDE]
-    for axis, normal, edge in controller.faces:
-        rows += [_with(start, axis, float(edge) - normal * depth * SCALE[axis]) for depth in _DEPTHS]
-    return np.array(rows)
+def poses_of(controllers: Sequence[Controller], start: Array, reach: ArrayLike) -> list[Array]:
+    """Return start, centre, poses along each axis, and poses inside each face, of each controller."""
+    result = []
+    for controller, near in zip(controllers, linearise(controllers, np.tile(start, (len(controllers), 1)))):
+        first = start + EDGE * SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
+        rows = [first, np.zeros(6)]
+        for axis, far in enumerate(np.asarray(reach)):
+            rows += [_with(first, axis, value) for value in np.linspace(-1.0, 1.0, POINTS) * far * _STRIDE]
+        for axis, normal, edge in controller.faces:
+            rows += [_with(first, axis, float(edge) - normal * depth * SCALE[axis]) for depth in _DEPTHS]
+        result.append(np.array(rows))
+    return result
 
 
 def edges_of(controller: Controller, grid: Sequence[Linearised]) -> Iterator[Array]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from itertools import compress, product
+from itertools import compress, islice, product
 from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control import Law, PassivityController
+from maglev_mj.control import PassivityController
 from maglev_mj.control.controller import Controller
 from maglev_mj.device import Device, devices, lag_of
 from maglev_mj.errors import KeywordError, ParameterError, TooManyCallsError, choice_message
@@ -24,13 +24,15 @@ from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
 from maglev_mj.theory.closed_loop import is_linear
 from maglev_mj.theory.doubts import doubts
-from maglev_mj.theory.linearise import Linearised, linearise, realise
+from maglev_mj.theory.linearise import Linearised, is_ours, linearise, realise
 from maglev_mj.theory.loop import FREE, AtPose, Doubt, Loop, Loops, memory_of
 from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
 _ROUNDING = 1e-9
 """Tolerance of responses."""
+_KINDS = 4
+"""Latest kinds of poses with which another pose is compared."""
 _SHORT = 16
 """Longest response that is realised sample by sample [samples]."""
 JUMPS, UNKNOWN = "discontinuous force", "controller memory exceeds 512 samples"
@@ -128,7 +130,7 @@ def of_scene(
         driver_lag: Time constant of the drivers in place of the device's [s].
         hand: Hand that may hold the flotor in place of the scene's own; "none" for a free flotor alone.
         poses: Poses at which laws without declared gains are linearised in place of all these [m, rad], (P, 6).
-        probed: What `probed_together` found at these poses.
+        probed: What `probed_at` found.
         changes: Parameters of the scene.
     """
     scene = scene.replace(**changes) if changes else scene
@@ -209,8 +211,9 @@ def of_controller(
     elif gains is None:
         try:
             if probed is None:
-                probed = _probed(controller, start, far, numbers("load", load, shape="(6,)"), poses)
-            found = _linearised(controller, start, body, far, around, probed)
+                weight = numbers("load", load, shape="(6,)")
+                (probed,) = probed_at([controller], pose=start, reach=far, load=weight, poses=poses)
+            found = _linearised(start, body, far, around, probed)
         except TooManyCallsError as error:
             found = _nothing(str(error).removeprefix("stability not computed: "), start, body, around)
     else:
@@ -221,12 +224,8 @@ def of_controller(
 def partial_laws(controller: Controller) -> tuple[str, ...]:
     """Return the names of laws that declare the gains of a part of them: of users, and passivity controllers."""
     stated = [law for law in controller.laws if law.gains() is not None]
-    own = (law for law in stated if not _is_ours(law) or isinstance(law, PassivityController))
+    own = (law for law in stated if not is_ours(type(law)) or isinstance(law, PassivityController))
     return tuple(dict.fromkeys(type(law).__name__ for law in own))
-
-
-def _is_ours(law: Law) -> bool:
-    return type(law).__module__.partition(".")[0] == "maglev_mj"
 
 
 _Gains: TypeAlias = dict[tuple[str, ...], tuple[Array, Array]]
@@ -286,73 +285,88 @@ class Probed(NamedTuple):
     Attributes:
         doubts: What probes found, by index of the axis.
         grid: Laws linearised at poses; empty if no axis can be judged.
+        regions: Indices of axes with a region of discontinuous force.
     """
 
     doubts: Mapping[int, Doubt]
-    grid: Sequence[Linearised]
+    grid: Sequence[Linearised] = ()
+    regions: Collection[int] = ()
 
 
-def _probed(controller: Controller, pose: Array, reach: Array, load: Array, poses: ArrayLike | None) -> Probed:
-    """Return a controller probed, and linearised at poses, or else at all and at its edges."""
-    (found,) = doubts([controller], pose=pose, reach=reach, load=load)
-    if sum(doubt.void for doubt in found.values()) == len(AXES):
-        return Probed(found, ())
-    grid = linearise(controller, poses_of(controller, pose, reach) if poses is None else poses)
-    edges = [*edges_of(controller, grid[2 : 2 + len(AXES) * POINTS])] if poses is None else []
-    return Probed(found, [*grid, *(linearise(controller, edges) if edges else ())])
-
-
-def probed_together(
-    controllers: Sequence[Controller], poses: Sequence[Array], *, pose: Array, reach: Array, load: Array
+def probed_at(
+    controllers: Sequence[Controller], *, pose: Array, reach: Array, load: Array, poses: ArrayLike | None = None
 ) -> list[Probed]:
-    """Return controllers of equal laws with other gains, all probed and linearised at once; arguments as for `doubts`.
+    """Return controllers probed and linearised, all together; arguments as for `doubts`.
 
-    `poses` are those of each controller [m, rad], (P, 6) each.
+    Args:
+        controllers: Controllers of equal laws with other gains.
+        pose: Pose at the start [m, rad], (6,).
+        reach: Range of motion [m, rad], (6,).
+        load: Constant external force [N, N m], (6,).
+        poses: Poses of each [m, rad], (P, 6); None for all, and those at edges.
     """
-    found = doubts(controllers, pose=pose, reach=reach, load=load)
-    rows = [controller for controller, own in zip(controllers, poses, strict=True) for _ in own]
-    near = iter(linearise(rows, np.concatenate(poses)))
-    return [Probed(one, [next(near) for _ in own]) for one, own in zip(found, poses, strict=True)]
+    result = [Probed(one) for one in doubts(controllers, pose=pose, reach=reach, load=load)]
+    some = [index for index, one in enumerate(result) if sum(doubt.void for doubt in one.doubts.values()) < len(AXES)]
+    own = [controllers[index] for index in some]
+    if not own:
+        return result
+    chosen = poses_of(own, pose, reach) if poses is None else [np.atleast_2d(poses)] * len(own)
+    grids = _linearised_at(own, chosen)
+    if poses is None:
+        lines = slice(2, 2 + len(AXES) * POINTS)
+        edges = [[*edges_of(controller, grid[lines])] for controller, grid in zip(own, grids)]
+        grids = [grid + more for grid, more in zip(grids, _linearised_at(own, edges))]
+    for index, grid, regions in zip(some, grids, _regions(own, grids)):
+        result[index] = result[index]._replace(grid=grid, regions=regions)
+    return result
 
 
-def _linearised(
-    controller: Controller, pose: Array, body: Array, reach: Array, around: Mapping[str, Any], probed: Probed
-) -> Loops:
+def _linearised_at(
+    controllers: Sequence[Controller], poses: Sequence[Sequence[Array] | Array], axes: str | Sequence[str] = AXES
+) -> list[list[Linearised]]:
+    """Return each controller linearised at its poses, all together."""
+    rows = [controller for controller, own in zip(controllers, poses) for _ in own]
+    each = np.concatenate([np.reshape(own, (-1, len(AXES))) for own in poses])
+    near = iter(linearise(rows, each, axes=axes) if rows else ())
+    return [list(islice(near, len(own))) for own in poses]
+
+
+def _linearised(pose: Array, body: Array, reach: Array, around: Mapping[str, Any], probed: Probed) -> Loops:
     """Return the loop of coupled axes at each pose at which they differ, and those that cannot be judged."""
     loops: list[AtPose] = []
     away: list[AtPose] = []
     previous: list[AtPose] = []
-    bent: list[tuple[Array, int]] = []
     judged = set[int]()
     jumps: list[Array] = []
     unknown: list[Array] = []
     reasons: dict[int, str] = {}
-    found, grid = probed
+    found, grid, regions = probed
     void = {axis for axis, doubt in found.items() if doubt.void}
     if len(void) == len(AXES):
         items = [_not_judged(axis, found[axis].reason, body, around) for axis in range(len(AXES))]
         return Loops(tuple(items), False, pose, doubts=found, reach=reach)
+    kinds: list[_Kind] = []
     for near in grid:
         scaled = near.scaled(body)
-        for axes in _coupled(scaled):
-            chosen = list(axes)
-            if near.jumps[chosen].any():
-                jumps.append(near.pose)
-                bent += [(near.pose, axis) for axis in chosen if near.jumps[axis]]
-                continue
-            loop = _at_pose(near, axes, scaled[:, chosen][:, :, chosen], previous)
+        kind = next((one for one in kinds[-_KINDS:] if one.has(near, scaled)), None)
+        if kind is None:
+            kind = _Kind.of(near, scaled, previous)
+            kinds.append(kind)
+        jumps += [near.pose] * kind.jumping
+        for part in kind.parts:
+            loop = part._replace(near=near)
             if loop.system is None and not loop.settles:
                 unknown.append(near.pose)
-                reasons |= dict.fromkeys(axes, UNKNOWN)
+                reasons |= dict.fromkeys(loop.axes, UNKNOWN)
             elif loop.unstable_equilibrium:
                 away.append(loop)
             else:
                 loops.append(loop)
-                judged |= set(axes)
+                judged |= set(loop.axes)
     # an axis without a stable equilibrium is judged at the unstable ones
     unstable = [loop for loop in away if not judged.issuperset(loop.axes)]
     without = set(range(len(AXES))) - judged - {axis for loop in unstable for axis in loop.axes}
-    for axis in sorted(without | _regions(controller, bent)):
+    for axis in sorted(without.union(regions)):
         reasons.setdefault(axis, JUMPS)
     for axis, doubt in found.items():
         if doubt.reason:
@@ -362,6 +376,44 @@ def _linearised(
     items += [_not_judged(axis, reason, body, around) for axis, reason in sorted(reasons.items())]
     skipped = _distinct(jumps), _distinct(unknown), _distinct([loop.near.pose for loop in away])
     return Loops(tuple(items), False, pose, *skipped, doubts=found, reach=reach)
+
+
+class _Kind(NamedTuple):
+    """Poses with equal responses.
+
+    Attributes:
+        near: The first of them.
+        scaled: Its dimensionless response, (M, 6, 6).
+        tolerance: Tolerance of a response, (6, 6).
+        parts: Laws of each group of coupled axes.
+        jumping: True if the force on another group is discontinuous.
+    """
+
+    near: Linearised
+    scaled: Array
+    tolerance: Array
+    parts: Sequence[AtPose]
+    jumping: bool
+
+    @classmethod
+    def of(cls, near: Linearised, scaled: Array, previous: list[AtPose]) -> _Kind:
+        """Return the kind of a pose; laws equal to previous ones reuse their realisation."""
+        tolerance, parts = np.full((6, 6), _ROUNDING * float(np.abs(scaled).max())), list[AtPose]()
+        groups = [[*axes] for axes in _coupled(scaled)]
+        for chosen in groups:
+            own = scaled[:, chosen][:, :, chosen]
+            tolerance[np.ix_(chosen, chosen)] = _ROUNDING * float(np.abs(own).max())
+            if not near.jumps[chosen].any():
+                parts.append(_at_pose(near, tuple(chosen), own, previous))
+        return cls(near, scaled, tolerance, parts, len(parts) < len(groups))
+
+    def has(self, near: Linearised, scaled: Array) -> bool:
+        """Return True if another pose is one of them."""
+        if (near.jumps != self.near.jumps).any() or (near.settled != self.near.settled).any():
+            return False
+        return len(scaled) == len(self.scaled) and bool(
+            (np.abs(scaled - self.scaled).max(axis=0) <= self.tolerance).all()
+        )
 
 
 def _loop(at: AtPose, body: Array, around: Mapping[str, Any]) -> Loop:
@@ -390,7 +442,9 @@ def _at_pose(near: Linearised, axes: tuple[int, ...], own: Array, previous: list
     moments = (own.sum(axis=0), np.tensordot(np.arange(len(own)), own, 1)) if system is None else system.moments()
     sizes = np.linalg.svd(np.nan_to_num(moments[0], neginf=1.0), compute_uv=False)
     still = int((sizes <= FREE * max(np.abs(own).sum(axis=0).max(), FREE)).sum())
-    previous.append(AtPose(near, axes, own, settles, system, still, moments))
+    static = np.linalg.eigvals(-moments[0]).real if np.isfinite(moments[0]).all() else np.zeros(1)
+    away = bool(static.min() < -FREE * np.abs(own).max())
+    previous.append(AtPose(near, axes, own, settles, system, still, moments, away))
     return previous[-1]
 
 
@@ -407,21 +461,21 @@ def _distinct_loops(loops: Sequence[AtPose]) -> list[AtPose]:
     return [loop for some in kept.values() for loop in some]
 
 
-def _regions(controller: Controller, bent: Sequence[tuple[Array, int]]) -> set[int]:
-    """Return the axes with a region of discontinuous force; the force is smooth to both sides of an edge alone.
+def _regions(controllers: Sequence[Controller], grids: Sequence[Sequence[Linearised]]) -> list[set[int]]:
+    """Return the axes of each with a region of discontinuous force; it is smooth to both sides of an edge alone."""
+    found = [set[int]() for _ in controllers]
+    for axis, name in enumerate(AXES):
+        beside = [_beside(_distinct([near.pose for near in grid if near.jumps[axis]]), axis) for grid in grids]
+        for regions, near in zip(found, _linearised_at(controllers, beside, name)):
+            regions.update([axis] * any(one.jumps[axis] for one in near))
+    return found
 
-    Args:
-        controller: The controller.
-        bent: Poses and axes with a discontinuous force.
-    """
-    regions: set[int] = set()
-    for axis in sorted({axis for _, axis in bent}):
-        poses = _distinct([pose for pose, other in bent if other == axis])
-        beside = np.repeat(poses, 2, axis=0)
-        beside[:, axis] += np.tile([-EDGE, EDGE], len(poses)) * SCALE[axis]
-        if any(near.jumps[axis] for near in linearise(controller, beside, axes=AXES[axis])):
-            regions.add(axis)
-    return regions
+
+def _beside(poses: Array, axis: int) -> Array:
+    """Return poses moved to both sides on an axis."""
+    moved = np.repeat(poses, 2, axis=0)
+    moved[:, axis] += np.tile([-EDGE, EDGE], len(poses)) * SCALE[axis]
+    return moved
 
 
 def _coupled(scaled: Array) -> list[tuple[int, ...]]:

@@ -16,11 +16,12 @@ from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import figures_of, run_phases
-from maglev_mj.scenes.stability_check import unstable, wall_loops
+from maglev_mj.scenes.stability_check import wall_loops
 from maglev_mj.session.replay import rebuild, record_run
 from maglev_mj.theory import judge, largest_stable_stiffness, spectral_radius, stability
 from maglev_mj.theory.two_rates import DeviceLaw
 from tests.all_of import MOTIONS, START
+from tests.cells import unstable
 from tests.sweeps import further
 
 DEVICE: Any = {"wall_on": "device"}

@@ -19,12 +19,13 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Box, Corner, InteractiveScene, Joystick, Table
 from maglev_mj.scenes.run import run
-from maglev_mj.scenes.stability_check import stability_warning, started, unstable, wall_loops
+from maglev_mj.scenes.stability_check import marks, stability_warning, started, wall_loops
 from maglev_mj.session import STEP_FORCE, check_step
 from maglev_mj.session.margin import margin
 from maglev_mj.spec import RANGE
 from maglev_mj.theory import judge, largest_stable_stiffness, stability
 from tests.bridge.test_preflight import GOOD
+from tests.cells import unstable
 from tests.published import INERTIA, MASS
 from tests.sweeps import sweep
 from tests.theory.test_linearise import WEIGHTS, Detent, Echo
@@ -239,10 +240,9 @@ class Slow(Drop):
         (lambda scene: judge(wall_loops(scene, held=True)), 7_000, "spectral radius 0.877"),
         (lambda scene: margin(scene).words, 40_000, "not computed"),
         (lambda scene: check_change(scene, [*INERTIA], [], report=GOOD, anyway=False)[1], 40_000, "not computed"),
-        (lambda scene: unstable([scene]), 5_000, "False"),
-        (lambda scene: unstable([scene.replace(stiffness=k) for k in (4e3, 5e3, 6e3)]), 5_000, "False, False"),
+        (lambda scene: marks([scene]), 40_000, "not computed"),
     ],
-    ids=["run", "warning", "wall", "viewer", "flight", "cell", "sweep"],
+    ids=["run", "warning", "wall", "viewer", "flight", "cell"],
 )
 def test_a_slow_law_is_never_called_without_a_limit(
     asked: Any, most: int, says: str, limit: int, monkeypatch: pytest.MonkeyPatch

@@ -15,7 +15,7 @@ from maglev_mj.cli import main
 from maglev_mj.control import Law
 from maglev_mj.device import Device
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.stability_check import stability_warning, unstable
+from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.session.margin import margin
 from maglev_mj.spec import RANGE
 from maglev_mj.terminal import wrapped
@@ -23,6 +23,7 @@ from maglev_mj.theory.held import FREE, OWN, held_of
 from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.verdict import judge
 from tests.bridge.test_preflight import GOOD
+from tests.cells import unstable
 from tests.studies.test_verdict_properties import Undeclared
 
 CASES: list[dict[str, Any]] = [  # of each kind: all stable, all unstable, only while held, only free
@@ -142,7 +143,7 @@ def test_coupled_axes_are_held_as_their_diagonals() -> None:
     for name, part in found.held.parts.items():
         assert part.radius == pytest.approx(max(one.parts[name].radius for one in single), abs=1e-6)
         least = min(float(one.parts[name].critical_delay or 0.0) for one in single)
-        assert float(part.critical_delay or 0.0) == pytest.approx(least, rel=1e-3)
+        assert float(part.critical_delay or 0.0) == pytest.approx(least, rel=1e-6)
     assert found.held.leaves_after == pytest.approx(single[0].leaves_after, rel=1e-4)
 
 

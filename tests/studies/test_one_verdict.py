@@ -27,7 +27,7 @@ from maglev_mj.bridge.preflight import check_change
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.stability_check import stability_warning, unstable, wall_loops
+from maglev_mj.scenes.stability_check import stability_warning, wall_loops
 from maglev_mj.session.margin import margin
 from maglev_mj.studies.compare import compare, sweep_laws
 from maglev_mj.studies.stability_map import StabilityParameters
@@ -35,6 +35,7 @@ from maglev_mj.theory.boundary import boundary_of, stiffest_of
 from maglev_mj.theory.closed_loop import spectral_radius
 from maglev_mj.theory.loop import Loop
 from tests.bridge.test_preflight import GOOD
+from tests.cells import unstable
 
 
 class Coulomb(AxisLaw):

@@ -23,7 +23,7 @@ from maglev_mj.control import LowPass
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import Mode, get_hand
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.stability_check import stability_warning, unstable, wall_loops
+from maglev_mj.scenes.stability_check import stability_warning, wall_loops
 from maglev_mj.session.margin import margin
 from maglev_mj.studies.card import _target
 from maglev_mj.studies.compare import sweep_laws
@@ -34,6 +34,7 @@ from maglev_mj.theory.design import WallRequirements, design_wall
 from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.remedies import critical_of
+from tests.cells import unstable
 from tests.studies.test_one_verdict import Notch, lagging
 from tests.sweeps import further
 
@@ -122,9 +123,7 @@ def test_front_ends_agree_on_declared_gains(
 @pytest.mark.parametrize("seed", further(*range(20)))
 def test_front_ends_agree_on_linearised_laws(seed: int, tmp_path: Path) -> None:
     scene = drawn(seed, tmp_path, declared=False)
-    # cells of a sweep are marked by declared gains alone
-    fronts = {name: front for name, front in STABLE.items() if name != "sweep"}
-    answers = {name: said(partial(front, scene)) for name, front in fronts.items()}
+    answers = {name: said(partial(front, scene)) for name, front in STABLE.items()}
     assert len({*answers.values()}) == 1, answers
     walls, twin = judge(wall_loops(scene)), judge(wall_loops(Drop(**scene.independent_values())))
     assert walls.spectral_radius == pytest.approx(twin.spectral_radius, abs=1e-6)

@@ -20,6 +20,7 @@ from maglev_mj.control import (
     Hold,
     Law,
     LowPass,
+    PassivityController,
     StickSlip,
     VelocityEstimator,
     VirtualCoupling,
@@ -32,7 +33,7 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, spectral_radius, stability, stated_gains
 from maglev_mj.theory.closed_loop import SampledLoop
-from maglev_mj.theory.linearise import ClosedLoop, Linearised, linearise
+from maglev_mj.theory.linearise import ClosedLoop, Linearised, acts_on_each_axis_alone, linearise
 from maglev_mj.theory.read import loops_at
 from tests.sweeps import further, sweep
 
@@ -513,3 +514,42 @@ def test_the_calls_of_a_law_are_limited(most: int, monkeypatch: pytest.MonkeyPat
     assert calls < 1.5 * most  # of the first pose alone, and of all
     (loop,) = loops_at([controller], 0, poses=[[0.0] * 6], delay=DELAY, inertia=np.array(INERTIA))
     assert most > 30 or (loop.reason and math.isnan(loop.spectral_radius))
+
+
+@pytest.mark.parametrize("kind", [StickSlip, PassivityController, Wall, Hold])
+def test_laws_that_act_on_each_axis_alone_are_displaced_on_all_axes_at_once(
+    kind: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gains: Any = {"stiffness": 3000.0, "damping": 20.0}
+    laws: dict[Any, list[Law]] = {
+        StickSlip: [StickSlip(axes=AXES, breakaway=0.1, v_min=0.01, **gains), Hold(axes="z", **gains)],
+        PassivityController: [Hold(**gains), PassivityController(period=T, most=10.0)],
+        Wall: [
+            Wall(axes="z", lower=0.0, pulse=30.0, pulse_width=T, **gains),
+            Hold(axes="rx", stiffness=2.0, damping=0.01),
+        ],
+        Hold: [Hold(axes=["x", "ry"], target=1e-3, **gains)],
+    }
+    controller = Controller(laws[kind], period=T)
+    poses = np.random.default_rng(1).uniform(-1e-3, 1e-3, (4, 6))
+    each = linearise(controller, poses)
+    monkeypatch.setattr("maglev_mj.theory.linearise.acts_on_each_axis_alone", lambda controller: False)
+    for alone, full in zip(each, linearise(controller, poses), strict=True):
+        np.testing.assert_allclose(alone.response, full.response, atol=1e-9 * np.abs(full.response).max())
+        assert (alone.jumps == full.jumps).all() and (alone.settled == full.settled).all()
+
+
+def test_a_law_that_couples_axes_is_displaced_on_each_axis() -> None:
+    class Sum(AxisLaw):
+        stiffness: float = gain("stiffness", "N/m")
+
+        def __call__(self, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
+            wrench[0] = wrench[0] - self.stiffness * (position[0] + position[1])
+            return state, None
+
+    for laws in (
+        [Sum(axes="x", stiffness=100.0)],
+        [StickSlip(axes="x", stiffness=1.0, damping=1.0, breakaway=1.0, v_min=1.0, coupled=True)],
+    ):
+        assert not acts_on_each_axis_alone(Controller(laws, period=T))
+    assert linearise(Controller([Sum(axes="x", stiffness=100.0)], period=T), np.zeros(6))[0].stiffness[0, 1]
