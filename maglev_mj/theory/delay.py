@@ -6,6 +6,8 @@ Cut at the host's command, a loop with a delay of q + r periods, q whole, is 1 +
 
 N(q, r) = N(0, r) + 2 sum_i s_i (floor((p_i + q a_i + pi)/2 pi) - floor((p_i + pi)/2 pi)) + q [|L_r(-1)| > 1].
 
+Of n coupled axes L_r is a matrix, det(I + z^-q L_r(z)) = 0, and the same holds for all of its eigenvalues together.
+
 Source: derived for this project.
 """
 
@@ -13,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -25,6 +28,7 @@ FRACTIONS = 40
 _NEAR, _MOVED, _EQUAL = 1e-2, 0.05, 1e-8
 _POLISHED, _STEP = 8, 0.3
 _LEAST = 1e-7  # angle that stands for 0
+_START = complex(np.exp(1j * _LEAST))
 _GRID = np.geomspace(_LEAST, np.pi, 600)
 _OUTSIDE, _FREE = 1e-12, 1e-7
 """Distance from the unit circle that counts as rounding, and that of the poles of free motion."""
@@ -32,6 +36,7 @@ _SECANTS, _BESIDE, _SECTIONS, _POINTS = 8, 1e-9, 11, 15
 _MOST_EDGES = 40
 _FIRST, _HALVINGS, _DOUBLINGS, _SMALLEST = 0.05, 12, 60, 600.0
 _ZOOMS, _ZOOMED = 4, 21
+_NO_GAIN, _TURN, _PEAK, _TOGETHER, _ZERO, _FALSE_POSITIONS = 1e-300, 1e-6, 1.0, 1e-8, 4e-16, 60
 _EVEN, _STARTS, _CONVERGED, _BESIDE_POLE = np.linspace(0.0, np.pi, 1000), 8, 1e-9, 1e-13
 
 
@@ -48,9 +53,38 @@ class Cut(NamedTuple):
     take: Array
     give: Array
 
+    @property
+    def loops(self) -> int:
+        """Number of loops, P."""
+        return len(self.take)
+
     def rows(self, index: Rows) -> Cut:
         """Return some of the loops."""
         return Cut(*(part[index] for part in self))
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Return the poles without whole periods of delay, (P, N)."""
+        return np.linalg.eigvals(self.advance - self.take[:, :, None] * self.give[:, None]).astype(np.complex128)
+
+    def own_angles(self, row: int) -> Array:
+        """Return a grid of angles, denser beside the poles of the loop that is cut."""
+        return _grid_of(np.linalg.eigvals(self.advance[row]))
+
+    def gains(self, rows: Rows, z: NDArray[np.complex128]) -> Array:
+        """Return |L| at z of some loops, (M, 1)."""
+        return np.abs(self.response(rows, z)[0])[:, None]
+
+    def crossings(self) -> tuple[Rows, Array, Array, Array]:
+        """Return rows, angles, signs and phases p in [0, 2 pi) of the crossings of |L| = 1."""
+        rows, angles = _polished(self, *_angles(self))
+        change = _above(self, _START) - _above(self, -1.0)
+        wrong = np.bincount(rows, _signs(self, rows, angles), self.loops) != change
+        if wrong.any():  # at small angles the eigenvalues lose a crossing
+            searched = _searched(self, np.flatnonzero(wrong))
+            kept = ~wrong[rows]
+            rows, angles = (np.concatenate([part[kept], other]) for part, other in zip((rows, angles), searched))
+        gain, _ = self.response(rows, np.exp(1j * angles))
+        return rows, angles, _signs(self, rows, angles), np.mod(-np.angle(gain), 2.0 * np.pi)
 
     def outside(self, radius: Array, periods: Array) -> Cut:
         """Return the loops with z scaled by radii (P,), so that poles outside a circle are outside the unit circle."""
@@ -58,8 +92,10 @@ class Cut(NamedTuple):
         size = np.exp(-periods * np.log(radius))[:, None]
         return Cut(self.advance * inverse[:, None], self.take * inverse * size, self.give)
 
-    def response(self, rows: Rows, z: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], ...]:
-        """Return L and its derivative at z of some loops, (M,) each."""
+    def response(
+        self, rows: Rows, z: NDArray[np.complex128], whole: Array | None = None
+    ) -> tuple[NDArray[np.complex128], ...]:
+        """Return L and its derivative at z of some loops, (M,) each; for `whole` see `CoupledCut`."""
         one, advance = np.eye(self.take.shape[-1]), self.advance[rows]
         try:
             resolvent = np.linalg.inv(z[:, None, None] * one - advance)
@@ -70,10 +106,155 @@ class Cut(NamedTuple):
         return (self.give[rows] * right).sum(axis=-1), -(left * right).sum(axis=-1)
 
 
+class CoupledCut(NamedTuple):
+    """Loop of n coupled axes cut at the host's commands, at delays below one period: L(z), (n, n).
+
+    L = -K(z) diag(P_i(z)) with the law K, and the position P_i on axis i after its command. Only P depends on the
+    delay.
+
+    Attributes:
+        axes: State transition of each axis over a period, position first, (n, F, F).
+        old: Effect of the last command on each axis, (P, n, F).
+        new: Effect of the present one, (P, n, F).
+        law: Advance (S, S), take (S, n), give (n, S) and direct (n, n) of the law.
+    """
+
+    axes: Array
+    old: Array
+    new: Array
+    law: tuple[Array, Array, Array, Array]
+
+    @property
+    def loops(self) -> int:
+        """Number of loops, P."""
+        return len(self.new)
+
+    def rows(self, index: Rows) -> CoupledCut:
+        """Return some of the loops."""
+        return self._replace(old=self.old[index], new=self.new[index])
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Return the poles without whole periods of delay, (P, N)."""
+        (advance, take, give, direct), (n, size) = self.law, self.axes.shape[:2]
+        body, places = n * size, np.arange(n) * size
+        command = np.zeros((n, body + n + len(advance)))
+        command[:, places], command[:, body + n :] = direct, give
+        matrix = np.zeros((self.loops, len(command[0]), len(command[0])))
+        for axis, first in enumerate(places.tolist()):
+            own = slice(first, first + size)
+            matrix[:, own, own], matrix[:, own, body + axis] = self.axes[axis], self.old[:, axis]
+            matrix[:, own] += self.new[:, axis, :, None] * command[axis]
+        matrix[:, body : body + n] = command
+        matrix[:, body + n :, places], matrix[:, body + n :, body + n :] = take, advance
+        return np.linalg.eigvals(matrix).astype(np.complex128)
+
+    def own_angles(self, row: int) -> Array:
+        """See `Cut`; all rows have equal poles."""
+        return _grid_of(np.concatenate([np.linalg.eigvals(self.law[0]), np.linalg.eigvals(self.axes).ravel()]))
+
+    def eigenvalues(self, rows: Rows, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Return the eigenvalues of L at z of some loops, the largest first, (M, n)."""
+        (points, place), (advance, take, give, direct) = np.unique(z, return_inverse=True), self.law
+        turn = points[:, None, None]
+        law = give @ np.linalg.solve(turn * np.eye(len(advance)) - advance, take.astype(complex)) + direct
+        one = np.eye(self.axes.shape[-1])
+        seen = np.linalg.inv(turn[:, None] * one - self.axes)[..., 0, :]
+        body = (seen[place.reshape(-1)] * (self.new[rows] + self.old[rows] / z[:, None, None])).sum(axis=-1)
+        found = np.linalg.eigvals(-law[place.reshape(-1)] * body[:, None])
+        return np.take_along_axis(found, np.argsort(-np.abs(found), axis=-1), axis=-1)
+
+    def gains(self, rows: Rows, z: NDArray[np.complex128]) -> Array:
+        """Return the magnitudes of the eigenvalues at z of some loops, the largest first, (M, n)."""
+        return np.abs(self.eigenvalues(rows, z))
+
+    def response(
+        self, rows: Rows, z: NDArray[np.complex128], whole: Array | None = None
+    ) -> tuple[NDArray[np.complex128], ...]:
+        """Return one eigenvalue and its derivative at z of some loops, (M,) each.
+
+        It is that nearest to a pole at z with whole periods of delay, (M,); None for that nearest to the magnitude 1.
+        """
+        here, *beside = (self.eigenvalues(rows, z * turn) for turn in (1.0, np.exp(1j * _TURN), np.exp(-1j * _TURN)))
+        if whole is None:
+            distance = np.abs(np.log(np.maximum(np.abs(here), _NO_GAIN)))
+        else:
+            distance = np.abs(here + (z**whole)[:, None])
+        gain = np.take_along_axis(here, distance.argmin(axis=-1)[:, None], axis=-1)
+        ends = [np.take_along_axis(one, np.abs(one - gain).argmin(axis=-1)[:, None], axis=-1)[:, 0] for one in beside]
+        return gain[:, 0], (ends[0] - ends[1]) / (2j * np.sin(_TURN) * z)
+
+    def crossings(self) -> tuple[Rows, Array, Array, Array]:
+        """See `Cut`; of all eigenvalues. The i-th largest magnitude is continuous, and searched for each i."""
+        rows, order, low, high = self._brackets()
+        below, above = (self._logarithms(rows, order, angles) for angles in (low, high))
+        signs = np.sign(below - above)
+        angles, least = low, np.abs(below)
+        for _ in range(_FALSE_POSITIONS):  # an end that stays counts half
+            middle = low + (high - low) * np.clip(below / (below - above), 0.001, 0.999)
+            value = self._logarithms(rows, order, middle)
+            angles, least = np.where(np.abs(value) < least, middle, angles), np.minimum(np.abs(value), least)
+            lower = np.sign(value) == np.sign(below)
+            low, high = np.where(lower, middle, low), np.where(lower, high, middle)
+            below, above = np.where(lower, value, 0.5 * below), np.where(lower, 0.5 * above, value)
+            if not ((least > _ZERO) & (high - low > _ZERO * high)).any():
+                break
+        return rows, angles, signs, self._phases(rows, angles)
+
+    def _logarithms(self, rows: Rows, order: Rows, angles: Array) -> Array:
+        """Return the logarithm of the magnitude of some order at angles of some loops, (M,)."""
+        gains = self.gains(rows, np.exp(1j * angles))
+        return np.asarray(np.log(np.maximum(gains, _NO_GAIN))[np.arange(len(rows)), order])
+
+    def _brackets(self) -> tuple[Rows, Rows, Array, Array]:
+        """Return rows, orders of magnitude, and ends of intervals of the angle with one crossing each."""
+        grid, size = self.own_angles(0), self.axes.shape[0]
+        rows = np.repeat(np.arange(self.loops), len(grid))
+        gains = self.gains(rows, np.exp(1j * np.tile(grid, self.loops))).reshape(self.loops, len(grid), size)
+        values = np.log(np.maximum(gains, _NO_GAIN))
+        row, at, order = np.nonzero((values[:, 1:] > 0.0) != (values[:, :-1] > 0.0))
+        found = [(row, order, grid[at], grid[at + 1])]
+        # between two points a peak may rise above 1, or a dip fall below
+        side = np.where(values > 0.0, -1.0, 1.0)
+        height, inner = side * values, np.s_[:, 1:-1]
+        peak = (height[inner] >= (side[inner] * values[:, :-2])) & (height[inner] >= (side[inner] * values[:, 2:]))
+        peak &= (side[:, :-2] == side[inner]) & (side[:, 2:] == side[inner]) & (height[inner] > -_PEAK)
+        row, at, order = np.nonzero(peak)
+        low, high, sign = grid[at], grid[at + 2], side[row, at + 1, order]
+        for _ in range(_ZOOMS if len(row) else 0):
+            points = low + (high - low) * np.linspace(0.0, 1.0, _ZOOMED)[:, None]
+            part = self._logarithms(np.tile(row, _ZOOMED), np.tile(order, _ZOOMED), points.ravel())
+            best = np.clip((sign * part.reshape(points.shape)).argmax(axis=0), 1, _ZOOMED - 2)
+            top = np.take_along_axis(sign * part.reshape(points.shape), best[None], axis=0)[0]
+            low, middle, high = (np.take_along_axis(points, (best + step)[None], axis=0)[0] for step in (-1, 0, 1))
+            if (crosses := top > 0.0).any():
+                kept = np.flatnonzero(crosses)
+                found += [(row[kept], order[kept], grid[at[kept]], middle[kept])]
+                found += [(row[kept], order[kept], middle[kept], grid[at[kept] + 2])]
+                row, order, low, high, sign, at = (part[~crosses] for part in (row, order, low, high, sign, at))
+        row, order, low, high = (np.concatenate(part) for part in zip(*found))
+        return row, order, low, high
+
+    def _phases(self, rows: Rows, angles: Array) -> Array:
+        """Return the phases of crossings; several at one angle, as of equal axes, have one eigenvalue each."""
+        every = self.eigenvalues(rows, np.exp(1j * angles))
+        nearest = np.abs(np.log(np.maximum(np.abs(every), _NO_GAIN))).argsort(axis=-1)
+        every = np.take_along_axis(every, nearest, axis=-1)
+        rank, order = np.zeros(len(rows), dtype=int), np.lexsort((angles, rows))
+        for last, this in pairwise(order.tolist()):
+            if rows[last] == rows[this] and angles[this] - angles[last] < _TOGETHER * angles[this]:
+                rank[this] = rank[last] + 1
+        for first in order[:-1][(rank[order[:-1]] == 0) & (rank[order[1:]] > 0)]:
+            same = np.flatnonzero((rows == rows[first]) & (np.abs(angles - angles[first]) < _TOGETHER * angles[first]))
+            every[same, rank[same]] = every[first, rank[same]]
+        return np.mod(-np.angle(every[np.arange(len(rows)), rank]), 2.0 * np.pi)
+
+
+AnyCut: TypeAlias = Cut | CoupledCut
+
 Rows: TypeAlias = NDArray[Any]
 """Indices of loops."""
 
-CutOf: TypeAlias = Callable[[Rows, Array], Cut]
+CutOf: TypeAlias = Callable[[Rows, Array], AnyCut]
 """Function from indices of loops (P,) and fractions of a period (P,) to the cut loops."""
 
 
@@ -85,25 +266,11 @@ class AnyDelay:
         free: True for loops whose free motion has poles at 1, which do not count, (P,).
     """
 
-    def __init__(self, cut: Cut, free: Mask) -> None:
-        count = len(cut.take)
-        every = np.arange(count)
-        ends = np.concatenate([np.full(count, np.exp(1j * _LEAST)), np.full(count, -1.0 + 0j)])
-        above = (np.abs(cut.response(np.tile(every, 2), ends)[0]) > 1.0).reshape(2, count)
-        rows, angles = _polished(cut, *_angles(cut))
-        change = above[0].astype(int) - above[1]
-        wrong = np.bincount(rows, _signs(cut, rows, angles), count) != change
-        if wrong.any():  # at small angles the eigenvalues lose a crossing
-            searched = _searched(cut, np.flatnonzero(wrong))
-            kept = ~wrong[rows]
-            rows, angles = (np.concatenate([part[kept], other]) for part, other in zip((rows, angles), searched))
-        gain, _ = cut.response(rows, np.exp(1j * angles))
-        self.rows: Rows = rows
-        self.angles, self.signs = angles, _signs(cut, rows, angles)
-        self.phases = np.mod(-np.angle(gain), 2.0 * np.pi)
-        poles = np.linalg.eigvals(cut.advance - cut.take[:, :, None] * cut.give[:, None])
-        self.start = (np.abs(poles) > 1.0 + np.where(free, _FREE, _OUTSIDE)[:, None]).sum(axis=-1)
-        self.flipped = above[1]
+    def __init__(self, cut: AnyCut, free: Mask) -> None:
+        self.rows, self.angles, self.signs, self.phases = cut.crossings()
+        rounding = np.where(free, _FREE, _OUTSIDE)[:, None]
+        self.start = (np.abs(cut.poles()) > 1.0 + rounding).sum(axis=-1)
+        self.flipped = _above(cut, -1.0)
 
     def unstable(self, periods: NDArray[Any]) -> NDArray[np.int64]:
         """Return the number of unstable poles at whole periods of delay (P,), (P,)."""
@@ -118,7 +285,7 @@ class AnyDelay:
         """Return the least whole periods of delay at which there are unstable poles, (P,); infinity for none."""
         falls = self.signs > 0
         waiting = np.ceil(_waiting(self.phases, self.angles)[falls])
-        result = np.where(self.flipped, 1.0, np.inf)
+        result = np.where(self.flipped > 0, 1.0, np.inf)
         np.minimum.at(result, self.rows[falls], np.maximum(waiting, 1.0))
         return np.where(self.start > 0, 0.0, result)
 
@@ -130,7 +297,10 @@ class AnyDelay:
             times = np.ceil(first + turn * np.arange(max(math.floor((longest - first) / turn) + 1, 0)))
             periods, steps = [*periods, times], [*steps, np.full(len(times), 2.0 * self.signs[index])]
         if self.flipped[row]:
-            periods, steps = [*periods, np.arange(1.0, longest + 1)], [*steps, np.ones(longest)]
+            periods, steps = (
+                [*periods, np.arange(1.0, longest + 1)],
+                [*steps, np.full(longest, float(self.flipped[row]))],
+            )
         at, place = np.unique(np.concatenate(periods), return_inverse=True)
         total = np.cumsum(np.bincount(place.reshape(-1), np.concatenate(steps), len(at))).round()
         kept = at <= longest
@@ -177,19 +347,19 @@ def _angles(cut: Cut) -> tuple[Rows, Array]:
     return rows, 2.0 * np.arctan(turned.imag[rows, column])
 
 
-def _polished(cut: Cut, rows: Rows, angles: Array, width: float = _MOVED) -> tuple[Rows, Array]:
+def _polished(cut: AnyCut, rows: Rows, angles: Array, whole: Array | None = None) -> tuple[Rows, Array]:
     """Return the crossings refined by Newton's method on ln |L|, each once; those that leave or miss are dropped."""
     start, angles = angles, angles.copy()
     for _ in range(_POLISHED):
         z = np.exp(1j * angles)
-        gain, derivative = cut.response(rows, z)
+        gain, derivative = cut.response(rows, z, whole)
         slope = (1j * z * derivative / gain).real
         move = -np.log(np.abs(gain)) / np.where(slope == 0.0, np.inf, slope)
         angles = np.clip(angles + np.clip(move, -_STEP * angles, _STEP * angles), 1e-12, np.pi)
         if not (np.abs(move) > 1e-15 * angles).any():
             break
-    gain, _ = cut.response(rows, np.exp(1j * angles))
-    good = (np.abs(np.abs(gain) - 1.0) < _EQUAL) & (np.abs(angles - start) < width * start)
+    gain, _ = cut.response(rows, np.exp(1j * angles), whole)
+    good = (np.abs(np.abs(gain) - 1.0) < _EQUAL) & (np.abs(angles - start) < _MOVED * start)
     good &= angles < np.pi * (1.0 - 1e-13)
     rows, angles = rows[good], angles[good]
     order = np.lexsort((angles, rows))
@@ -203,7 +373,7 @@ def _searched(cut: Cut, rows: Rows) -> tuple[Rows, Array]:
     """Return crossings of some loops by a grid of angles and those of the loop's own poles."""
     found: list[tuple[Rows, Array]] = []
     for row in rows.tolist():
-        grid = np.unique(np.concatenate([_GRID, *_own_angles(cut.advance[row])]))
+        grid = cut.own_angles(row)
         above = np.abs(cut.response(np.full(len(grid), row), np.exp(1j * grid))[0]) > 1.0
         index = np.flatnonzero(above[1:] != above[:-1])
         low, high, upper = grid[index], grid[index + 1], above[index]
@@ -217,11 +387,18 @@ def _searched(cut: Cut, rows: Rows) -> tuple[Rows, Array]:
     return rows, angles
 
 
-def _own_angles(advance: Array) -> list[Array]:
-    """Return angles at and beside the poles of a loop that is cut."""
-    own = np.abs(np.angle(np.linalg.eigvals(advance)))
+def _grid_of(poles: NDArray[Any]) -> Array:
+    """Return a grid of angles, denser at and beside those of some poles."""
+    own = np.abs(np.angle(poles))
     own = own[(own > _LEAST) & (own < np.pi)]
-    return [own * (1.0 + share) for share in (-0.01, -0.001, 0.0, 0.001, 0.01)]
+    beside = [own * (1.0 + share) for share in (-0.01, -0.001, 0.0, 0.001, 0.01)]
+    return np.unique(np.concatenate([_GRID, *beside]))
+
+
+def _above(cut: AnyCut, z: complex) -> NDArray[np.int64]:
+    """Return the number of loop gains above 1 at z, (P,)."""
+    every = np.arange(cut.loops)
+    return np.asarray((cut.gains(every, np.full(cut.loops, z, dtype=np.complex128)) > 1.0).sum(axis=-1))
 
 
 def first_delays(cut_of: CutOf, free: Mask) -> Array:
@@ -345,14 +522,14 @@ def _followed(cut_of: CutOf, index: Rows, whole: Array, low: Array, high: Array,
         if not (np.abs(step) > 1e-15 * np.maximum(delays, 1.0)).any():
             break
         cut = cut_of(index[rows], delays - whole[rows])
-        own, near = _polished(cut, np.arange(len(rows)), angles)
+        own, near = _polished(cut, np.arange(len(rows)), angles, whole[rows])
         if len(own) < len(rows):
             rows, delays, last, step, slopes = (part[own] for part in (rows, delays, last, step, slopes))
             cut = cut.rows(own)
         angles = near
         if not len(rows):
             return result
-        gain, _ = cut.response(np.arange(len(rows)), np.exp(1j * angles))
+        gain, _ = cut.response(np.arange(len(rows)), np.exp(1j * angles), whole[rows])
         excess = _wrapped(-np.angle(gain) + whole[rows] * angles)
         slopes = np.where(step == 0.0, slopes, (excess - last) / np.where(step == 0.0, 1.0, step))
     result[rows] = delays
@@ -364,13 +541,13 @@ def _wrapped(phases: Array) -> Array:
     return np.asarray(np.mod(phases, 2.0 * np.pi) - np.pi)
 
 
-def _largest_gain(cut: Cut) -> float:
+def _largest_gain(cut: AnyCut) -> float:
     """Return the largest loop gain over all frequencies and loops."""
     most = 0.0
-    for row in range(len(cut.take)):
-        grid = np.unique(np.concatenate([_GRID, *_own_angles(cut.advance[row])]))
+    for row in range(cut.loops):
+        grid = cut.own_angles(row)
         for _ in range(_ZOOMS):
-            gains = np.abs(cut.response(np.full(len(grid), row), np.exp(1j * grid))[0])
+            gains = cut.gains(np.full(len(grid), row), np.exp(1j * grid)).max(axis=-1)
             best = int(gains.argmax())
             most = max(most, float(gains[best]))
             grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], _ZOOMED)

@@ -17,10 +17,11 @@ from maglev_mj.errors import MaglevError, TooManyCallsError, named, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import axis_indices, numbers
-from maglev_mj.plants.hand import Hand
+from maglev_mj.plants.hand import Hand, transition
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory.closed_loop import SampledLoop, is_linear, loop_matrix
+from maglev_mj.theory.delay import CoupledCut, CutOf
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
 """Largest speed of a test displacement [m/s, rad/s], far below the speed of sticking friction."""
@@ -243,6 +244,18 @@ class StateSpace(LinearController):
         body = np.block([[np.diag(phi[:, row, column]) for column in states] for row in states])
         before, after = (np.vstack([np.diag(part[:, row]) for row in states]) for part in (old, new))
         return loop_matrix(body, before, after, whole, waiting, *self)
+
+    def cuts(self, *, period: float, inertia: Array, hand: Hand | None = None, driver_lag: float = 0.0) -> CutOf:
+        """Return the loop cut at the host's commands as `CutOf`, for any index; arguments as for `closed_loop`."""
+        a, b = SampledLoop(mass=inertia, period=period, delay=0.0, hand=hand, driver_lag=driver_lag).motion()
+        whole, _ = transition(a, b[..., :1], period)
+
+        def cut_of(_: Any, fractions: Array) -> CoupledCut:
+            late = period * fractions[:, None]
+            (_, early), (after, new) = (transition(a, b[..., :1], time) for time in (late, period - late))
+            return CoupledCut(whole, (after @ early)[..., 0], new[..., 0], (*self,))
+
+        return cut_of
 
 
 @checked

@@ -19,7 +19,7 @@ from maglev_mj.plants.hand import Hand, Mode
 from maglev_mj.result import number_text
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
 from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, critical_delay_of, pd, sampled_fields
-from maglev_mj.theory.delay import stable_intervals
+from maglev_mj.theory.delay import CutOf, first_delays, stable_intervals
 from maglev_mj.theory.linearise import Linearised, StateSpace
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
 
@@ -588,11 +588,26 @@ def stable_delays(loop: SampledLoop, stiffness: float, damping: float, *, free: 
     k, b = undelayed.broadcast(stiffness, damping)
     if undelayed.affine:
         cut_of, moves = undelayed.cuts(k, b)
-        ends, searched, gain = stable_intervals(cut_of, bool(moves[0]) if free is None else free, MAX_DELAY / period)
-        return StableDelays(tuple((low * period, high * period) for low, high in ends), searched * period, gain)
+        return _all_delays(cut_of, bool(moves[0]) if free is None else free, period)
     found, searched = float(critical_delay_of(undelayed, k, b)), MAX_DELAY_PERIODS * period
     end = searched if math.isnan(found) else found
     return StableDelays(((0.0, end),) if end else (), searched)
+
+
+def _all_delays(cut_of: CutOf, free: bool, period: float) -> StableDelays:
+    ends, searched, gain = stable_intervals(cut_of, free, MAX_DELAY / period)
+    return StableDelays(tuple((low * period, high * period) for low, high in ends), searched * period, gain)
+
+
+def coupled_bound(loop: Loop) -> Bound:
+    """Return the critical delay of coupled axes, linearised at a pose."""
+    assert loop.linear is not None
+    own, free = [*loop.linear.axes], loop.linear.still > 0
+    inertia = np.array(loop.body)[own]
+    system, around = loop.linear.states.with_units(loop.period, inertia), {"period": loop.period, "inertia": inertia}
+    cut_of = system.cuts(**around, hand=loop.hand, driver_lag=loop.driver_lag)
+    delay = loop.period * float(first_delays(cut_of, np.array([free]))[0])
+    return Bound(delay) if delay <= MAX_DELAY else _all_delays(cut_of, free, loop.period).bound
 
 
 def delay_bound(loop: SampledLoop, stiffness: float, damping: float) -> Bound:

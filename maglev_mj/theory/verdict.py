@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Mask, unit_of
+from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.lazy import loaded
 from maglev_mj.result import NoTruthValue, Result, Table, plain
-from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS, RANGE
+from maglev_mj.spec import MAX_DELAY, RANGE
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, stiffest_of
-from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.doubts import reached_speed, up_to
 from maglev_mj.theory.held import Held
@@ -32,6 +31,7 @@ from maglev_mj.theory.loop import (
     Loops,
     StableDelays,
     StableRange,
+    coupled_bound,
     delay_bound,
     delay_bounds,
     poles_of,
@@ -43,8 +43,6 @@ from maglev_mj.theory.remedies import Remedy, critical_of, damping_range, rate_r
 
 _ROUNDING = 1e-9
 """Tolerance of a spectral radius."""
-_LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 22
-"""Longest delay and finest step of a margin [s], delays per period, and bisections."""
 _SLIGHT = 1e-3
 """Relative change of a gain that shows the stiffness of an axis that it adds."""
 _LAWS = {"contact": "walls", "stuck": "friction"}
@@ -603,22 +601,21 @@ def nearest(loops: Loops, axis: str = "z") -> Loop:
 def critical_delay_of(loops: Loops) -> Bound:
     """Return the first delay of the host at which a loop is unstable [s].
 
-    0 if unstable without delay, NaN if a loop cannot be judged. Searched to 1 s; coupled axes without declared gains
-    to the lesser of 30 ms and 10 periods.
+    0 if unstable without delay, NaN if a loop cannot be judged. Searched to 1 s.
     """
     if loops.unjudged or not len(loops):
         return Bound(math.nan)
-    return Bound.least(_delay_of(loops, loop) for loop in loops)
+    return Bound.least(map(_delay_of, loops))
 
 
-def _delay_of(loops: Loops, loop: Loop) -> Bound:
+def _delay_of(loop: Loop) -> Bound:
     """Return the critical delay of one loop."""
     if not loop.acts:  # a hand alone is passive
         return Bound(MAX_DELAY, True, 0.0)
     if loop.linear is None:
         return _stated_delay(loop) if loop.law is None else delay_bound(loop.array(), loop.stiffness, loop.damping)
     if len(loop.axes) > 1:
-        return _scanned_delay(loops.only([loop]))
+        return coupled_bound(loop)
     system = loop.linear.states.with_units(loop.period, np.array([loop.inertia]))
     design = StateSpace(*(part[None] for part in system)).single
     return delay_bounds(loop.array(law=design), 0.0, 0.0, np.array([loop.linear.still > 0]))[0]
@@ -632,21 +629,6 @@ def _stated_delay(loop: Loop) -> Bound:
     # the delay of a host without gains does not matter
     radius = radius_of(loop, poles_of([loop])[0])
     return Bound(MAX_DELAY, True, 0.0) if radius < 1.0 - _ROUNDING else Bound(0.0)
-
-
-def _scanned_delay(loops: Loops) -> Bound:
-    """Return the critical delay of loops of coupled axes, by steps and bisection."""
-    period = loops[0].period
-
-    def stable(delay: Any) -> Mask:
-        radii = loops.replace(delay=float(delay)).spectral_radii()
-        return np.array(float(radii.max()) < 1.0 - _ROUNDING)
-
-    grid = np.arange(0.0, min(_LONGEST, MAX_DELAY_PERIODS * period) + 1e-12, max(period / _PER_PERIOD, _FINEST))
-    first = next((index for index, delay in enumerate(grid) if not stable(delay)), None)
-    if not first:
-        return Bound(float(grid[-1]), True) if first is None else Bound(0.0)
-    return Bound(float(bisect(stable, grid[first], grid[first - 1], _HALVINGS)))
 
 
 def _word(stable: bool | None) -> str:

@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 
 from maglev_mj import ParameterError, critical_delay, diagnose
-from maglev_mj.control import LinearController, LowPass
+from maglev_mj.control import Controller, Law, LinearController, LowPass
 from maglev_mj.frames import Array
 from maglev_mj.plants.hand import Mode, get_hand
 from maglev_mj.theory.boundary import boundary_of, rigid_note, spans, stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop, spectral_radius
-from maglev_mj.theory.delay import AnyDelay, Cut, dominant_poles
-from maglev_mj.theory.loop import Bound, StableDelays, delay_bound, stable_delays
+from maglev_mj.theory.delay import AnyDelay, Cut, dominant_poles, first_delays
+from maglev_mj.theory.linearise import StateSpace
+from maglev_mj.theory.loop import Bound, Loop, StableDelays, delay_bound, stable_delays
 from maglev_mj.theory.two_rates import DeviceLaw
+from maglev_mj.theory.verdict import judge
+from tests.sweeps import further
 
 ARM = "arm"
 
@@ -320,3 +323,85 @@ def test_a_narrow_range_of_rates_beside_a_mode_is_found() -> None:
     for share, stable in ((1.0 - 1e-6, True), (1.0 + 1e-6, False)):
         radius = spectral_radius(46000.0, 250.0, rate=share * edge, delay=0.0015, mass=0.7, mode=mode)
         assert (radius < 1.0) == stable
+
+
+def coupled_loop(random: np.random.Generator, most: int = 4) -> tuple[StateSpace, dict[str, Any]]:
+    """Return a random law of coupled axes with a filtered velocity, and the keywords of its loop.
+
+    Its modes are distinct, equal in pairs, or mixed by a force across the motion.
+    """
+    n, period = int(random.integers(2, most + 1)), 10 ** random.uniform(-4.0, -2.0)
+    inertia, angle, kind = 10 ** random.uniform(-2.0, 0.5, n), 10 ** random.uniform(-2.0, 0.2), random.integers(3)
+    turn, w, damped = np.linalg.qr(random.normal(size=(n, n)))[0], angle * random.uniform(0.3, 1.0, n), 0.4
+    if kind == 1:
+        w = angle * np.where(np.arange(n) < n // 2 + 1, 1.0, 0.5)
+    elif kind == 2:
+        damped = random.uniform(0.05, 1.2, n)
+    across = random.normal(size=(n, n)) * 0.1 * angle**2 * (kind == 2)
+    stiffness, damping = turn @ np.diag(w**2) @ turn.T + across - across.T, turn @ np.diag(2.0 * damped * w) @ turn.T
+    old = float(random.choice([0.0, random.uniform(0.0, 0.8)]))
+    one, zero = np.eye(n), np.zeros((n, n))
+    advance = np.block([[zero, zero], [(old - 1.0) * one, old * one]])
+    take, give = np.vstack([one, (1.0 - old) * one]), np.hstack([(1.0 - old) * damping, -old * damping])
+    law = StateSpace(advance, take, give, -stiffness - (1.0 - old) * damping).with_units(period, inertia)
+    hand, lag = get_hand(str(random.choice(["none", ARM, "stylus"]))), period * random.uniform(0.1, 3.0)
+    return law, {
+        "period": period,
+        "inertia": inertia,
+        "hand": hand,
+        "driver_lag": min(lag, 0.01) * (random.random() < 0.4),
+    }
+
+
+@pytest.mark.parametrize("seed", [*range(8), *further(*range(8, 200))])
+def test_unstable_poles_of_coupled_axes_are_those_of_the_matrix(seed: int) -> None:
+    random = np.random.default_rng(300 + seed)
+    law, around = coupled_loop(random, 4 if seed < 8 else 6)
+    shares, whole = random.uniform(0.0, 1.0, 3), (10 ** random.uniform(0.0, 1.5, 3)).astype(int)
+    unstable = AnyDelay(law.cuts(**around)(None, shares), np.zeros(3, dtype=bool)).unstable(whole)
+    for row, delay in enumerate((whole + shares) * around["period"]):
+        sizes = np.abs(np.linalg.eigvals(law.closed_loop(delay=float(delay), **around)))
+        if (np.abs(sizes - 1.0) > 3e-7).all():
+            assert unstable[row] == (sizes > 1.0).sum()
+
+
+@pytest.mark.parametrize("seed", [*range(6), *further(*range(6, 200))])
+def test_stability_of_coupled_axes_changes_at_the_critical_delay(seed: int) -> None:
+    law, around = coupled_loop(np.random.default_rng(600 + seed), 3 if seed < 6 else 6)
+    critical = float(first_delays(law.cuts(**around), np.zeros(1, dtype=bool))[0])
+
+    def radius(periods: float) -> float:
+        matrix = law.closed_loop(delay=periods * around["period"], **around)
+        return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+    if critical > 60.0:
+        critical, edge = 60.0, False
+    else:
+        edge = True
+    assert max(map(radius, critical * np.linspace(0.0, 1.0 - 1e-6, 12)), default=0.0) < 1.0 or critical == 0.0
+    assert not edge or radius(critical * (1.0 + 1e-6)) > 1.0
+
+
+class Diagonals(Law):
+    """Spring and damper on each diagonal of x and y: coupled axes."""
+
+    def __call__(self, position: Any, velocity: Any, state: Any, wrench: list[Any]) -> Any:
+        for side, (stiffness, damping) in zip((1.0, -1.0), ((150.0, 15.0), (60.0, 10.0))):
+            x, v = (0.5 * (part[0] + side * part[1]) for part in (position, velocity))
+            force = -(stiffness * x + damping * v)
+            wrench[0], wrench[1] = wrench[0] + force, wrench[1] + side * force
+        return state, None
+
+
+def test_the_critical_delay_of_coupled_axes_is_that_of_their_diagonals() -> None:
+    """It is above 30 ms and 10 periods, and with a hand at its number, or proved."""
+    period = 1e-3
+    for hand in ("none", ARM):
+        loops = [loop for loop in Loop.of(Controller([Diagonals()], period=period), delay=0.0) if loop.axis == "x, y"]
+        found = judge(loops[0], hand=hand).critical_delay
+        each = [
+            delay_bound(loop_of(period=period, mass=0.7, hand=hand), *gains) for gains in ((150.0, 15.0), (60.0, 10.0))
+        ]
+        least = Bound.least(each)
+        assert found == pytest.approx(float(least), rel=1e-6) and found.beyond == least.beyond and found > 0.03
+        assert found.largest_gain == pytest.approx(least.largest_gain, rel=1e-4)
