@@ -6,6 +6,7 @@ Figures: contact over the sampler's phases, force noise and stability margins at
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -27,6 +28,7 @@ from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.results import Figure, Variants, figure_head
 from maglev_mj.scenes.run import run_phases, run_variants
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stability_check import UNKNOWN
 from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.cells import Study, local_workers
@@ -237,7 +239,7 @@ class LawSweep(Sweep):
         if self.names[0] != _MAPPED:
             return super()._headline()
         most = zip(self.varied["law"], np.fmax.reduce(self.figure(_MAPPED)))
-        stiffest = ", ".join(f"{law} {stiffness:.0f}" for law, stiffness in most)
+        stiffest = ", ".join(f"{law} {'not computed' if math.isnan(k) else f'{k:.0f}'}" for law, k in most)
         return f"{capitalised(self.scene.name)}: stiffest stable wall {stiffest} N/m"
 
     def table(self) -> Table:
@@ -249,7 +251,19 @@ class LawSweep(Sweep):
         texts = np.char.add(np.vectorize(one.text)(self.figure(figure)), marks).tolist()
         rows = [[f"{value:.6g}", *row] for value, row in zip(values, texts, strict=True)]
         title = f"{with_unit(figure_head(figure), one.unit)}, {self.held}"
-        return Table(title, [with_unit(name, self.units[name]), *laws], rows)
+        return Table(title, [with_unit(name, self.units[name]), *laws], rows, warnings=self.warnings)
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """See `reasons`."""
+        return self.reasons
+
+    @property
+    def reasons(self) -> Sequence[str]:
+        """Why cells have no value or no verdict, and what a verdict leaves out, by law."""
+        laws = self.columns()["law"].tolist()
+        counts = Counter((law, text) for law, texts in zip(laws, self._marks) for text in texts.split("; ") if text)
+        return [f"{law}, {count} of {laws.count(law)} cells: {text}" for (law, text), count in counts.items()]
 
 
 def sweep_laws(
@@ -318,14 +332,20 @@ def sweep_laws(
             each = [chosen.replace(**{name: some[index][name] for name in vary}) for index in indices]
             variants = [_with_law(one, label, named[label], plant) for one in each]
             at_rest = _AtRest(variants)
-            radii = [*map(_radius, at_rest.present)]
+            judged, radii = [*zip(variants, at_rest.present, strict=True)], [*map(_radius, at_rest.present)]
+            ratios = at_rest.critical() if shown in (_MAPPED, "margin") else [Bound(math.nan)] * len(variants)
             if shown == _MAPPED:
-                ratios = (math.nan if _ends(ratio) else ratio for ratio in at_rest.critical())
-                values = [ratio * one.stiffness for ratio, one in zip(ratios, variants, strict=True)]
+                bases = [one.stiffness if verdict.loops[0].total[0] else math.nan for one, verdict in judged]
+                values = [math.nan if ratio.beyond else ratio * one for ratio, one in zip(ratios, bases, strict=True)]
             else:
                 values = [*map(value_of, variants)]
-            for index, value, radius in zip(indices, values, radii, strict=True):
-                rows[index] = plain({shown: value, "spectral_radius": radius})
+            notes = [
+                [*(_reasons(*one, ratio) if math.isnan(value) or one[1].stable is None else ()), *_parts(*one)]
+                for one, ratio, value in zip(judged, ratios, values, strict=True)
+            ]
+            for index, value, radius, texts in zip(indices, values, radii, notes, strict=True):
+                marks = {"warnings": "; ".join(texts)} if texts else {}
+                rows[index] = plain({shown: value, "spectral_radius": radius} | marks)
         return rows
 
     names = [one.name for one in chosen.parameters()]
@@ -425,9 +445,9 @@ def _at_rest(scene: WallScene) -> tuple[dict[str, float], list[str]]:
     Laws that state no gains rest at the depth at which the scene's own wall carries the weight.
     """
     at_rest = _AtRest([scene])
-    (verdict,), (margin,) = at_rest.present, at_rest.critical()
+    (verdict,), (ratio,) = at_rest.present, at_rest.critical()
     stiffness, radius = verdict.loops[0].total[0], _radius(verdict)
-    margin = margin if margin > 0.0 else Bound(math.nan)
+    margin = ratio if ratio > 0.0 else Bound(math.nan)
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
     around |= {"hand": at_rest.hand, "quantum": scene.quantize or scene.hardware.sensor.resolution[2]}
@@ -436,20 +456,27 @@ def _at_rest(scene: WallScene) -> tuple[dict[str, float], list[str]]:
     swing, force = hum(0.0, law=scene.controller(), stiffness=rest, duration=_TICKS * scene.period, **around)
     gain = Bound(margin * float(getattr(law, "stiffness", math.nan)), margin.beyond)
     margins = dict(zip(_MARGINS, (stiffness, force.item(), swing.item(), radius, gain, margin), strict=True))
-    partial = partial_laws(scene.controller())
-    return margins, [
-        *_reasons(verdict, margins),
-        *[f"{' and '.join(partial)} as declared, without the rest"] * bool(partial),
-    ]
+    reasons = [] if ratio.beyond else [*_reasons(scene, verdict, ratio)]
+    if not reasons and math.isnan(gain):
+        reasons.append("no critical gain: the law has no gain called stiffness")
+    return margins, [*reasons, *_parts(scene, verdict)]
 
 
-def _reasons(verdict: Verdict, margins: Mapping[str, float]) -> Iterator[str]:
-    """Yield why a margin of a law is NaN."""
-    if math.isnan(margins["spectral_radius"]):
-        yield f"stability not computed: {next(loop.reason for loop in verdict.loops if loop.reason)}"
-    elif not margins["stiffness"]:
+def _reasons(scene: WallScene, verdict: Verdict, ratio: Bound) -> Iterator[str]:
+    """Yield why a law is not judged, or has no critical gain."""
+    if verdict.stable is None:
+        yield f"{UNKNOWN}: {next((loop.reason for loop in verdict.loops if loop.reason), 'no finite force')}"
+    elif not verdict.loops[0].total[0]:
         yield "no critical gain: the law has no stiffness at rest"
-    elif math.isnan(margins["margin"]):
+    elif ratio == 0.0:
         yield "no critical gain: softer walls are unstable"
-    elif math.isnan(margins["critical_stiffness"]):
-        yield "no critical gain: the law has no gain called stiffness"
+    elif ratio.beyond:
+        yield f"critical gain more than {ratio * scene.stiffness:.4g} N/m ({ratio:.3g} times; end of the search)"
+
+
+def _parts(scene: WallScene, verdict: Verdict) -> Iterator[str]:
+    """Yield what a verdict on a law leaves out."""
+    if partial := partial_laws(scene.controller()):
+        yield f"{' and '.join(partial)} as declared, without the rest"
+    if left_out := dict.fromkeys(axis for loop in verdict.loops for axis in loop.left_out):
+        yield f"coupling of {scene.axis} to {', '.join(left_out)} left out"

@@ -208,7 +208,7 @@ class Diagnosis(NoTruthValue, Result):
 
     @cached_property
     def passive_damping(self) -> float:
-        """Damping of the device's own that makes the law passive [N s/m, N m s/rad]; NaN at two rates, with lag or mode."""
+        """Own damping that makes the law passive [N s/m, N m s/rad]; NaN at two rates, with a driver lag or a mode."""
         around = self.loop.sampled
         if around.device is not None or around.driver_lag or around.mode is not None:
             return math.nan

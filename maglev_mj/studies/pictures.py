@@ -266,7 +266,7 @@ def sweep(result: Sweep) -> Any:
     lines = list(itertools.product(*(values for _, values in others)))
     units = [result.units.get(name, "") for name, _ in others]
     numbers = all(map(_is_number, along))
-    figure, panels = new_grid((result.headline, result.held), found, label, more=0.9)
+    figure, panels = new_grid((result.headline, result.held, *result.reasons), found, label, more=0.9)
     for name, panel in panels.items():
         for index, values in enumerate(found[name][0].reshape(len(along), -1).T):
             style = line_style(index) | ({} if numbers else {"linestyle": "none"})
@@ -305,7 +305,8 @@ def _heat_maps(
 ) -> Any:
     """Draw each figure as a heat map over two parameters; cells without a value are grey."""
     (_, x), (second, y) = varied.items()
-    figure, panels = new_grid((result.headline, result.held), found, label, more=0.5, sharey=True)
+    head = result.headline, result.held, *result.reasons
+    figure, panels = new_grid(head, found, label, more=0.5, sharey=True)
     edges = (*_outer(np.array(x)), *_outer(np.array(y)))
     for name, panel in panels.items():
         panel.grid(visible=False)

@@ -143,6 +143,11 @@ class Sweep(Result):
         return " or ".join(dict.fromkeys(unit_of(unit, axis, along) for axis in axes))
 
     @property
+    def reasons(self) -> Sequence[str]:
+        """Reasons for cells without a value, a line each in charts; those of failed runs are errors."""
+        return ()
+
+    @property
     def held(self) -> str:
         """Scene, and the values that all cells share."""
         several = [name for name, values in self.cells.axes.items() if len(values) > 1]

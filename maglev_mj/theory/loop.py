@@ -303,6 +303,15 @@ class Loop:
         return tuple(self.axis.split(", "))
 
     @property
+    def left_out(self) -> tuple[str, ...]:
+        """Names of other axes on which its laws answer to its motion: this coupling is not in the loop."""
+        if self.linear is None:
+            return ()
+        answers = self.linear.near.scaled(self.body)[:, :, list(self.linear.axes)]
+        sizes = np.abs(answers).max(axis=(0, 2))
+        return tuple(axis for axis, size in zip(AXES, sizes) if axis not in self.axes and size > FREE * sizes.max())
+
+    @property
     def total(self) -> tuple[float, float]:
         """Stiffness and damping of host and device together [N/m, N m/rad; N s/m, N m s/rad]."""
         own = (self.device.stiffness, self.device.damping) if self.device is not None else (0.0, 0.0)

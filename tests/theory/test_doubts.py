@@ -15,7 +15,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.stability_check import stability_warning, wall_loops
-from maglev_mj.studies.compare import _chosen, _with_law
+from maglev_mj.studies.compare import _chosen, _with_law, sweep_laws
 from maglev_mj.theory.doubts import doubts
 from maglev_mj.theory.loop import Doubt
 from maglev_mj.theory.verdict import judge, stability
@@ -370,6 +370,36 @@ def test_compare_gives_the_reason_of_each_missing_margin(law: Any, verdict: str,
     assert found.verdicts == {"own": verdict}
     assert found.reasons == found.as_json()["reasons"] == {"own": reason}
     assert f"own: {reason}" in " ".join(str(found).split())
+
+
+class Tilt(Law):
+    """Wall on z whose force turns the flotor about x."""
+
+    def __init__(self, *, axes: str, stiffness: float, damping: float) -> None:
+        del axes
+        self.stiffness, self.damping = stiffness, damping
+
+    def __call__(self, position: Any, velocity: Any, state: Any, wrench: list[Any]) -> Any:
+        force = -(self.stiffness * position[2] + self.damping * velocity[2]) * (position[2] < 0.0)
+        wrench[2], wrench[3] = wrench[2] + force, wrench[3] + 0.01 * force
+        return state, None
+
+
+def test_compare_and_its_map_say_which_coupling_is_left_out_and_why_a_cell_is_empty(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("maglev_mj.studies.compare._TICKS", 20)  # in less time
+    one = Drop(period=1e-3, delay=8e-4, stiffness=2e4, damping=80.0, duration=0.01, pulse=0.0)
+    left_out, play = "coupling of z to rx left out", "the force at rest depends on the way there (hysteresis)"
+    assert compare(one, {"tilt": Tilt, "pd": "pd"}, phases=1).reasons == {"tilt": left_out}
+    laws: Any = {"tilt": Tilt, "pd": "pd", "play": Play, "damper": Damper}
+    found = sweep_laws(one, laws, "damping", [80.0], figure="critical_stiffness")
+    empty = [left_out, "", f"stability not computed: {play}", "no critical gain: the law has no stiffness at rest"]
+    assert found.columns()["warnings"].tolist() == empty
+    assert np.isnan(found.figure("critical_stiffness")[0]).tolist() == [False, False, True, True]
+    lines = [f"{law}, 1 of 1 cells: {text}" for law, text in zip(laws, empty, strict=True) if text]
+    assert found.warnings == found.reasons == lines
+    assert "play not computed" in found.headline and all(line in " ".join(str(found).split()) for line in lines)
 
 
 class SoftEdge(AxisLaw):
