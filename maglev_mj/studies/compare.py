@@ -307,7 +307,9 @@ def sweep_laws(
         if name != "damping":
             raise ParameterError(f"values of {name} must be a list of numbers (got {values})")
         count = whole("grid", values, at_least=2, at_most=1000)
-        best = stiffest_in(chosen.period, chosen.delay, float(chosen.body.inertia[2]), "none", scene_lag(chosen))
+        free: Any = {name: getattr(chosen, name) for name in ("period", "delay")}
+        free |= {"inertia": float(chosen.body.inertia[2]), "driver_lag": scene_lag(chosen)}
+        best = stiffest_in(Loop(stiffness=0.0, damping=0.0, **free))
         high = 2.2 * float(best.damping) or chosen.mass / chosen.period
         values = list(np.unique([*np.linspace(high / count, high, count), chosen.damping]).tolist())
 

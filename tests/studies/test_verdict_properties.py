@@ -201,7 +201,8 @@ def of_loop(p: dict[str, Any]) -> Loop:
     cutoff, mass, inertia = p.pop("cutoff"), p.pop("mass"), p.pop("inertia")
     hand, mode = get_hand(p.pop("hand")), p.pop("mode")
     return Loop(
-        **dict(zip(("stiffness", "damping"), GAINS)),
+        stiffness=GAINS[0],
+        damping=GAINS[1],
         **p,
         inertia=mass or inertia,
         hand=hand,
