@@ -262,6 +262,26 @@ def test_every_effect_moves_the_verdict_of_every_front_end_to_that_of_the_loop(
             assert critical == pytest.approx(float(boundary_of(loop.array(), np.asarray(GAINS[1]))), rel=1e-6)
 
 
+class Filtered(Drop):
+    """Drop with a velocity filter of the host."""
+
+    def velocity_estimator(self) -> LowPass:
+        return LowPass(cutoff=60.0)
+
+
+@pytest.mark.parametrize("lag", [0.0, 1e-3])
+@pytest.mark.parametrize("cls", [Drop, Filtered])
+@pytest.mark.parametrize(
+    "own", [{}, {"device_damping": 60.0, "device_cutoff": 60.0}, {"wall_on": "device", "device_delay": 5e-4}]
+)
+def test_the_target_wall_of_a_card_is_the_wall_of_its_scene(
+    own: dict[str, Any], cls: type[Drop], lag: float, tmp_path: Path
+) -> None:
+    scene = cls(device=lagging(lag, tmp_path), stiffness=30_000.0, damping=120.0, pulse=0.0, **own)
+    _, target = _target(scene, None, scene.stiffness, scene.damping)
+    assert target.spectral_radius == pytest.approx(judge(wall_loops(scene)).spectral_radius, rel=1e-9)
+
+
 @pytest.mark.parametrize("command", ["diagnose", "stability", "design", "card"])
 def test_every_front_end_has_the_same_options(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
