@@ -329,8 +329,8 @@ class Loop:
         That is the stiffer one, on host or device. The memory of laws linearised on one axis scales with the stiffness.
         """
         if self.linear is not None:
-            law = LinearisedLaw(self.controller(), self.stiffness, max(self.damping, 0.0))
-            return replace(self, damping=law.damping, law=law, linear=None, pose=None, body=())
+            memory = LinearisedLaw(self.controller(), self.stiffness, max(self.damping, 0.0))
+            return replace(self, damping=memory.damping, law=memory, linear=None, pose=None, body=())
         law, own = self.device, self.velocity
         if law is None or self.on_host:
             return self

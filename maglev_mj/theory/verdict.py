@@ -589,8 +589,8 @@ def nearest(loops: Loops, axis: str = "z") -> Loop:
         groups.setdefault(alike, []).append(loop)
     shares: dict[int, float] = {}
     for alike, some in groups.items():
-        own = [one.in_question for one in some]
-        stiffness, damping, inertia = np.array([(one.stiffness, one.damping, one.inertia) for one in own]).T
+        gains = [(one.stiffness, one.damping, one.inertia) for one in (loop.in_question for loop in some)]
+        stiffness, damping, inertia = np.array(gains).T
         with np.errstate(divide="ignore"):
             found = stiffness / boundary_of(alike.array(inertia=inertia), damping)
         shares |= dict(zip(map(id, some), found.tolist(), strict=True))

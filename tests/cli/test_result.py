@@ -200,9 +200,10 @@ def bounds_of(value: Any) -> Iterator[Bound | StableRange]:
 
 def test_every_bound_of_a_result_has_the_end_of_its_search_in_the_json() -> None:
     loop: dict[str, Any] = {"stiffness": 10.0, "damping": 1.0, "rate": 1000.0, "delay": 0.0, "mass": 0.7}
-    margins = {"pd": {**results()["comparison"].margins["pd"], "margin": Bound(640.0, True)}}
+    compared: Any = results()["comparison"]
+    margins = {"pd": {**compared.margins["pd"], "margin": Bound(640.0, True)}}
     more: list[Any] = [diagnose(**loop), diagnose(**loop, hand="0.1,20,500"), stability(Linearised(duration=0.01))]
-    more.append(replace(results()["comparison"], margins=margins))
+    more.append(replace(compared, margins=margins))
     every = [*zip(of_each_kind().values(), data_of_each_kind().values()), *((found, found.as_json()) for found in more)]
     written = set[str]()
     for found, data in every:

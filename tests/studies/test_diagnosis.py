@@ -305,7 +305,7 @@ def test_a_scene_is_diagnosed_on_its_worst_axis() -> None:
         ({"stiffness": 1.0, "damping": 1.0, "rate": 200.0, "mass": 1.0, "delay": 5.0}, "delay"),
     ],
 )
-def test_missing_values_are_named(values: dict[str, float], words: str) -> None:
+def test_missing_values_are_named(values: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
         diagnose(**values)
 

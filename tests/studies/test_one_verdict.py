@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import maglev_mj
 from maglev_mj import (
     AxisLaw,
     Device,
@@ -211,3 +212,15 @@ def test_the_map_is_the_table_and_jumps_no_unstable_band() -> None:
     for share in (0.1, 0.7, 0.999):
         softer = scene.replace(stiffness=share * critical)
         assert compare(softer, {"own": Notch}, phases=1).margins["own"]["spectral_radius"] < 1.0
+
+
+def test_judge_is_the_name_of_one_function_and_a_stability_map_of_one_class() -> None:
+    package = Path(maglev_mj.__file__).parent
+    names = [
+        (path.relative_to(package).as_posix(), name)
+        for path in package.rglob("*.py")
+        for name in re.findall(r"^ *(?:def|class) (\w+)", path.read_text("utf-8"), re.MULTILINE)
+    ]
+    judges = [(path, name) for path, name in names if name.strip("_").partition("_")[0] == "judge"]
+    assert judges == [("theory/verdict.py", "judge")]
+    assert [path for path, name in names if name == "StabilityMap"] == ["studies/stability_map.py"]
