@@ -128,6 +128,7 @@ def test_a_range_is_that_of_a_search_of_all_values(seed: int, monkeypatch: pytes
     nearest = places[np.abs(places - middle).argmin()]
     runs = np.split(places, 1 + np.flatnonzero(np.diff(places) > 1))
     (run,) = (run for run in runs if nearest in run)
+    assert found is not None
     lower, upper = found
     assert found == (values[run[0]], values[run[-1]])
     assert (lower.beyond, upper.beyond) == (run[0] == 0, run[-1] == count - 1)
@@ -171,7 +172,8 @@ def walls_of(seed: int) -> Drop | Corner:
     kind: Any = random.choice([Drop, TwoWalls, Corner])  # type: ignore[arg-type]
     if kind is TwoWalls:
         values |= {"stiff_beside": 10.0 ** random.uniform(3.2, 4.7), "drag": random.uniform(10.0, 300.0)}
-    return kind(**values)
+    made: Drop | Corner = kind(**values)
+    return made
 
 
 @pytest.mark.parametrize("seed", [*range(16), *further(*range(16, 150))])
