@@ -193,8 +193,8 @@ class Sweep(Result):
         verdicts = [f"{count} of {_count(len(self._marks))}: {mark}" for mark, count in counts.items()]
         for index, mark in enumerate(counts):
             if mark.startswith(UNKNOWN):
-                first, *others = dict.fromkeys(reasons[mark])
-                verdicts[index] += f": {first}{', or alike' * bool(others)}"
+                each = [*dict.fromkeys(reasons[mark])]
+                verdicts[index] += f": {each[0]}{', or alike' * (len(each) > 1)}"
         return [*verdicts, *filter(None, [self.chaos])]
 
     @cached_property

@@ -26,18 +26,28 @@ from maglev_mj.frames import Array, Mask
 FRACTIONS = 40
 """Fractions of a period at which a delay is tried: a narrower stable or unstable range may be missed."""
 _NEAR, _MOVED, _EQUAL = 1e-2, 0.05, 1e-8
+"""Relative tolerances: of an eigenvalue that may be imaginary, of a refined angle, and of a loop gain of 1."""
 _POLISHED, _STEP = 8, 0.3
-_LEAST = 1e-7  # angle that stands for 0
+"""Steps of Newton's method, and its largest relative one."""
+_LEAST = 1e-7
+"""Angle that stands for 0."""
 _START = complex(np.exp(1j * _LEAST))
 _GRID = np.geomspace(_LEAST, np.pi, 600)
 _OUTSIDE, _FREE = 1e-12, 1e-7
 """Distance from the unit circle that counts as rounding, and that of the poles of free motion."""
 _SECANTS, _BESIDE, _SECTIONS, _POINTS = 8, 1e-9, 11, 15
+"""Search of an edge: secants, relative distance at which it is checked, and divisions into how many parts but one."""
 _MOST_EDGES = 40
 _FIRST, _HALVINGS, _DOUBLINGS, _SMALLEST = 0.05, 12, 60, 600.0
+"""Logarithm of the radius of a dominant pole, times periods: first step and largest one inwards; steps."""
 _ZOOMS, _ZOOMED = 4, 21
-_NO_GAIN, _TURN, _PEAK, _TOGETHER, _ZERO, _FALSE_POSITIONS = 1e-300, 1e-6, 1.0, 1e-8, 4e-16, 60
+"""Refinements of the grid at a peak, and its points."""
+_NO_GAIN, _PEAK = 1e-300, 1.0
+"""Loop gain that stands for none, and distance of a peak's logarithm from 0 at which it is refined."""
+_TURN, _TOGETHER, _ZERO, _FALSE_POSITIONS = 1e-6, 1e-8, 4e-16, 60
+"""Eigenvalues of coupled axes: turn for a derivative, relative distance of equal crossings, rounding, and steps."""
 _EVEN, _STARTS, _CONVERGED, _BESIDE_POLE = np.linspace(0.0, np.pi, 1000), 8, 1e-9, 1e-13
+"""Starts for a dominant pole and how many are tried, error of a solution, and distance kept from a pole of L."""
 
 
 class Cut(NamedTuple):
@@ -254,8 +264,11 @@ AnyCut: TypeAlias = Cut | CoupledCut
 Rows: TypeAlias = NDArray[Any]
 """Indices of loops."""
 
-CutOf: TypeAlias = Callable[[Rows, Array], AnyCut]
+CutOf: TypeAlias = Callable[[Rows, Array], Cut]
 """Function from indices of loops (P,) and fractions of a period (P,) to the cut loops."""
+
+AnyCutOf: TypeAlias = Callable[[Rows, Array], AnyCut]
+"""The same, of single or coupled loops."""
 
 
 class AnyDelay:
@@ -401,7 +414,7 @@ def _above(cut: AnyCut, z: complex) -> NDArray[np.int64]:
     return np.asarray((cut.gains(every, np.full(cut.loops, z, dtype=np.complex128)) > 1.0).sum(axis=-1))
 
 
-def first_delays(cut_of: CutOf, free: Mask) -> Array:
+def first_delays(cut_of: AnyCutOf, free: Mask) -> Array:
     """Return the least delay at which loops are unstable [periods], (G,).
 
     Infinity without a crossing at any of the fractions: the loop gain is below 1 at every frequency, so that every
@@ -438,7 +451,7 @@ class Intervals(NamedTuple):
     largest_gain: float | None
 
 
-def stable_intervals(cut_of: CutOf, free: bool, longest: float) -> Intervals:
+def stable_intervals(cut_of: AnyCutOf, free: bool, longest: float) -> Intervals:
     """Return all stable delays of one loop up to a longest one [periods]."""
     shares = np.arange(FRACTIONS + 1) / FRACTIONS
     alone = np.array([free])
@@ -470,7 +483,7 @@ def stable_intervals(cut_of: CutOf, free: bool, longest: float) -> Intervals:
     return Intervals(tuple(zip(ends[::2], ends[1::2])), searched, None)
 
 
-def _edges(cut_of: CutOf, free: Mask, index: Rows, low: Array, high: Array) -> Array:
+def _edges(cut_of: AnyCutOf, free: Mask, index: Rows, low: Array, high: Array) -> Array:
     """Return the delays between two [periods] at which loops become stable or unstable, (E,).
 
     A crossing that reaches the phase pi is followed by the secant method, and checked to both sides; where there is
@@ -505,7 +518,7 @@ def _edges(cut_of: CutOf, free: Mask, index: Rows, low: Array, high: Array) -> A
     return result
 
 
-def _followed(cut_of: CutOf, index: Rows, whole: Array, low: Array, high: Array, free: Mask) -> Array:
+def _followed(cut_of: AnyCutOf, index: Rows, whole: Array, low: Array, high: Array, free: Mask) -> Array:
     """Return the delay at which the crossing nearest to the phase pi reaches it [periods]; NaN without one."""
     result = np.full(len(index), np.nan)
     start = AnyDelay(cut_of(index, high - whole), free[index])

@@ -21,7 +21,7 @@ from maglev_mj.plants.hand import Hand, transition
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory.closed_loop import SampledLoop, is_linear, loop_matrix
-from maglev_mj.theory.delay import CoupledCut, CutOf
+from maglev_mj.theory.delay import AnyCutOf, CoupledCut
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
 """Largest speed of a test displacement [m/s, rad/s], far below the speed of sticking friction."""
@@ -245,8 +245,8 @@ class StateSpace(LinearController):
         before, after = (np.vstack([np.diag(part[:, row]) for row in states]) for part in (old, new))
         return loop_matrix(body, before, after, whole, waiting, *self)
 
-    def cuts(self, *, period: float, inertia: Array, hand: Hand | None = None, driver_lag: float = 0.0) -> CutOf:
-        """Return the loop cut at the host's commands as `CutOf`, for any index; arguments as for `closed_loop`."""
+    def cuts(self, *, period: float, inertia: Array, hand: Hand | None = None, driver_lag: float = 0.0) -> AnyCutOf:
+        """Return the loop cut at the host's commands as `AnyCutOf`, for any index; arguments as for `closed_loop`."""
         a, b = SampledLoop(mass=inertia, period=period, delay=0.0, hand=hand, driver_lag=driver_lag).motion()
         whole, _ = transition(a, b[..., :1], period)
 
@@ -339,11 +339,11 @@ def _near(poses: Array, period: float, up: Array, down: Array) -> Iterator[Linea
     response = (up + 2.0 * down) / 3.0
     gap = np.abs(up - down)
     largest = (weight * np.abs(response)).max(axis=(1, 2))
-    jumps = (weight * gap).max(axis=(1, 2)) > _BENT * largest
+    jumps = np.asarray((weight * gap).max(axis=(1, 2)) > _BENT * largest)
     # a response that shrinks with the displacement, such as the creep of a bristle, vanishes in the limit
     least = np.maximum(_CUT * largest[:, None, None] / weight, np.where(jumps[:, None, None], 0.0, 2.0 * gap))
     response = np.where(np.abs(response) > least, response, 0.0)
-    settled = finite & ~response[:, -_QUIET:].any(axis=(1, 2))
+    settled = np.asarray(finite & ~response[:, -_QUIET:].any(axis=(1, 2)))
     for parts in zip(poses, response, jumps, settled, strict=True):
         yield Linearised(pose=parts[0], period=period, response=parts[1], jumps=parts[2], settled=parts[3])
 

@@ -19,7 +19,7 @@ from maglev_mj.plants.hand import Hand, Mode
 from maglev_mj.result import number_text
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
 from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, critical_delay_of, pd, sampled_fields
-from maglev_mj.theory.delay import CutOf, first_delays, stable_intervals
+from maglev_mj.theory.delay import AnyCutOf, first_delays, stable_intervals
 from maglev_mj.theory.linearise import Linearised, StateSpace
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
 
@@ -603,7 +603,7 @@ def stable_delays(loop: SampledLoop, stiffness: float, damping: float, *, free: 
     return StableDelays(((0.0, end),) if end else (), searched)
 
 
-def _all_delays(cut_of: CutOf, free: bool, period: float) -> StableDelays:
+def _all_delays(cut_of: AnyCutOf, free: bool, period: float) -> StableDelays:
     ends, searched, gain = stable_intervals(cut_of, free, MAX_DELAY / period)
     return StableDelays(tuple((low * period, high * period) for low, high in ends), searched * period, gain)
 
@@ -613,8 +613,8 @@ def coupled_bound(loop: Loop) -> Bound:
     assert loop.linear is not None
     own, free = [*loop.linear.axes], loop.linear.still > 0
     inertia = np.array(loop.body)[own]
-    system, around = loop.linear.states.with_units(loop.period, inertia), {"period": loop.period, "inertia": inertia}
-    cut_of = system.cuts(**around, hand=loop.hand, driver_lag=loop.driver_lag)
+    system = loop.linear.states.with_units(loop.period, inertia)
+    cut_of = system.cuts(period=loop.period, inertia=inertia, hand=loop.hand, driver_lag=loop.driver_lag)
     delay = loop.period * float(first_delays(cut_of, np.array([free]))[0])
     return Bound(delay) if delay <= MAX_DELAY else _all_delays(cut_of, free, loop.period).bound
 
