@@ -331,7 +331,7 @@ def is_ours(item: Any) -> bool:
 
 def _near(poses: Array, period: float, up: Array, down: Array) -> Iterator[Linearised]:
     """Yield the linearisation at each pose from the responses to a displacement and to minus half of it, per unit."""
-    finite = np.isfinite(up).all(axis=(1, 2)) & np.isfinite(down).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(up).all(axis=(1, 2)) & np.isfinite(down).all(axis=(1, 2)))
     up, down = (np.where(finite[:, None, None], one, 0.0) for one in (up, down))
     root = np.sqrt(np.asarray(INERTIA))
     weight = 1.0 / np.outer(root, root)

@@ -142,7 +142,7 @@ def toured(scene: Case) -> Any:
         return math.nan
     tour, low, high = object.__new__(Tour), 0.0, 4.0
     for _ in range(12):
-        tour._stability = None  # type: ignore[assignment]
+        tour._stability = None
         middle = 0.5 * (low + high)
         low, high = (middle, high) if tour._stable(scene.replace(delay=middle * scene.delay)) else (low, middle)
     return low

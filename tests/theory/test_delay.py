@@ -332,7 +332,8 @@ def coupled_loop(random: np.random.Generator, most: int = 4) -> tuple[StateSpace
     """
     n, period = int(random.integers(2, most + 1)), 10 ** random.uniform(-4.0, -2.0)
     inertia, angle, kind = 10 ** random.uniform(-2.0, 0.5, n), 10 ** random.uniform(-2.0, 0.2), random.integers(3)
-    turn, w, damped = np.linalg.qr(random.normal(size=(n, n)))[0], angle * random.uniform(0.3, 1.0, n), 0.4
+    turn, w = np.linalg.qr(random.normal(size=(n, n)))[0], angle * random.uniform(0.3, 1.0, n)
+    damped = np.full(n, 0.4)
     if kind == 1:
         w = angle * np.where(np.arange(n) < n // 2 + 1, 1.0, 0.5)
     elif kind == 2:
@@ -358,7 +359,7 @@ def test_unstable_poles_of_coupled_axes_are_those_of_the_matrix(seed: int) -> No
     random = np.random.default_rng(300 + seed)
     law, around = coupled_loop(random, 4 if seed < 8 else 6)
     shares, whole = random.uniform(0.0, 1.0, 3), (10 ** random.uniform(0.0, 1.5, 3)).astype(int)
-    unstable = AnyDelay(law.cuts(**around)(None, shares), np.zeros(3, dtype=bool)).unstable(whole)
+    unstable = AnyDelay(law.cuts(**around)(np.arange(3), shares), np.zeros(3, dtype=bool)).unstable(whole)
     for row, delay in enumerate((whole + shares) * around["period"]):
         sizes = np.abs(np.linalg.eigvals(law.closed_loop(delay=float(delay), **around)))
         if (np.abs(sizes - 1.0) > 3e-7).all():
