@@ -28,10 +28,12 @@ _BRIEF, _SEARCHED, _CLOSE = 2, 40, 1e-2
 """Search of a rest: samples of laws without memory, most positions, relative error of the force."""
 _TINY, _SIZES = 1e-7, (0.002, 0.02, 0.2)
 """Displacements: the smallest one [m], and shares of the depth at rest."""
-_RESTS, _AFTER = (40, 41, 43, 160), 8
-"""Samples at rest before a displacement, and recorded after it."""
-_DEEPER, _MORE, _PART = 2.0, 5e-4, 0.01
-"""Excursion to a deeper position before the rest: share of the depth, distance [m], and share of a smaller one."""
+_REST, _RESTS, _AFTER = 40, (3, 40, 41, 43, 200, 512), 8
+"""Samples at rest before a displacement, all numbers of them that are tried, and samples recorded after it."""
+_DEEPER, _MORE, _PART, _BACK = 2.0, 5e-4, 0.01, _RESTS[4]
+"""Excursion to a deeper position before the rest: share of the depth, distance [m], share of a smaller one, and samples
+until the end of the rest.
+"""
 _REPEATS, _RESTED, _SMOOTH, _STATIC, _RETURNED = 1e-6, 1e-2, 0.25, 1e-3, 1e-2
 """Relative errors: of a repetition, of other times at rest, of other sizes, of the least static part, of a return."""
 _SMALL, _SLOW = 0.02, 0.05
@@ -59,8 +61,9 @@ def doubts(
     """Return what probes of each axis found, by index, for each controller.
 
     A flotor is held where the laws carry its weight, or else a tenth of their largest force. The probes repeat, rest
-    for other times, displace it by 0.1 µm to 20 % of the depth to both sides, and come from deeper. Axes on which only
-    laws with declared gains act are not probed.
+    for 3 to 512 samples, displace it by 0.1 µm to 20 % of the depth to both sides, for one sample and for good, come
+    from deeper, and return from there at the speed of a fall. Axes on which only laws with declared gains act are not
+    probed.
 
     Args:
         controllers: Controllers of equal period and velocity estimator, with laws for one device each; none is changed.
@@ -113,7 +116,8 @@ def doubts(
 def _worse(first: Doubt | None, second: Doubt) -> Doubt:
     if first is None:
         return second
-    return min(first, second, key=lambda one: (not one.void, not one.reason, one.valid_to.beyond, float(one.valid_to)))
+    worst = min(first, second, key=lambda one: (not one.void, not one.reason, one.valid_to.beyond, float(one.valid_to)))
+    return worst._replace(rests=first.rests + second.rests)
 
 
 def _rests(forces: Array, x: Array, wanted: float) -> Iterable[tuple[float, int, int]]:
@@ -241,7 +245,7 @@ class _Scan(NamedTuple):
         fastest = np.abs(forces[-1] - forces[-2]).reshape(-1, _GRID).argmax(axis=1)
         acts = np.repeat(active, _GRID)
         if acts.any() and ((forces[:-1] != forces[0]).any() or (forces[0] == stated[0]).all()):  # a memory
-            devices.samples = _RESTS[0]
+            devices.samples = _REST
             rest = devices.of([pair for pair, act in zip(each, acts) if act])
             forces[:-1, acts] = rest.held(positions[active].ravel())
         return cls(devices, positions, forces[:-1].mean(axis=0).reshape(-1, _GRID), active, fastest)
@@ -302,13 +306,15 @@ def _probed(
         x[count:] = [at for _, at in static]
     scale, speed = SCALE[devices.axes], reached_speed(reach)[devices.axes]
     depth = np.maximum(np.where(depth > 0.0, depth, _SHARE * reach[devices.axes]), 10.0 * _TINY * scale)
-    found = _Probes(devices, x, depth, deeper, np.minimum(_TINY * scale, _SIZES[0] * depth), scale)
+    room = _EDGES * reach[devices.axes] - np.abs(x)
+    fall = np.where(deeper != 0.0, np.minimum(speed * period, room), 0.0)
+    found = _Probes(devices, x, depth, deeper, np.minimum(_TINY * scale, _SIZES[0] * depth), scale, fall)
     reasons = found.reasons()
-    sizes, kinds, largest = found.sizes()
+    sizes, kinds = found.sizes()
     result = []
     for row, (_, axis) in enumerate(pairs):
         beyond = not kinds[row]
-        limit = Bound(float((largest if beyond else sizes)[row]) / period, beyond)
+        limit = Bound(float(sizes[row]) / period, beyond)
         unit = 1e3 * x[row], unit_of("mm", AXES[axis])
         if jump[row]:
             what = "the weight" if loads[axis] else "a load"
@@ -321,7 +327,7 @@ def _probed(
             small = not beyond and sizes[row] < least
             what = "slope of the force" if kinds[row] == "position" else "damping"
             reason = f"the {what} changes above {up_to(limit, period, AXES[axis])}"
-            result.append(Doubt(limit, reason if small else ""))
+            result.append(Doubt(limit, reason if small else "", rests=(float(x[row]),) * (row < count)))
     return result
 
 
@@ -355,11 +361,14 @@ def _searched(devices: _Devices, targets: Array, brackets: Array) -> tuple[Array
 class _Probes:
     """Probes of devices at rest; responses are forces per unit of a displacement held for 8 samples."""
 
-    def __init__(self, devices: _Devices, x: Array, depth: Array, deeper: Array, tiny: Array, scale: Array) -> None:
+    def __init__(
+        self, devices: _Devices, x: Array, depth: Array, deeper: Array, tiny: Array, scale: Array, fall: Array
+    ) -> None:
+        self._fall = fall
         self._devices, self._x, self._depth, self._deeper, self._scale = devices, x, depth, deeper, scale
         self._steps = [tiny, *(share * depth for share in _SIZES)]
         devices.reset()
-        devices.run(x, _RESTS[0])
+        devices.run(x, _REST)
         self._rested = devices.branch()
         self._still = self._rested.branch().run(x, _AFTER)
         self._tiny = {sign: self._response(sign * tiny) for sign in (1.0, -0.5)}  # finds a sign of the velocity, too
@@ -377,25 +386,37 @@ class _Probes:
             for row in np.flatnonzero(wrong).tolist():
                 result[row] = result[row] or reason
 
-        devices = self._devices
+        devices, rested, forces, gaps = self._devices, 0, dict[int, Array](), dict[int, Array]()
         devices.reset()
-        devices.run(x, _RESTS[0])
-        again = devices.branch().run(x + size, _AFTER)
-        first = self._rested.branch().run(x + size, _AFTER)
-        refuse((np.abs(first - again) > _REPEATS * np.abs(first).max(axis=0)).any(axis=0), "the force does not repeat")
-        response = (first - self._still) / size
-        most, rested = np.abs(response).max(axis=0), _RESTS[0]
-        for rest in _RESTS[1:]:
-            devices.run(x, rest - rested)
+        response = self._response(size)
+        for rest in _RESTS:
+            forces[rest] = devices.run(x, rest - rested)[-1]
             rested = rest
             still, moved = (devices.branch().run(x + step, _AFTER) for step in (0.0 * size, size))
-            wrong = (np.abs((moved - still) / size - response) > _RESTED * most).any(axis=0)
-            refuse(wrong, f"the force depends on the number of samples at rest ({_RESTS[0]} or {rest})")
-        refuse(self._returns(devices.run(x, _RESTS[0])[-1]), "the force at rest depends on the way there (hysteresis)")
+            gaps[rest] = np.abs((moved - still) / size - response)
+        most, end = np.abs(response).max(axis=0), np.abs(response[-1])
+        refuse((gaps[_REST] > _REPEATS * most).any(axis=0), "the force does not repeat")
+        for rest, gap in gaps.items():
+            wrong = (gap > _RESTED * most).any(axis=0) | (gap[-1] > np.maximum(_RESTED * end, _REPEATS * most))
+            refuse(wrong, f"the force depends on the number of samples at rest ({_REST} or {rest})")
+        refuse(self._returns(forces[_BACK]), "the force at rest depends on the way there (hysteresis)")
         refuse(
             np.any(_differs(*self._tiny.values()), axis=0), "the force depends on the direction of the smallest motion"
         )
+        refuse(self._summed(), "the force after a step is not the sum of those after single samples")
+        refuse(self._frozen(), "the force does not follow the smallest motion")
         return result
+
+    def _summed(self) -> Mask:
+        """Return True where the response to a held displacement is not the sum of those to one of a single sample."""
+        moved = self._rested.branch()
+        pulse = np.vstack([moved.step(x)[None] for x in (self._x + self._steps[0], *[self._x] * (_AFTER - 1))])
+        return np.any(_differs(self._tiny[1.0], np.cumsum((pulse - self._still) / self._steps[0], axis=0)), axis=0)
+
+    def _frozen(self) -> Mask:
+        """Return True where the smallest displacement leaves no force in the end, and a larger one does."""
+        larger = [np.abs(self._response(size)[-1]) for size in self._steps[1:]]
+        return np.asarray(np.abs(self._tiny[1.0][-1]) < _RESTED * np.max(larger, axis=0))
 
     def _returns(self, rest: Array) -> Mask:
         """Return True where the force differs after an excursion, other than by a linear memory of its size.
@@ -416,14 +437,14 @@ class _Probes:
     def _left(self, excursion: Array) -> Array:
         """Return the force at rest after an excursion."""
         self._devices.reset()
-        self._devices.run(self._x + excursion, _RESTS[0])
-        return np.asarray(self._devices.run(self._x, _RESTS[-1])[-1])
+        self._devices.run(self._x + excursion, _REST)
+        return np.asarray(self._devices.run(self._x, _BACK - _REST)[-1])
 
-    def sizes(self) -> tuple[Array, list[str], Array]:
-        """Return sizes up to which the laws are linear, what changes above, "" for nothing, and the largest sizes."""
+    def sizes(self) -> tuple[Array, list[str]]:
+        """Return sizes up to which the laws are linear, and what changes above, "" for nothing up to the largest."""
         count = len(self._x)
         good, bad, kinds = self._steps[0].copy(), np.full(count, np.inf), [""] * count
-        for size in self._steps[1:]:
+        for size in (*self._steps[1:], np.maximum(self._fall, self._steps[-1])):
             wrong = self._kinds(size)
             for row in range(count):
                 if not kinds[row] and wrong[row]:
@@ -439,15 +460,28 @@ class _Probes:
                         bad[row], kinds[row] = middle[row], wrong[row]
                     else:
                         good[row] = middle[row]
-        return good, kinds, self._steps[-1]
+        return good, kinds
 
     def _kinds(self, size: Array) -> list[str]:
-        """Return what differs from the smallest displacement: "speed", "position" or nothing."""
+        """Return what differs from the smallest displacement: "speed", "position" or nothing.
+
+        Above the largest share of the depth, where a force may end, only speeds on the way back from deeper positions.
+        """
         speed, position = np.zeros((2, len(size)), dtype=bool)
+        most = np.minimum(size, self._steps[-1])
         for sign, reference in self._tiny.items():
-            fast, slow = _differs(reference, self._response(np.sign(sign) * size))
+            fast, slow = _differs(reference, self._response(np.sign(sign) * most))
             speed, position = speed | fast, position | slow
+        if (size > most).any():
+            speed |= (size > most) & _differs(self._back(self._steps[0]), self._back(size))[0]
         return ["speed" if fast else "position" if slow else "" for fast, slow in zip(speed, position)]
+
+    def _back(self, size: Array) -> Array:
+        """Return the response to a step back from a rest at a deeper position."""
+        still, moved = self._rested.branch(), self._rested.branch()
+        still.run(self._x, _REST)
+        moved.run(self._x + self._deeper * size, _REST)
+        return np.asarray((moved.run(self._x, _AFTER) - still.run(self._x, _AFTER)) / size)
 
 
 def _differs(first: Array, second: Array) -> tuple[Mask, Mask]:

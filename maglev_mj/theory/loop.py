@@ -151,11 +151,13 @@ class Doubt(NamedTuple):
         valid_to: Speed up to which the laws are linear [m/s, rad/s], as a displacement in one sample.
         reason: Reason not to judge the axis; empty for none.
         void: True if the linearisation describes the laws not even for small motion.
+        rests: Positions at which the laws carry the load, where they were probed [m, rad].
     """
 
     valid_to: Bound
     reason: str = ""
     void: bool = False
+    rests: tuple[float, ...] = ()
 
 
 class AtPose(NamedTuple):

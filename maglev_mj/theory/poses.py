@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control.controller import Controller
-from maglev_mj.frames import AXES, Array, Sample
+from maglev_mj.errors import MaglevError
+from maglev_mj.frames import AXES, Array, Sample, components
 from maglev_mj.theory.linearise import Linearised, linearise
 
 POINTS, _STRIDE = 23, 0.9871
@@ -25,6 +26,8 @@ The first moves a start off an edge, the others are depths of poses inside a fac
 """
 _PROBE, _EDGE, _LOCATED = 1e-7, 1e-4, 10
 """Displacement that probes for an edge [m, 0.1 rad], relative change that marks one, and bisections of its interval."""
+_FINE, _MORE = 901, 1.01
+"""Positions along an axis in a search of layers, and ratio of a gain there to those at the poses."""
 SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
@@ -39,6 +42,38 @@ def poses_of(controllers: Sequence[Controller], start: Array, reach: ArrayLike) 
         for axis, normal, edge in controller.faces:
             rows += [_with(first, axis, float(edge) - normal * depth * SCALE[axis]) for depth in _DEPTHS]
         result.append(np.array(rows))
+    return result
+
+
+def extremes_of(controller: Controller, start: Array, reach: ArrayLike) -> list[Array]:
+    """Return poses of the stiffest and the least damped layer along each axis, if the poses along it miss them.
+
+    Empty for laws that accept floats only.
+    """
+    positions = np.linspace(-1.0, 1.0, _FINE)
+    rows = np.tile(start, (len(AXES), _FINE, 1))
+    for axis, far in enumerate(np.asarray(reach)):
+        rows[axis, :, axis] = positions * far * _STRIDE
+    probe, forces = copy(controller), []
+    probe.reset()
+    try:
+        for tick in range(2):  # at rest, then all displaced
+            moved = rows + tick * _PROBE * SCALE * np.eye(len(AXES))[:, None]
+            wrench = probe.step(Sample(tick, 0.0, components(moved.reshape(-1, len(AXES))))).force
+            each = [np.broadcast_to(part, len(AXES) * _FINE).reshape(len(AXES), _FINE) for part in wrench]
+            forces.append(np.array([each[axis][axis] for axis in range(len(AXES))]))
+    except (MaglevError, TypeError, ValueError):
+        return []
+    result = []
+    near = np.searchsorted(positions, np.linspace(-1.0, 1.0, POINTS)) - 1
+    for axis in range(len(AXES)):
+        stiffness = -np.diff(forces[0][axis]) / np.diff(rows[axis, :, axis])
+        moving = (forces[0][axis] - forces[1][axis]) / (_PROBE * SCALE[axis])
+        moving = np.maximum(moving[1:], moving[:-1])
+        share = np.where(stiffness > _EDGE * stiffness.max(), stiffness / np.where(moving > 0.0, moving, np.inf), 0.0)
+        for size in (stiffness, share):
+            if size[at := int(np.argmax(size))] > _MORE * size[near].max():
+                result.append(_with(start, axis, float(rows[axis, at : at + 2, axis].mean())))
     return result
 
 

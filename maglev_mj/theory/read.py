@@ -26,7 +26,7 @@ from maglev_mj.theory.closed_loop import is_linear
 from maglev_mj.theory.doubts import doubts
 from maglev_mj.theory.linearise import Linearised, is_ours, linearise, realise
 from maglev_mj.theory.loop import FREE, AtPose, Doubt, Loop, Loops, memory_of
-from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, poses_of
+from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, extremes_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
 _ROUNDING = 1e-9
@@ -303,7 +303,7 @@ def probed_at(
         pose: Pose at the start [m, rad], (6,).
         reach: Range of motion [m, rad], (6,).
         load: Constant external force [N, N m], (6,).
-        poses: Poses of each [m, rad], (P, 6); None for all, and those at edges.
+        poses: Poses of each [m, rad], (P, 6); None for all, those at edges, and those at which a law carries a load.
     """
     result = [Probed(one) for one in doubts(controllers, pose=pose, reach=reach, load=load)]
     some = [index for index, one in enumerate(result) if sum(doubt.void for doubt in one.doubts.values()) < len(AXES)]
@@ -314,11 +314,21 @@ def probed_at(
     grids = _linearised_at(own, chosen)
     if poses is None:
         lines = slice(2, 2 + len(AXES) * POINTS)
-        edges = [[*edges_of(controller, grid[lines])] for controller, grid in zip(own, grids)]
-        grids = [grid + more for grid, more in zip(grids, _linearised_at(own, edges))]
+        others = [
+            [*edges_of(controller, grid[lines]), *extremes_of(controller, pose, reach), *_rests(result[index], pose)]
+            for index, controller, grid in zip(some, own, grids)
+        ]
+        grids = [grid + more for grid, more in zip(grids, _linearised_at(own, others))]
     for index, grid, regions in zip(some, grids, _regions(own, grids)):
         result[index] = result[index]._replace(grid=grid, regions=regions)
     return result
+
+
+def _rests(probed: Probed, pose: Array) -> list[Array]:
+    """Return the poses at which laws carry a load on an axis [m, rad], six each."""
+    return [
+        np.where(np.arange(len(AXES)) == axis, rest, pose) for axis, one in probed.doubts.items() for rest in one.rests
+    ]
 
 
 def _linearised_at(

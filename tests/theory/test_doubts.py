@@ -114,6 +114,47 @@ class Drag(Own):
         return -(gains.stiffness * x + gains.damping * v * (1.0 + abs(v) / 3e-3)) * (x < 0.0)
 
 
+class Burst(Own):
+    """Twenty times the damping in the first 30 samples inside."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        inside = ((0.0 * x if state is None else state) + 1.0) * (x < 0.0)
+        return self.pd(x, v, gains) - 19.0 * gains.damping * v * ((inside > 0.0) & (inside < 30.0)), inside
+
+
+class Fatigue(Own):
+    """No damping after 0.5 s inside."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        inside = ((0.0 * x if state is None else state) + 1.0) * (x < 0.0)
+        return -(gains.stiffness * x + gains.damping * v * (inside < 500.0)) * (x < 0.0), inside
+
+
+class Median(Own):
+    """Spring at the median of three positions."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        one, two = (x, x) if state is None else state
+        middle = np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), x))
+        return -(gains.stiffness * middle + gains.damping * v) * (x < 0.0), (x, one)
+
+
+class OnChange(Own):
+    """Spring at the last position that differed by 3 µm."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        last = x if state is None else np.where(abs(x - state) > 3e-6, x, state)
+        return -(gains.stiffness * last + gains.damping * v) * (x < 0.0), last
+
+
+class Swell(Own):
+    """Stiffness that changes by 10 % at 0.7 Hz, by a counter."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        count = 0.0 * x if state is None else state
+        return self.pd(x, v, gains) * (1.0 + 0.1 * np.sin(0.0044 * count)), count + 1.0
+
+
 class Random(Own):
     """Noise of 1 %."""
 
@@ -180,6 +221,23 @@ class Integral(Own):
         return self.pd(x, v, gains) - 0.5 * gains.stiffness * total, total
 
 
+class Leaky(Own):
+    """Spring, damper and leaky integral, slower than the rest before a probe."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        total = x if state is None else 0.98 * state + x
+        return -(gains.stiffness * (x + 4e-3 * total) + gains.damping * v) * (x < 0.0), total
+
+
+class Resonant(Own):
+    """Spring, damper and a lightly damped resonance at 150 Hz."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        one, two = (0.0 * x, 0.0 * x) if state is None else state
+        y = 0.02 * x + 1.154 * one - 0.963 * two
+        return -(gains.stiffness * (x + 0.3 * y) + gains.damping * v) * (x < 0.0), (y, one)
+
+
 class Floats(Own):
     """Wall for one device alone."""
 
@@ -195,12 +253,17 @@ DOUBTED: dict[Any, str] = {
     Fast: "damping changes above (4.9[0-9]|5) mm/s",
     Dahl: "hysteresis|direction|changes above",
     Ratchet: "hysteresis|direction",
-    Rounded: "jump of force|slope of the force changes",
+    Rounded: "jump of force|does not follow the smallest motion",
     Timer: "number of samples at rest",
     Drag: "damping changes above",
     Random: "does not repeat",
+    Burst: r"samples at rest \(40 or 3\)",
+    Fatigue: r"samples at rest \(40 or 512\)",
+    Median: "not the sum of those after single samples|direction of the smallest motion",
+    OnChange: "does not follow the smallest motion",
+    Swell: "number of samples at rest",
 }
-NOT_DOUBTED = [Plain, HuntCrossley, Layers, Preloaded, Lead, Ceiling, Damper, Sticky, Integral, Floats]
+NOT_DOUBTED = [Plain, HuntCrossley, Layers, Preloaded, Lead, Ceiling, Damper, Sticky, Integral, Leaky, Resonant, Floats]
 
 
 def scene(law: Any, stiffness: float, on: str = "z", **values: Any) -> Drop:
@@ -317,6 +380,63 @@ def test_a_verdict_on_small_motion_says_up_to_which_speed() -> None:
     assert plain.stable is True and plain.valid_to is not None and plain.valid_to.beyond
     assert "more_than" in plain.as_json()["valid_to"] and not any("small motion" in text for text in plain.remarks)
     assert stability(Drop()).valid_to is None
+
+
+class Faded(Own):
+    """Damping that is halved at 50 mm/s."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -(gains.stiffness * x + gains.damping * v / (1.0 + (v / 0.05) ** 2)) * (x < 0.0)
+
+
+@pytest.mark.parametrize("stiffness", [2e3, 5e4])
+@pytest.mark.parametrize("law", [Faded, Plain, Leaky, Resonant])
+def test_speeds_up_to_that_of_a_fall_are_probed_in_a_wall_of_any_stiffness(law: Any, stiffness: float) -> None:
+    (doubt,) = found(scene(law, stiffness)).values()
+    assert not doubt.reason and doubt.valid_to.beyond is (law is not Faded)
+    if law is Faded:
+        assert doubt.valid_to == pytest.approx(0.0288, rel=0.02)
+    else:
+        assert doubt.valid_to > 0.29  # a fall reaches 0.297 m/s
+
+
+def test_a_verdict_says_that_the_damping_fades_at_the_speed_of_a_fall() -> None:
+    verdict = stability(scene(Faded, 5e4))
+    assert verdict.stable is True and any("small motion" in text for text in verdict.remarks)
+
+
+class StiffLayer(Own):
+    """Thirty times as stiff between 1.42 and 1.50 mm."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return self.pd(x, v, gains) + 29.0 * gains.stiffness * np.clip(-x - 1.42e-3, 0.0, 8e-5) * (x < 0.0)
+
+
+class BareLayer(Own):
+    """No damping between 0.70 and 0.76 mm."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        inside = (x < -7e-4) & (x > -7.6e-4)
+        return -(gains.stiffness * x + gains.damping * v * ~inside) * (x < 0.0)
+
+
+@pytest.mark.parametrize(("law", "least", "most"), [(StiffLayer, 1.42e-3, 1.50e-3), (BareLayer, 0.70e-3, 0.76e-3)])
+@pytest.mark.parametrize("stiffness", [3e3, 2e4])
+def test_a_thin_layer_between_the_poses_is_judged(law: Any, least: float, most: float, stiffness: float) -> None:
+    verdict = stability(scene(law, stiffness))
+    assert verdict.stable is False and least < -verdict.pose[2] < most
+
+
+class FloatLayer(StiffLayer):
+    """The layer, for one device alone."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return super().force(x, v, gains, state) if x < 0.0 else 0.0
+
+
+def test_the_pose_at_which_a_law_carries_the_weight_is_judged() -> None:
+    verdict = stability(scene(FloatLayer, 2e3))  # the weight rests in the layer, at 60 kN/m
+    assert verdict.stable is False and 1.42e-3 < -verdict.pose[2] < 1.5e-3
 
 
 class Declared(Fast):
