@@ -403,15 +403,25 @@ class _Probes:
         refuse(
             np.any(_differs(*self._tiny.values()), axis=0), "the force depends on the direction of the smallest motion"
         )
-        refuse(self._summed(), "the force after a step is not the sum of those after single samples")
+        refuse(self._summed(), "the force of a longer motion is not the sum of those of its samples")
         refuse(self._frozen(), "the force does not follow the smallest motion")
         return result
 
     def _summed(self) -> Mask:
-        """Return True where the response to a held displacement is not the sum of those to one of a single sample."""
-        moved = self._rested.branch()
-        pulse = np.vstack([moved.step(x)[None] for x in (self._x + self._steps[0], *[self._x] * (_AFTER - 1))])
-        return np.any(_differs(self._tiny[1.0], np.cumsum((pulse - self._still) / self._steps[0], axis=0)), axis=0)
+        """Return True where responses do not add up: those to single samples, a step and a ramp.
+
+        A median sees no single sample, and a gate on several speeds no step.
+        """
+        wrong = np.zeros(len(self._x), dtype=np.bool_)
+        for shape, as_step in (
+            (np.eye(_AFTER)[0], np.cumsum),
+            (np.arange(1.0, _AFTER + 1.0), lambda ramp, axis: np.diff(ramp, axis=axis, prepend=0.0)),
+        ):
+            moved = self._rested.branch()
+            forces = np.array([moved.step(self._x + share * self._steps[0]) for share in shape])
+            step = as_step((forces - self._still) / self._steps[0], axis=0)
+            wrong |= np.any(_differs(self._tiny[1.0], step), axis=0)
+        return wrong
 
     def _frozen(self) -> Mask:
         """Return True where the smallest displacement leaves no force in the end, and a larger one does."""

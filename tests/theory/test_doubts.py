@@ -139,6 +139,15 @@ class Median(Own):
         return -(gains.stiffness * middle + gains.damping * v) * (x < 0.0), (x, one)
 
 
+class Gated(Own):
+    """Damping if one of the last five samples was at rest: none in a longer motion."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        speeds = (abs(v),) * 4 if state is None else state
+        least = np.minimum.reduce([abs(v), *speeds])
+        return -(gains.stiffness * x + gains.damping * v * (least < 1e-9)) * (x < 0.0), (abs(v), *speeds[:-1])
+
+
 class OnChange(Own):
     """Spring at the last position that differed by 3 µm."""
 
@@ -259,7 +268,8 @@ DOUBTED: dict[Any, str] = {
     Random: "does not repeat",
     Burst: r"samples at rest \(40 or 3\)",
     Fatigue: r"samples at rest \(40 or 512\)",
-    Median: "not the sum of those after single samples|direction of the smallest motion",
+    Median: "not the sum of those of its samples|direction of the smallest motion",
+    Gated: "not the sum of those of its samples",
     OnChange: "does not follow the smallest motion",
     Swell: "number of samples at rest",
 }
