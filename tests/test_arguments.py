@@ -26,7 +26,7 @@ from maglev_mj.errors import KeywordError, MaglevError, ParameterError
 from maglev_mj.interop import gym
 from maglev_mj.parameters import Parameters
 from maglev_mj.plants.hand import RecordedHand, SpringHand, Trajectory
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.loop_array import LoopArray
 from tests.all_of import LAWS, SCENES
 from tests.test_all_of import below
 from tests.test_parameters import calls
@@ -105,7 +105,7 @@ TIMES += [
     ("delay", Timing, 1.5e-3),
     ("delay", lambda delay: theory.design_wall(theory.WallRequirements(delay=(delay, delay))), 1.5e-3),
     ("driver_time_constant", lambda **time: MuJoCoPlant(driver_lag=True, **time), 8e-5),
-    *((name, SampledLoop, value) for name, value in {"period": 0.005, "delay": 1.5e-3, "driver_lag": 8e-5}.items()),
+    *((name, LoopArray, value) for name, value in {"period": 0.005, "delay": 1.5e-3, "driver_lag": 8e-5}.items()),
     *(("period", partial(LIKE, laws[-1]), 1e-3) for laws in LAWS.values() if laws and hasattr(laws[-1], "period")),
 ]
 

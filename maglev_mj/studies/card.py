@@ -26,10 +26,10 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, rigid_note, stiffest_of
-from maglev_mj.theory.closed_loop import Design, Forced, SampledLoop, bisect, is_stable
 from maglev_mj.theory.frequencies import angles_of, first_crossing
 from maglev_mj.theory.held import Held, held_of
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_array import Design, Forced, LoopArray, bisect, is_stable
 from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.read import scene_hand, scene_lag
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
@@ -316,7 +316,7 @@ def fly_impedance(scene: Scene, loop: Loop, cycles: Array) -> Array:
     return np.asarray(scene.period / (turn * swing))
 
 
-def mass_range(loop: SampledLoop, stiffness: float, damping: float) -> tuple[float, float]:
+def mass_range(loop: LoopArray, stiffness: float, damping: float) -> tuple[float, float]:
     """Return the smallest and largest virtual mass of the heaviest stable range [kg], to 0.4 %.
 
     The mass is simulated in the controller, coupled to the flotor by spring and damper.

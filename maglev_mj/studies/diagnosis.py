@@ -23,9 +23,9 @@ from maglev_mj.plants.model import body_of
 from maglev_mj.result import NoTruthValue, Result, Table, number_text, plain
 from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD, RANGE
 from maglev_mj.theory.boundary import StiffestWall, least_passive_damping, rigid_note
-from maglev_mj.theory.closed_loop import LinearisedLaw, PdLaw, SampledLoop, pd
 from maglev_mj.theory.held import Held, held_of
 from maglev_mj.theory.loop import Bound, Loop, Loops, StableDelays, StableRange, holds
+from maglev_mj.theory.loop_array import LinearisedLaw, LoopArray, PdLaw, pd
 from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.remedies import MOST_DAMPING, Remedy, has_room, hidden_amplitude, short
 from maglev_mj.theory.two_rates import rates_of
@@ -92,7 +92,7 @@ class DiagnosedLoop(LoopParameters):
         return self.value("stiffness"), self.value("damping")
 
     @property
-    def sampled(self) -> SampledLoop:
+    def sampled(self) -> LoopArray:
         """Loop without the gains of the law in question; the other law is its device law."""
         return self.loop_in_question.array()
 
@@ -532,7 +532,7 @@ def _explained(loop: DiagnosedLoop, seen: Oscillation, given: set[str], assumpti
     return loop.trial(**fitted), found.oscillation, how
 
 
-def _error_gain(around: SampledLoop, stiffness: float, damping: float) -> float:
+def _error_gain(around: LoopArray, stiffness: float, damping: float) -> float:
     """Return the l1 norm from measurement error to position: it bounds the steady error per half a sensor step."""
     matrix, phi = around.matrix(stiffness, damping), around.flotor()[0]
     error = matrix[:, 0].copy()

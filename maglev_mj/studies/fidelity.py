@@ -45,7 +45,7 @@ from maglev_mj.studies.levels import (
     screen_levels,
     step_of,
 )
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.loop_array import LoopArray
 
 MARGIN = 1.25
 """Safety factor on the worst error, for cases not simulated."""
@@ -627,7 +627,7 @@ def measure_steps(
 
 def _choose(
     rows: Sequence[StepResult],
-    loop: SampledLoop,
+    loop: LoopArray,
     usual_step: float,
     keeps: Callable[[float], bool],
     boundary: float,

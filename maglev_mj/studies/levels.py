@@ -43,8 +43,8 @@ from maglev_mj.scenes.batch import stacked_scenes
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
 from maglev_mj.theory.boundary import stiffest_of
-from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_array import LoopArray
 
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT
@@ -184,7 +184,7 @@ def _hand_of(scene: Scene) -> Hand | None:
     return hand
 
 
-def loop_of(scene: Scene, level: str) -> SampledLoop:
+def loop_of(scene: Scene, level: str) -> LoopArray:
     """Return a wall's sampled loop on a level.
 
     Timing, mass and hand are the scene's; the drivers are the level's.
@@ -294,7 +294,7 @@ def apart(one: Array, other: Array, device: Device) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SteppedLoop(SampledLoop):
+class _SteppedLoop(LoopArray):
     """Sampled loop with the flotor moved by an integrator.
 
     The map of one step is measured on the drop model along z, without gravity; the rest is the exact loop.
@@ -311,7 +311,7 @@ class SteppedLoop(SampledLoop):
     aligned: bool = True
 
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
-        """See `SampledLoop`."""
+        """See `LoopArray`."""
         if self.mode is not None or np.any(self.own_damping):
             raise ParameterError("a stepped loop must have neither own_damping nor mode: its model has none")
         period, delay = float(np.asarray(self.period)), float(np.asarray(self.delay))
@@ -359,29 +359,29 @@ def _steps(integrator: str, mass: float, step: float, count: int, hand: Hand | N
     return total, share
 
 
-def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: bool = True) -> float:
+def boundary_shift(integrator: str, step: float, loop: LoopArray, *, aligned: bool = True) -> float:
     """Return the relative shift of the stiffest wall.
 
     It is the shift by an integrator and its step.
 
     Args:
-        integrator: As for `SteppedLoop`; 0 for "exact" and "closed form".
+        integrator: As for `_SteppedLoop`; 0 for "exact" and "closed form".
         step: Longest time step [s].
         loop: The loop itself: period, delay, mass, hand and lag of the model's drivers.
-        aligned: See `SteppedLoop`.
+        aligned: See `_SteppedLoop`.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
     if integrator in ("exact", "closed form"):
         return 0.0
-    around = {one.name: getattr(loop, one.name) for one in fields(SampledLoop) if one.init}
-    stepped = SteppedLoop(**around, integrator=integrator, step=step, aligned=aligned)
+    around = {one.name: getattr(loop, one.name) for one in fields(LoopArray) if one.init}
+    stepped = _SteppedLoop(**around, integrator=integrator, step=step, aligned=aligned)
     return float(stiffest_of(stepped).stiffness) / _stiffest(loop) - 1.0
 
 
 @lru_cache(maxsize=16)
-def _stiffest(loop: SampledLoop) -> float:
+def _stiffest(loop: LoopArray) -> float:
     return float(stiffest_of(loop).stiffness)
 
 

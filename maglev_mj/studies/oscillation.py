@@ -23,7 +23,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.recording.setup import MEASURED, rebuild_controller, rebuild_plant
 from maglev_mj.recording.table import UNITS, read_table, uniform_ticks
 from maglev_mj.theory import stated_gains
-from maglev_mj.theory.closed_loop import PdLaw
+from maglev_mj.theory.loop_array import PdLaw
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
 _HALF_CYCLES, _LONGEST = 5, 100

@@ -30,7 +30,7 @@ _ALIASES = 4  # multiples of the log's rate
 Complex: TypeAlias = NDArray[np.complex128]
 
 
-class Explained(NamedTuple):
+class _Explained(NamedTuple):
     """Loop that has a measured pole.
 
     Attributes:
@@ -55,7 +55,7 @@ class _Candidate(NamedTuple):
     errors: Mapping[str, float]
 
 
-def explain(seen: Oscillation, loop: Loop, given: Collection[str], assumptions: tuple[str, ...] = ()) -> Explained:
+def explain(seen: Oscillation, loop: Loop, given: Collection[str], assumptions: tuple[str, ...] = ()) -> _Explained:
     """Return the loop whose dominant pole is the measured one: as stated, else with what is not stated fitted.
 
     Args:
@@ -72,7 +72,7 @@ def explain(seen: Oscillation, loop: Loop, given: Collection[str], assumptions: 
         for alias in _aliases(seen, 1.0 / loop.period):
             if abs(own - _target(alias)) <= _tolerance(alias):
                 seen_as = f", which a log at {seen.rate:.6g} Hz shows at {seen.frequency:.4g} Hz" * (alias != seen)
-                return Explained(loop, alias, (f"the loop as given explains the oscillation{seen_as}",), assumptions)
+                return _Explained(loop, alias, (f"the loop as given explains the oscillation{seen_as}",), assumptions)
     if loop.period * seen.rate < 0.98:
         assumptions += (f"a frequency below half the log's rate, {0.5 * seen.rate:.6g} Hz",)
     start = loop if "own_damping" in given else replace(loop, own_damping=0.0)
@@ -95,7 +95,7 @@ def _fitted(
     given: Collection[str],
     candidates: list[_Candidate],
     assumptions: tuple[str, ...],
-) -> Explained:
+) -> _Explained:
     """Return the best candidate with the stated values as stated, and what it rests on, in words."""
     best, *others = candidates
     free = [name for name in pair if name not in given]
@@ -106,7 +106,7 @@ def _fitted(
     if "own_damping" not in (*pair, *given):
         assumptions += ("no damping of the device's own",)
     fitted = replace(loop, **{name: getattr(best.loop, name) for name in free})
-    return Explained(fitted, seen, tuple(remarks), assumptions)
+    return _Explained(fitted, seen, tuple(remarks), assumptions)
 
 
 def _refusal(

@@ -30,8 +30,8 @@ from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_con
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory.boundary import boundary_of, rigid_note, stiffest_of
-from maglev_mj.theory.closed_loop import SampledLoop, pd
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_array import LoopArray, pd
 from maglev_mj.theory.loop_parameters import PLAIN, LoopParameters
 
 _MOVED = 1e-6
@@ -515,7 +515,7 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
 
 
 def _spectral_radii(
-    stiffness: Array, damping: Array, loop: SampledLoop, progress: Callable[[int, int], None] | None
+    stiffness: Array, damping: Array, loop: LoopArray, progress: Callable[[int, int], None] | None
 ) -> Array:
     """Return each cell's spectral radius, computed in groups of rows.
 

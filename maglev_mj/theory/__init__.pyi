@@ -4,10 +4,6 @@ from maglev_mj.theory.boundary import largest_stable_stiffness as largest_stable
 from maglev_mj.theory.boundary import least_passive_damping as least_passive_damping
 from maglev_mj.theory.boundary import stable_ranges as stable_ranges
 from maglev_mj.theory.boundary import stiffest_wall as stiffest_wall
-from maglev_mj.theory.closed_loop import critical_delay as critical_delay
-from maglev_mj.theory.closed_loop import is_stable as is_stable
-from maglev_mj.theory.closed_loop import least_dynamic_stiffness as least_dynamic_stiffness
-from maglev_mj.theory.closed_loop import spectral_radius as spectral_radius
 from maglev_mj.theory.design import DesignedWall as DesignedWall
 from maglev_mj.theory.design import WallRequirements as WallRequirements
 from maglev_mj.theory.design import design_wall as design_wall
@@ -16,6 +12,10 @@ from maglev_mj.theory.ideal import analog_wall as analog_wall
 from maglev_mj.theory.ideal import karnopp as karnopp
 from maglev_mj.theory.linearise import ClosedLoop as ClosedLoop
 from maglev_mj.theory.linearise import Linearised as Linearised
+from maglev_mj.theory.loop_array import critical_delay as critical_delay
+from maglev_mj.theory.loop_array import is_stable as is_stable
+from maglev_mj.theory.loop_array import least_dynamic_stiffness as least_dynamic_stiffness
+from maglev_mj.theory.loop_array import spectral_radius as spectral_radius
 from maglev_mj.theory.read import stated_gains as stated_gains
 from maglev_mj.theory.two_rates import DeviceLaw as DeviceLaw
 from maglev_mj.theory.verdict import Verdict as Verdict

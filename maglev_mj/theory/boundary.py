@@ -30,18 +30,18 @@ from maglev_mj.keywords import checked
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.plants.hand import Mode
 from maglev_mj.spec import MAX_DELAY_PERIODS, MIN_PERIOD
-from maglev_mj.theory.closed_loop import (
+from maglev_mj.theory.frequencies import angles_of, peak
+from maglev_mj.theory.loop_array import (
     ROUNDING,
     Design,
+    LoopArray,
     LoopKeywords,
-    SampledLoop,
     bisect,
     is_stable,
     pd,
     rendered_stiffness,
     sampled_fields,
 )
-from maglev_mj.theory.frequencies import angles_of, peak
 
 _HIGHEST, _HIGHER = 8.0, 64.0
 """Largest stiffness searched, and largest one beside a device law [m/T²]."""
@@ -88,13 +88,13 @@ class StiffestWall(NamedTuple):
         return f"{self.stiffness:.0f} {force} at {self.damping:.1f} {damping}{jump}"
 
 
-def flattened(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tuple[int, ...]]:
+def flattened(loop: LoopArray, damping: Array) -> tuple[LoopArray, Array, tuple[int, ...]]:
     """Return loop and dampings flattened to N, and their shape."""
     shape = common_shape("damping and loop", damping.shape, loop.shape)
     return loop.part(shape, slice(None)), np.broadcast_to(damping, shape).reshape(-1), shape
 
 
-def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]:
+def spans(loop: LoopArray, damping: Array, limit: float) -> tuple[Array, Mask]:
     """Return the edges of stiffness ranges (N, c + 1), and whether each is stable (N, c).
 
     Args:
@@ -119,12 +119,12 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
     return edges, good
 
 
-def _is_delayed(loop: SampledLoop) -> bool:
+def _is_delayed(loop: LoopArray) -> bool:
     """Return True above ten periods of delay, where the polynomial is too long."""
     return loop.affine and bool((loop.periods > MAX_DELAY_PERIODS).any())
 
 
-def _delayed(loop: SampledLoop, damping: Array, limit: float) -> Array:
+def _delayed(loop: LoopArray, damping: Array, limit: float) -> Array:
     """Return the lowest stiffnesses at which a pole crosses a circle [N/m], (N, c), ascending, padded with infinity.
 
     At a delay of q periods the loop z^q + L(z) = 0 is linear in the gains, L = L0 + k L1 + b L2, so that k is explicit
@@ -143,7 +143,7 @@ def _delayed(loop: SampledLoop, damping: Array, limit: float) -> Array:
     return result
 
 
-def _lowest(loop: SampledLoop, damping: Array, limit: float) -> Array:
+def _lowest(loop: LoopArray, damping: Array, limit: float) -> Array:
     """Return the crossings of one loop, (N, c); see `_delayed`."""
     stiff, damp = (float(np.asarray(unit).reshape(-1)[0]) for unit in scales(loop))
     cut, periods, _ = loop.cut_at_delay(_PAIRS[0] * stiff, _PAIRS[1] * damp)
@@ -203,7 +203,7 @@ def _lowest(loop: SampledLoop, damping: Array, limit: float) -> Array:
     return np.sort(np.where(result > _LEAST * stiff, result, np.inf), axis=-1)
 
 
-def _scanned(loop: SampledLoop, damping: Array, limit: float) -> Array:
+def _scanned(loop: LoopArray, damping: Array, limit: float) -> Array:
     """Return the stiffnesses at which stability changes [m/T²], (N, c), ascending, padded with the highest one.
 
     By a grid and bisection, for a polynomial that is not linear in the gains: a narrower range may be missed.
@@ -224,8 +224,8 @@ def _scanned(loop: SampledLoop, damping: Array, limit: float) -> Array:
     return result
 
 
-def ranges_of(loop: SampledLoop, damping: float, limit: float = 1.0) -> list[tuple[float, float]]:
-    """Return all stable stiffness ranges of a SampledLoop; see `stable_ranges`."""
+def ranges_of(loop: LoopArray, damping: float, limit: float = 1.0) -> list[tuple[float, float]]:
+    """Return all stable stiffness ranges of a LoopArray; see `stable_ranges`."""
     if loop.shape:
         raise ParameterError(f"loop must be a single one (got shape {loop.shape})")
     limit = number("limit", limit, above=0.0, at_most=1.0)
@@ -247,7 +247,7 @@ def stable_ranges(damping: float, *, limit: float = 1.0, **loop: Unpack[LoopKeyw
     Args:
         damping: Wall damping [N s/m].
         limit: Spectral radius allowed; 1 for stability.
-        loop: Keywords of `SampledLoop`, each a number.
+        loop: Keywords of `LoopArray`, each a number.
 
     Returns:
         Lower and upper end of each range [N/m], ascending, at most 8 m/T².
@@ -255,7 +255,7 @@ def stable_ranges(damping: float, *, limit: float = 1.0, **loop: Unpack[LoopKeyw
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    return ranges_of(SampledLoop(**sampled_fields(loop)), damping, limit)
+    return ranges_of(LoopArray(**sampled_fields(loop)), damping, limit)
 
 
 @overload
@@ -274,7 +274,7 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
 
     Args:
         damping: Wall damping [N s/m], (...,); None searches over all of them.
-        loop: Keywords of `SampledLoop`; they broadcast with the damping.
+        loop: Keywords of `LoopArray`; they broadcast with the damping.
 
     Returns:
         The stiffness (...,), 0 if no soft wall is stable, and 8 m/T² at most, 64 beside a device law; for
@@ -291,11 +291,11 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
     """
     if damping is None:
         return stiffest_wall(**loop)
-    return boundary_of(SampledLoop(**sampled_fields(loop)), numbers("damping", damping, at_least=0.0))
+    return boundary_of(LoopArray(**sampled_fields(loop)), numbers("damping", damping, at_least=0.0))
 
 
-def boundary_of(loop: SampledLoop, damping: Array) -> Array:
-    """Return the critical stiffness of a SampledLoop [N/m]; see `largest_stable_stiffness`."""
+def boundary_of(loop: LoopArray, damping: Array) -> Array:
+    """Return the critical stiffness of a LoopArray [N/m]; see `largest_stable_stiffness`."""
     flat, b, shape = flattened(loop, damping)
     edges, good = spans(flat, b, 1.0)
     rough, first = first_end(edges, good)
@@ -328,7 +328,7 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     return np.where(bracketed, low, rough).reshape(shape)
 
 
-def highest_of(loop: SampledLoop) -> Array:
+def highest_of(loop: LoopArray) -> Array:
     """Return the stiffness at which the search for a boundary ends, less rounding [N/m], (...,)."""
     return np.asarray((_HIGHEST if loop.device is None else _HIGHER) * scales(loop)[0] * (1.0 - 1e-9))
 
@@ -348,22 +348,22 @@ def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
     is True: at a slightly different damping softer walls are unstable.
 
     Args:
-        loop: Keywords of `SampledLoop`.
+        loop: Keywords of `LoopArray`.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    return stiffest_of(SampledLoop(**sampled_fields(loop)))
+    return stiffest_of(LoopArray(**sampled_fields(loop)))
 
 
-def stiffest_of(loop: SampledLoop, finest: float | None = None) -> StiffestWall:
-    """Return the stiffest wall of a SampledLoop, to a relative accuracy if stated; see `stiffest_wall`."""
+def stiffest_of(loop: LoopArray, finest: float | None = None) -> StiffestWall:
+    """Return the stiffest wall of a LoopArray, to a relative accuracy if stated; see `stiffest_wall`."""
     walls = [_stiffest(loop.part(loop.shape, index), finest) for index in range(math.prod(loop.shape))]
     stiffness, damping, on_jump = np.moveaxis(np.array(walls).reshape(*loop.shape, 3), -1, 0)
     return StiffestWall(stiffness, damping, on_jump.astype(bool))
 
 
-def _stiffest(loop: SampledLoop, finest: float | None = None) -> tuple[float, float, bool]:
+def _stiffest(loop: LoopArray, finest: float | None = None) -> tuple[float, float, bool]:
     """Return stiffness, damping and `on_jump` of one loop's stiffest wall."""
     stiff, damp = scales(loop)
     grid = _GRID * float(damp) * loop.narrowed
@@ -398,7 +398,7 @@ def rates_beside(mode: Mode) -> Array:
     return np.asarray(np.unique(aliased[:, None] * (1.0 + _CLUSTER)))
 
 
-def rigid_note(loop: SampledLoop) -> str:
+def rigid_note(loop: LoopArray) -> str:
     """Return in words up to which sample rate half of the rigid device's limit holds with the mode of a single loop.
 
     The delay stays the same, a device law is left out. Half of the stiffest wall's stiffness, at its damping, is tried
@@ -468,7 +468,7 @@ def maxima(function: Callable[[Array], Array], grid: Array, finest: float, peaks
     return np.array(arguments)
 
 
-class Characteristic(NamedTuple):
+class _Characteristic(NamedTuple):
     """Coefficients of p0, p1 and p2 on a circle, lowest power first, (..., n + 1) each.
 
     Gains are in units of m/T² and m/T, so that all coefficients are of order one.
@@ -479,14 +479,14 @@ class Characteristic(NamedTuple):
     damped: Array
 
 
-def scales(loop: SampledLoop) -> tuple[Array, Array]:
+def scales(loop: LoopArray) -> tuple[Array, Array]:
     """Return the units of stiffness and damping, m/T² and m/T, (...,) each."""
     period = np.asarray(loop.period)
     shape = np.broadcast_shapes(loop.shape, period.shape)
     return np.broadcast_to(loop.moving_mass / period**2, shape), np.broadcast_to(loop.moving_mass / period, shape)
 
 
-def characteristic(loop: SampledLoop, radius: float) -> Characteristic:
+def characteristic(loop: LoopArray, radius: float) -> _Characteristic:
     """Return the characteristic polynomial of a loop, with the circle of `radius` scaled to the unit circle.
 
     Raises:
@@ -500,10 +500,10 @@ def characteristic(loop: SampledLoop, radius: float) -> Characteristic:
     free, first, second, both = np.moveaxis(np.fft.fft(values, axis=-1).real / (size + 1), -2, 0)
     if not np.allclose(both + 3.0 * free, 2.0 * (first + second), rtol=0.0, atol=1e-9 * np.abs(both).max()):
         raise ParameterError("design must have a characteristic polynomial that is linear in its gains")
-    return Characteristic(free, first - free, second - free)
+    return _Characteristic(free, first - free, second - free)
 
 
-def crossings(parts: Characteristic, damping: Array) -> Array:
+def crossings(parts: _Characteristic, damping: Array) -> Array:
     """Return the stiffnesses at which a pole may cross the circle, (N, c), ascending, padded with infinity.
 
     Args:

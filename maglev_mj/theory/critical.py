@@ -10,9 +10,9 @@ import numpy as np
 
 from maglev_mj.frames import Array, Mask
 from maglev_mj.theory.boundary import boundary_of, highest_of
-from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.linearise import StateSpace, realise
 from maglev_mj.theory.loop import AffineLaw, Bound, Loop, Loops
+from maglev_mj.theory.loop_array import bisect
 
 RATIOS = 1.0, 2.0, 3.0
 """Ratios of the gain at which a law is checked to be affine in it."""

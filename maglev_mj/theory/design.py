@@ -18,8 +18,8 @@ from maglev_mj.frames import Array
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import param, param_range
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
-from maglev_mj.theory.closed_loop import SampledLoop, least_dynamic_stiffness
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_array import LoopArray, least_dynamic_stiffness
 from maglev_mj.theory.loop_parameters import LoopParameters, device_mass
 
 _DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 60)])
@@ -159,7 +159,7 @@ class WallRequirements(LoopParameters):
             result[index] = loop.spectral_radius(stiffness, damping)
         return result
 
-    def loops(self, cases: Sequence[Loop]) -> list[tuple[Array, SampledLoop]]:
+    def loops(self, cases: Sequence[Loop]) -> list[tuple[Array, LoopArray]]:
         """Return one loop per hand, of shape (C,), with the indices of its cases."""
         rows: dict[Any, list[int]] = {}
         for row, case in enumerate(cases):

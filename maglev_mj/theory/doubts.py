@@ -15,9 +15,9 @@ from maglev_mj.control.stack import stacked_controller
 from maglev_mj.errors import MaglevError, TooManyCallsError
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.spec import GRAVITY
-from maglev_mj.theory.closed_loop import is_linear
 from maglev_mj.theory.linearise import too_many_calls
 from maglev_mj.theory.loop import Bound, Doubt
+from maglev_mj.theory.loop_array import is_linear
 from maglev_mj.theory.poses import SCALE
 
 _GRID, _EDGES, _SHIFT = 15, 0.9871, 1e-5

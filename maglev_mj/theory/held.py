@@ -16,8 +16,8 @@ from maglev_mj.lazy import loaded
 from maglev_mj.plants.hand import HANDS, Hand, get_hand, transition
 from maglev_mj.result import plain
 from maglev_mj.spec import LEVER_ARM, RANGE
-from maglev_mj.theory.closed_loop import SampledLoop, is_stable
 from maglev_mj.theory.loop import Bound, Loop, Loops, linear_matrices
+from maglev_mj.theory.loop_array import LoopArray, is_stable
 from maglev_mj.theory.two_rates import rates_of
 
 FORCE = 1.0
@@ -54,7 +54,7 @@ def _driven(loop: Loop) -> Driven:
         frequency = array.pole(loop.stiffness, loop.damping)[1]
         return Driven(forced.matrix, forced.inputs[None], loop.period * host, frequency)
     (matrix,), inertia = linear_matrices([loop]), np.array(loop.body)[list(loop.linear.axes)]
-    _, push = transition(*SampledLoop(mass=inertia, driver_lag=loop.driver_lag).motion(), loop.period)
+    _, push = transition(*LoopArray(mass=inertia, driver_lag=loop.driver_lag).motion(), loop.period)
     count = len(inertia)
     inputs = np.zeros((count, len(matrix)))
     for index in range(count):  # states of `linear_matrices`: first all positions, then all speeds

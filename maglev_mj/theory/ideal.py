@@ -19,7 +19,7 @@ from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import GRAVITY
-from maglev_mj.theory.closed_loop import bisect
+from maglev_mj.theory.loop_array import bisect
 
 _HALVINGS = 60
 

@@ -20,8 +20,8 @@ from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.plants.hand import Hand, transition
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory.closed_loop import SampledLoop, is_linear, loop_matrix
 from maglev_mj.theory.delay import AnyCutOf, CoupledCut
+from maglev_mj.theory.loop_array import LoopArray, is_linear, loop_matrix
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
 """Largest speed of a test displacement [m/s, rad/s], far below the speed of sticking friction."""
@@ -239,7 +239,7 @@ class StateSpace(LinearController):
             driver_lag: Time constant of the drivers [s].
         """
         around: Any = {"period": period, "delay": delay, "hand": hand, "driver_lag": driver_lag}
-        phi, old, new, whole, waiting = SampledLoop(mass=inertia, **around).flotor()
+        phi, old, new, whole, waiting = LoopArray(mass=inertia, **around).flotor()
         states = range(phi.shape[-1])
         body = np.block([[np.diag(phi[:, row, column]) for column in states] for row in states])
         before, after = (np.vstack([np.diag(part[:, row]) for row in states]) for part in (old, new))
@@ -247,7 +247,7 @@ class StateSpace(LinearController):
 
     def cuts(self, *, period: float, inertia: Array, hand: Hand | None = None, driver_lag: float = 0.0) -> AnyCutOf:
         """Return the loop cut at the host's commands as `AnyCutOf`, for any index; arguments as for `closed_loop`."""
-        a, b = SampledLoop(mass=inertia, period=period, delay=0.0, hand=hand, driver_lag=driver_lag).motion()
+        a, b = LoopArray(mass=inertia, period=period, delay=0.0, hand=hand, driver_lag=driver_lag).motion()
         whole, _ = transition(a, b[..., :1], period)
 
         def cut_of(_: Any, fractions: Array) -> CoupledCut:

@@ -18,9 +18,9 @@ from maglev_mj.lazy import loaded
 from maglev_mj.plants.hand import Hand, Mode
 from maglev_mj.result import number_text
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
-from maglev_mj.theory.closed_loop import LinearisedLaw, SampledLoop, critical_delay_of, pd, sampled_fields
 from maglev_mj.theory.delay import AnyCutOf, first_delays, stable_intervals
 from maglev_mj.theory.linearise import Linearised, StateSpace
+from maglev_mj.theory.loop_array import LinearisedLaw, LoopArray, critical_delay_of, pd, sampled_fields
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
 
 _AFFINE = 1e-6
@@ -371,11 +371,11 @@ class Loop:
         """Spectral radius without the poles of free motion; below 1 for a stable loop, NaN if not judged."""
         return radius_of(self, self.poles)
 
-    def array(self, **values: Any) -> SampledLoop:
+    def array(self, **values: Any) -> LoopArray:
         """Return the loop without its gains, for arrays of them and of any other field."""
         names = "period", "delay", "inertia", "hand", "driver_lag", "velocity", "law", "own_damping", "mode", "device"
         own = {name: getattr(self, name) for name in names}
-        return SampledLoop(**sampled_fields(own) | sampled_fields(values))
+        return LoopArray(**sampled_fields(own) | sampled_fields(values))
 
     def controller(self) -> LinearController:
         """Return the linear controller of the host's law on one axis, with its gains."""
@@ -533,7 +533,7 @@ def _poles(loops: Sequence[Loop]) -> list[NDArray[np.complex128]]:
             systems = StateSpace(*map(np.array, zip(*(one.linear.states for one in loops if one.linear is not None))))
             inertia = first.body[first.linear.axes[0]]
             design = systems.with_units(first.period, np.array([inertia])).single
-            single = SampledLoop(mass=inertia, design=design, **around)
+            single = LoopArray(mass=inertia, design=design, **around)
             if single.long:
                 still = [one.linear.still for one in loops if one.linear is not None]
                 return [*single.poles(np.arange(float(len(loops))), 0.0, still)]
@@ -560,7 +560,7 @@ def linear_matrices(loops: Sequence[Loop]) -> Array:
 @lru_cache(maxsize=512)  # rotations are the same in every hand
 def _pd_poles(gains: tuple[tuple[float, float, float], ...], **around: Any) -> NDArray[np.complex128]:
     stiffness, damping, inertia = np.array(gains).T
-    return SampledLoop(mass=inertia, **around).poles(stiffness, damping)
+    return LoopArray(mass=inertia, **around).poles(stiffness, damping)
 
 
 def _law_poles(gains: tuple[tuple[float, float, float], ...], loop: Loop) -> NDArray[np.complex128]:
@@ -575,7 +575,7 @@ def _two_rate_poles(
     """Return the poles per host period of gains beside a law on the device, at the worst phase between their clocks."""
     if not (stiffness or damping):
         around["delay"] = 0.0  # without gains on the host its delay does not matter
-    loop, rates = SampledLoop(mass=inertia, device=law, **around), rates_of(around["period"], law)
+    loop, rates = LoopArray(mass=inertia, device=law, **around), rates_of(around["period"], law)
     if loop.long:
         return np.asarray(loop.poles(stiffness, damping) ** (1.0 / rates.host))
     controller = loop.law(np.asarray(stiffness), np.asarray(damping))
@@ -584,7 +584,7 @@ def _two_rate_poles(
     return np.asarray(worst.astype(np.complex128) ** (1.0 / rates.host))
 
 
-def stable_delays(loop: SampledLoop, stiffness: float, damping: float, *, free: bool | None = None) -> StableDelays:
+def stable_delays(loop: LoopArray, stiffness: float, damping: float, *, free: bool | None = None) -> StableDelays:
     """Return all stable delays of a single loop up to 1 s.
 
     Beside a device law whose rate is not a multiple of the host's, only the first interval up to ten periods is found.
@@ -621,12 +621,12 @@ def coupled_bound(loop: Loop) -> Bound:
     return Bound(delay) if delay <= MAX_DELAY else _all_delays(cut_of, free, loop.period).bound
 
 
-def delay_bound(loop: SampledLoop, stiffness: float, damping: float) -> Bound:
+def delay_bound(loop: LoopArray, stiffness: float, damping: float) -> Bound:
     """Return the critical delay of a single loop."""
     return delay_bounds(loop, stiffness, damping)[0]
 
 
-def delay_bounds(loop: SampledLoop, stiffness: ArrayLike, damping: ArrayLike, free: Mask | None = None) -> list[Bound]:
+def delay_bounds(loop: LoopArray, stiffness: ArrayLike, damping: ArrayLike, free: Mask | None = None) -> list[Bound]:
     """Return the critical delay for each pair of gains of a single loop; see `stable_delays`."""
     undelayed = replace(loop, delay=0.0)
     k, b = (np.atleast_1d(gain) for gain in undelayed.broadcast(stiffness, damping))

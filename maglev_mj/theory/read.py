@@ -22,10 +22,10 @@ from maglev_mj.lazy import loaded
 from maglev_mj.parameters import loop_delay, number, numbers
 from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
-from maglev_mj.theory.closed_loop import is_linear
 from maglev_mj.theory.doubts import doubts
 from maglev_mj.theory.linearise import Linearised, is_ours, linearise, realise
 from maglev_mj.theory.loop import FREE, AtPose, Doubt, Loop, Loops, memory_of
+from maglev_mj.theory.loop_array import is_linear
 from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, extremes_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
@@ -118,7 +118,7 @@ def of_scene(
     driver_lag: float | None = None,
     hand: Hand | str | None = None,
     poses: ArrayLike | None = None,
-    probed: Probed | None = None,
+    probed: _Probed | None = None,
     **changes: Any,
 ) -> Loops:
     """Return the loops of a scene; see `Loop.of`.
@@ -198,7 +198,7 @@ def of_controller(
     hand: Hand | str | None = None,
     load: ArrayLike = ZERO,
     poses: ArrayLike | None = None,
-    probed: Probed | None = None,
+    probed: _Probed | None = None,
 ) -> Loops:
     """Return the loops of a controller on all axes; see `judge`."""
     start, body = numbers("pose", pose, shape="(6,)"), numbers("inertia", inertia, shape="(6,)", above=0.0)
@@ -279,7 +279,7 @@ def _stated(
     return Loops(tuple(loops), start=start)
 
 
-class Probed(NamedTuple):
+class _Probed(NamedTuple):
     """A controller without declared gains, probed and linearised.
 
     Attributes:
@@ -295,7 +295,7 @@ class Probed(NamedTuple):
 
 def probed_at(
     controllers: Sequence[Controller], *, pose: Array, reach: Array, load: Array, poses: ArrayLike | None = None
-) -> list[Probed]:
+) -> list[_Probed]:
     """Return controllers probed and linearised, all together; arguments as for `doubts`.
 
     Args:
@@ -305,7 +305,7 @@ def probed_at(
         load: Constant external force [N, N m], (6,).
         poses: Poses of each [m, rad], (P, 6); None for all, those at edges, and those at which a law carries a load.
     """
-    result = [Probed(one) for one in doubts(controllers, pose=pose, reach=reach, load=load)]
+    result = [_Probed(one) for one in doubts(controllers, pose=pose, reach=reach, load=load)]
     some = [index for index, one in enumerate(result) if sum(doubt.void for doubt in one.doubts.values()) < len(AXES)]
     own = [controllers[index] for index in some]
     if not own:
@@ -324,7 +324,7 @@ def probed_at(
     return result
 
 
-def _rests(probed: Probed, pose: Array) -> list[Array]:
+def _rests(probed: _Probed, pose: Array) -> list[Array]:
     """Return the poses at which laws carry a load on an axis [m, rad], six each."""
     return [
         np.where(np.arange(len(AXES)) == axis, rest, pose) for axis, one in probed.doubts.items() for rest in one.rests
@@ -341,7 +341,7 @@ def _linearised_at(
     return [list(islice(near, len(own))) for own in poses]
 
 
-def _linearised(pose: Array, body: Array, reach: Array, around: Mapping[str, Any], probed: Probed) -> Loops:
+def _linearised(pose: Array, body: Array, reach: Array, around: Mapping[str, Any], probed: _Probed) -> Loops:
     """Return the loop of coupled axes at each pose at which they differ, and those that cannot be judged."""
     loops: list[AtPose] = []
     away: list[AtPose] = []

@@ -20,8 +20,8 @@ from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import SAMPLE_PERIOD, loop_delay, number
 from maglev_mj.spec import MAX_DELAY, MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, highest_of, rates_beside, stiffest_of
-from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.loop import Bound, Loop, StableRange
+from maglev_mj.theory.loop_array import bisect
 from maglev_mj.theory.two_rates import DeviceLaw
 
 COSTS = "gains", "timing", "firmware", "mechanics", "feel"

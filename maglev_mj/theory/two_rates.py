@@ -31,7 +31,7 @@ _PHASES, _FAST = 10, 4.0
 @checked
 @dataclass(frozen=True)
 class DeviceLaw:
-    """PD law on the device, f = -K x - B v, for `SampledLoop`.
+    """PD law on the device, f = -K x - B v, for `LoopArray`.
 
     Args:
         stiffness: Stiffness K [N/m].

@@ -28,7 +28,7 @@ from maglev_mj.studies.designed_wall import hum
 from maglev_mj.studies.wall_laws import LAWS
 from maglev_mj.theory import judge, largest_stable_stiffness, least_passive_damping
 from maglev_mj.theory.boundary import boundary_of
-from maglev_mj.theory.closed_loop import SampledLoop, spectral_radius
+from maglev_mj.theory.loop_array import LoopArray, spectral_radius
 from maglev_mj.theory.read import loops_at
 from tests.studies.test_charts import details
 
@@ -94,7 +94,7 @@ def check_margin(found: Mapping[str, float], **more: Any) -> None:
     """Assert the margin of a wall in a drop."""
     loop: dict[str, Any] = {"period": 0.005, "delay": 0.0015, "mass": 0.7, **more}
     assert found["spectral_radius"] == pytest.approx(float(spectral_radius(6000.0, 80.0, **loop)), abs=1e-6)
-    stiffest = float(boundary_of(SampledLoop(**loop), np.array(80.0)))
+    stiffest = float(boundary_of(LoopArray(**loop), np.array(80.0)))
     assert found["critical_stiffness"] == pytest.approx(stiffest, rel=5e-5)
     assert found["margin"] == pytest.approx(stiffest / 6000.0, rel=5e-5)
 

@@ -48,7 +48,7 @@ from maglev_mj.studies.fidelity import (
 from maglev_mj.studies.levels import (
     LEVELS,
     Motion,
-    SteppedLoop,
+    _SteppedLoop,
     apart,
     boundary_shift,
     choice_cases,
@@ -66,7 +66,7 @@ from maglev_mj.studies.levels import (
     scene_at,
     screen_levels,
 )
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.loop_array import LoopArray
 from tests.published import WEIGHT
 from tests.sweeps import sweep
 
@@ -206,8 +206,8 @@ def test_cases_cover_phases_and_gains() -> None:
     sweep([0.0, 0.0015, 0.005, 0.0073], [None, "arm", "stylus", "fingertip"], [0.0, LAG], every=4),
 )
 def test_a_fine_rk4_has_the_loop_of_theory(delay: float, hand: str | None, driver_lag: float) -> None:
-    loop = SampledLoop(delay=delay, hand=get_hand(hand or "none"), driver_lag=driver_lag)
-    stepped = SteppedLoop(delay=delay, hand=loop.hand, driver_lag=driver_lag, integrator="rk4", step=2e-5)
+    loop = LoopArray(delay=delay, hand=get_hand(hand or "none"), driver_lag=driver_lag)
+    stepped = _SteppedLoop(delay=delay, hand=loop.hand, driver_lag=driver_lag, integrator="rk4", step=2e-5)
     *maps, waiting = loop.flotor()
     *measured, waited = stepped.flotor()
     assert waited == waiting
@@ -219,7 +219,7 @@ def test_a_fine_rk4_has_the_loop_of_theory(delay: float, hand: str | None, drive
 @pytest.mark.parametrize("integrator", ["euler", "corrected", "rk4"])
 def test_the_stepped_loop_is_the_plant(integrator: str, hand: str) -> None:
     delay, step, k, b = 0.0015, 1e-3, 2000.0, 20.0
-    loop = SteppedLoop(delay=delay, hand=get_hand(hand), integrator=integrator, step=step)
+    loop = _SteppedLoop(delay=delay, hand=get_hand(hand), integrator=integrator, step=step)
     plant = MuJoCoPlant(
         Timing(delay=delay),
         hand=get_hand(hand),

@@ -33,8 +33,8 @@ from maglev_mj.session.margin import margin
 from maglev_mj.studies.compare import compare, sweep_laws
 from maglev_mj.studies.stability_map import StabilityParameters
 from maglev_mj.theory.boundary import boundary_of, stiffest_of
-from maglev_mj.theory.closed_loop import spectral_radius
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_array import spectral_radius
 from tests.bridge.test_preflight import GOOD
 from tests.cells import unstable
 

@@ -17,7 +17,7 @@ from maglev_mj.frames import Array
 from maglev_mj.recording import import_table
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.oscillation import Oscillation, find_oscillation, read_motion, read_oscillation
-from maglev_mj.studies.recorded_loop import Explained, explain
+from maglev_mj.studies.recorded_loop import _Explained, explain
 from maglev_mj.theory.loop import Loop
 from tests.studies.test_one_verdict import lagging
 
@@ -52,7 +52,7 @@ def pole_of(*values: float) -> complex:
     return complex(poles[np.argmax(np.abs(poles) * (poles.imag > 1e-3))])
 
 
-def explained(seen: Oscillation, *values: float, **stated: float) -> Explained:
+def explained(seen: Oscillation, *values: float, **stated: float) -> _Explained:
     """Return the loop with stated gains and period, and what else is stated."""
     stiffness, damping, period = values
     loop = loop_of(stiffness, damping, period, 1.0, 0.0)

@@ -17,7 +17,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.stability_check import stability_warning, wall_loops
 from maglev_mj.session.margin import margin
 from maglev_mj.studies.compare import compare
-from maglev_mj.theory.closed_loop import spectral_radius
+from maglev_mj.theory.loop_array import spectral_radius
 from tests.cells import unstable
 
 LOOP: dict[str, Any] = {"period": 1e-3, "delay": 8e-4, "stiffness": 40_000.0, "damping": 80.0, "pulse": 0.0}

@@ -16,7 +16,7 @@ from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Sensor, Timing, engine_warnings_silenced
 from maglev_mj.scenes.wall_scene import along, wall_controller
 from maglev_mj.spec import INERTIA, Spec
-from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop, sampled_fields
+from maglev_mj.theory.loop_array import LoopArray, LoopKeywords, sampled_fields
 from tests.theory.impacts import watched
 
 _MASS = Spec.moving_mass.value
@@ -79,7 +79,7 @@ def press_at_edge(
 def random_delay_rate(stiffness: float, damping: float, delays: ArrayLike, loop: LoopKeywords | None = None) -> float:
     """Return the mean growth a sample under random delays, by the product of the matrices."""
     keywords: LoopKeywords = {**(loop or {}), "delay": delays}
-    matrices = SampledLoop(**sampled_fields(keywords)).matrix(stiffness, damping)
+    matrices = LoopArray(**sampled_fields(keywords)).matrix(stiffness, damping)
     state, sizes = np.ones(matrices.shape[-1]), []
     for matrix in matrices:
         state = matrix @ state

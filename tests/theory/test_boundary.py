@@ -15,7 +15,7 @@ from maglev_mj.frames import Array
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.theory import is_stable, largest_stable_stiffness, stable_ranges
 from maglev_mj.theory.boundary import boundary_of, ranges_of, scales, stiffest_of
-from maglev_mj.theory.closed_loop import SampledLoop, pd
+from maglev_mj.theory.loop_array import LoopArray, pd
 from tests.sweeps import further, sweep
 
 # a soft grip whose own resonance leaves walls stable again beyond ones that are not
@@ -29,7 +29,7 @@ ISLAND: dict[str, Any] = {
 }  # fmt: skip
 
 
-def random_loop(random: np.random.Generator) -> SampledLoop:
+def random_loop(random: np.random.Generator) -> LoopArray:
     """Return a loop of random rate, delay, mass, hand, lag, velocity estimate and prediction."""
     period = 10.0 ** random.uniform(-3.3, -2.0)
     late = random.choice([0.0, random.uniform(0.0, 1.0), random.uniform(0.0, 4.0), 1.0])
@@ -48,10 +48,10 @@ def random_loop(random: np.random.Generator) -> SampledLoop:
         "velocity": (None, Window(samples=3), LowPass(cutoff=10.0 ** random.uniform(1.0, 2.3)))[random.integers(3)],
         "prediction": random.uniform(0.0, 1.0) * period * (random.random() < 0.25),
     }
-    return SampledLoop(**chosen)
+    return LoopArray(**chosen)
 
 
-def dampings_of(loop: SampledLoop, random: np.random.Generator, count: int) -> Array:
+def dampings_of(loop: LoopArray, random: np.random.Generator, count: int) -> Array:
     return np.asarray(loop.moving_mass / np.asarray(loop.period) * 8.0 * 10.0 ** random.uniform(-4.0, 0.0, count))
 
 
@@ -94,7 +94,7 @@ def test_an_island_is_named_and_not_taken() -> None:
 HELD = "none", "rigid", "published", "lightly damped", "undamped", "heavy"
 
 
-def held_loop(seed: int) -> SampledLoop:
+def held_loop(seed: int) -> LoopArray:
     """Return a random loop of the six kinds of hands in turn."""
     random = np.random.default_rng(seed)
     mass, stiffness, grip = (10.0 ** random.uniform(*ends) for ends in ((-1.5, 0.5), (0.0, 3.0), (2.0, 4.5)))
@@ -118,7 +118,7 @@ def held_loop(seed: int) -> SampledLoop:
     period = 10.0 ** random.uniform(-math.log10(2000.0), -2.0)
     late = random.choice([0.0, random.uniform(0.0, 1.0), 1.0, random.uniform(1.0, 2.0)])
     mass = 10.0 ** random.uniform(-1.0, 0.5)
-    return SampledLoop(period=period, delay=late * period, mass=mass, hand=hands[HELD[seed % 6]])
+    return LoopArray(period=period, delay=late * period, mass=mass, hand=hands[HELD[seed % 6]])
 
 
 @pytest.mark.parametrize(
@@ -134,8 +134,8 @@ def test_no_wall_of_a_dense_scan_is_stiffer_than_the_stiffest(seeds: range, coun
         assert found.stiffness == pytest.approx(float(boundary_of(loop, found.damping)), rel=1e-9)  # asked alone
 
 
-UNDAMPED = SampledLoop(hand=Hand(mass=50.0, grip_stiffness=1e6))
-SOFT = SampledLoop(
+UNDAMPED = LoopArray(hand=Hand(mass=50.0, grip_stiffness=1e6))
+SOFT = LoopArray(
     period=8.95e-3,
     delay=0.0,
     mass=0.3704,
@@ -144,7 +144,7 @@ SOFT = SampledLoop(
 
 
 @pytest.mark.parametrize(("loop", "stiffness"), [(UNDAMPED, 22454.34), (SOFT, 7936.464)])
-def test_a_stiffest_wall_on_a_jump_is_found_and_named(loop: SampledLoop, stiffness: float) -> None:
+def test_a_stiffest_wall_on_a_jump_is_found_and_named(loop: LoopArray, stiffness: float) -> None:
     found = stiffest_of(loop)
     assert float(found.stiffness) == pytest.approx(stiffness, rel=1e-6)
     assert found.on_jump and found.describe().endswith("N s/m, at a jump of the boundary")
@@ -152,7 +152,7 @@ def test_a_stiffest_wall_on_a_jump_is_found_and_named(loop: SampledLoop, stiffne
     assert beside.min() < 0.99 * found.stiffness
     plain = stiffest_of(replace(loop, hand=None))
     assert not plain.on_jump and plain.describe().endswith("N s/m")
-    several = stiffest_of(SampledLoop(hand=Hand(mass=np.array([50.0, 1.0]), grip_stiffness=1e6)))
+    several = stiffest_of(LoopArray(hand=Hand(mass=np.array([50.0, 1.0]), grip_stiffness=1e6)))
     assert several.on_jump.tolist() == [True, False] and several.stiffness.shape == (2,)
     assert largest_stable_stiffness(delay=np.empty((0, 2))).stiffness.shape == (0, 2)
 
@@ -175,7 +175,7 @@ def test_no_wall_is_stable_where_none_but_of_rounding_is(hand: Hand) -> None:
 @pytest.mark.parametrize(("damping", "stiffness"), [(5.0, 5.5091955), (20.0, 22.0354686)])
 def test_the_stiffest_wall_may_have_no_damping_at_all(damping: float, stiffness: float) -> None:
     # behind this grip any damping of the wall feeds the resonance, and the arm alone bears a soft wall
-    loop = SampledLoop(delay=0.005, hand=Hand(mass=10.0, damping=damping, grip_stiffness=30000.0))
+    loop = LoopArray(delay=0.005, hand=Hand(mass=10.0, damping=damping, grip_stiffness=30000.0))
     found = stiffest_of(loop)
     assert found.damping == 0.0 and float(found.stiffness) == pytest.approx(stiffness, rel=1e-6)
     assert is_stable(loop.spectral_radius(0.999 * found.stiffness, 0.0))
@@ -190,7 +190,7 @@ def test_a_maximum_that_is_a_narrow_point_is_found() -> None:
         grip_damping=0.004873455,
         grip_stiffness=80.54509,
     )
-    loop = SampledLoop(period=0.007477498, delay=0.0009048618, mass=0.9563588, hand=hand)
+    loop = LoopArray(period=0.007477498, delay=0.0009048618, mass=0.9563588, hand=hand)
     broad, narrow = (boundary_of(loop, np.linspace(*ends, 250)).max() for ends in ((80.0, 105.0), (108.6, 108.8)))
     assert 1.001 < narrow / broad < 1.0011
     assert float(stiffest_of(loop).stiffness) >= narrow * (1.0 - 1e-6)
@@ -198,7 +198,7 @@ def test_a_maximum_that_is_a_narrow_point_is_found() -> None:
 
 def test_the_stiffest_wall_is_found_where_rounding_moves_the_extreme_of_the_curve() -> None:
     grip: dict[str, Any] = {"grip_damping": 5.255968574528895, "grip_stiffness": 303.05798920824077}
-    loop = SampledLoop(
+    loop = LoopArray(
         period=0.00038868256085192215,
         delay=0.003109460486815377,
         mass=1.144867948611289,
@@ -217,7 +217,7 @@ def test_a_design_that_is_not_linear_in_its_gains_is_refused() -> None:
         return pd()(stiffness**2, damping, period)
 
     with pytest.raises(ParameterError, match="linear in its gains"):
-        boundary_of(SampledLoop(design=squared), np.asarray(20.0))
+        boundary_of(LoopArray(design=squared), np.asarray(20.0))
     with pytest.raises(ParameterError, match="loop must be a single one"):
         stable_ranges(20.0, delay=[0.0, 0.001])
     with pytest.raises(ParameterError, match="limit must be"):

@@ -15,10 +15,10 @@ from maglev_mj.control import Controller, Law, LinearController, LowPass
 from maglev_mj.frames import Array
 from maglev_mj.plants.hand import Mode, get_hand
 from maglev_mj.theory.boundary import boundary_of, rigid_note, spans, stiffest_of
-from maglev_mj.theory.closed_loop import SampledLoop, spectral_radius
 from maglev_mj.theory.delay import AnyDelay, Cut, dominant_poles, first_delays
 from maglev_mj.theory.linearise import StateSpace
 from maglev_mj.theory.loop import Bound, Loop, StableDelays, delay_bound, stable_delays
+from maglev_mj.theory.loop_array import LoopArray, spectral_radius
 from maglev_mj.theory.two_rates import DeviceLaw
 from maglev_mj.theory.verdict import judge
 from tests.sweeps import further
@@ -26,12 +26,12 @@ from tests.sweeps import further
 ARM = "arm"
 
 
-def loop_of(**values: Any) -> SampledLoop:
+def loop_of(**values: Any) -> LoopArray:
     """Return a loop without delay."""
-    return SampledLoop(**{"delay": 0.0, "hand": get_hand(values.pop("hand", None))} | values)
+    return LoopArray(**{"delay": 0.0, "hand": get_hand(values.pop("hand", None))} | values)
 
 
-def period_of(loop: SampledLoop) -> float:
+def period_of(loop: LoopArray) -> float:
     return float(np.asarray(loop.period))
 
 
@@ -116,7 +116,7 @@ def test_any_delay_is_proved_by_the_loop_gain(around: Any, gains: tuple[float, f
         )
 
 
-def random_loop(random: np.random.Generator) -> tuple[SampledLoop, float, float]:
+def random_loop(random: np.random.Generator) -> tuple[LoopArray, float, float]:
     """Return a random loop with its gains: 60 Hz to 20 kHz, all that a loop may have."""
     period, mass = 10 ** random.uniform(-4.3, -1.78), 10 ** random.uniform(-1.5, 0.5)
     angle = 10 ** random.uniform(-2.5, 0.3)
@@ -189,12 +189,12 @@ def test_a_gain_above_one_at_half_the_rate_adds_a_pole_with_each_period() -> Non
     assert found.flipped.all() and found.unstable(whole).tolist() == counts
 
 
-def critical_delay_of(loop: SampledLoop, k: float, b: float) -> Array:
+def critical_delay_of(loop: LoopArray, k: float, b: float) -> Array:
     names = "period", "mass", "hand", "driver_lag", "velocity", "design", "own_damping", "mode", "device"
     return critical_delay(k, b, **{name: getattr(loop, name) for name in names})
 
 
-def loop_at(loop: SampledLoop, delay: float, k: float, b: float) -> float:
+def loop_at(loop: LoopArray, delay: float, k: float, b: float) -> float:
     """Return the spectral radius at a delay, by a matrix."""
     whole = math.floor(delay / period_of(loop))
     cut = loop.cut(np.array([k]), np.array([b]), np.array([delay / period_of(loop) - whole]))

@@ -13,8 +13,8 @@ from maglev_mj.plants.hand import Mode
 from maglev_mj.studies.card import _transparent
 from maglev_mj.theory import least_dynamic_stiffness, least_passive_damping
 from maglev_mj.theory.boundary import rigid_note
-from maglev_mj.theory.closed_loop import SampledLoop, is_stable, pd, rendered_stiffness
 from maglev_mj.theory.frequencies import HIGHEST, angles_of, first_crossing, peak
+from maglev_mj.theory.loop_array import LoopArray, is_stable, pd, rendered_stiffness
 
 DENSE = np.sort(np.concatenate([np.linspace(0.0, HIGHEST, 10_000), np.geomspace(1e-5, HIGHEST, 10_000)]))
 
@@ -37,7 +37,7 @@ def loops(seed: int, count: int) -> Iterator[tuple[dict[str, Any], float, float]
             loop["own_damping"] = 10.0 ** random.uniform(-1.0, 1.0)
         stiffness = mass / period**2 * 10.0 ** random.uniform(-4.0, -0.3)
         damping = mass / period * 10.0 ** random.uniform(-3.0, 0.0)
-        if is_stable(SampledLoop(**loop).spectral_radius(stiffness, damping)):
+        if is_stable(LoopArray(**loop).spectral_radius(stiffness, damping)):
             count -= 1
             yield loop, stiffness, damping
 
@@ -45,7 +45,7 @@ def loops(seed: int, count: int) -> Iterator[tuple[dict[str, Any], float, float]
 def test_the_least_dynamic_stiffness_is_the_least_over_all_frequencies() -> None:
     missed = 0
     for loop, *gains in loops(1, 20):
-        forced = SampledLoop(**loop).forced(*gains)
+        forced = LoopArray(**loop).forced(*gains)
         dense, found = np.abs(forced.compliance(DENSE)).max(), 1.0 / float(least_dynamic_stiffness(*gains, **loop))
         assert found >= dense * (1.0 - 1e-4)
         angle, height = peak(forced.magnitude, angles_of(forced.poles))
@@ -68,7 +68,7 @@ def test_the_worst_hand_of_a_wall_is_named() -> None:
 
 def test_the_transparency_bandwidth_is_the_first_crossing() -> None:
     for loop, *gains in loops(2, 12):
-        forced, period = SampledLoop(**loop).forced(*gains), loop["period"]
+        forced, period = LoopArray(**loop).forced(*gains), loop["period"]
         found = 2.0 * math.pi * period * _transparent(forced, gains[0], gains[1], period)
 
         def within(angles: Any) -> Any:
@@ -103,7 +103,7 @@ def test_the_least_passive_damping_is_that_of_a_dense_grid() -> None:
 
 
 def test_the_note_on_a_mode_names_the_first_rate_that_is_unstable() -> None:
-    loop = SampledLoop(period=0.005, delay=0.0015, mass=0.7, mode=Mode(1100.0, 0.01, -1.0))
+    loop = LoopArray(period=0.005, delay=0.0015, mass=0.7, mode=Mode(1100.0, 0.01, -1.0))
     assert "unstable with this mode above 2149 Hz" in rigid_note(loop)
 
 

@@ -12,7 +12,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.studies import stability_map as growing
-from maglev_mj.studies.levels import SteppedLoop, boundary_shift
+from maglev_mj.studies.levels import _SteppedLoop, boundary_shift
 from maglev_mj.studies.stability_map import (
     RestingWall,
     StabilityParameters,
@@ -21,7 +21,7 @@ from maglev_mj.studies.stability_map import (
 )
 from maglev_mj.theory import critical_delay, largest_stable_stiffness, spectral_radius, stiffest_wall
 from maglev_mj.theory.boundary import boundary_of, stiffest_of
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.loop_array import LoopArray
 from tests.sweeps import further
 from tests.theory.failures import random_delay_rate
 
@@ -108,7 +108,7 @@ def test_semi_implicit_steps_overstate_the_boundary_to_first_order(
     integrator: str, steps: list[float], delay: float
 ) -> None:
     # Numerical damping hides instability: at every step an unstable wall looks stable, in proportion to it.
-    loop = SampledLoop(period=T, delay=delay)
+    loop = LoopArray(period=T, delay=delay)
     shift = np.array([boundary_shift(integrator, step, loop) for step in steps])
     assert (shift > 0.0).all()
     assert np.polyfit(np.log(steps), np.log(shift), 1)[0] == pytest.approx(1.0, abs=0.05)
@@ -116,7 +116,7 @@ def test_semi_implicit_steps_overstate_the_boundary_to_first_order(
 
 def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
     # RK4 at 1 ms sees a delay of 1.5 ms as 2 ms.
-    found = stiffest_of(SteppedLoop(period=T, delay=0.0015, integrator="rk4", step=1e-3, aligned=False)).stiffness
+    found = stiffest_of(_SteppedLoop(period=T, delay=0.0015, integrator="rk4", step=1e-3, aligned=False)).stiffness
     assert found == pytest.approx(float(stiffest_wall(period=T, delay=0.002).stiffness), rel=1e-6)
 
 
@@ -126,7 +126,7 @@ def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
 def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift(dampings: list[float], margin: float) -> None:
     # MuJoCo itself, with Euler at 0.5 ms, settles in walls that are unstable, and that grow without long steps.
     b = np.array(dampings)
-    shifted = boundary_of(SteppedLoop(period=T, delay=0.0015, integrator="euler", step=5e-4), b)
+    shifted = boundary_of(_SteppedLoop(period=T, delay=0.0015, integrator="euler", step=5e-4), b)
     assert (shifted > 1.03 * largest_stable_stiffness(b, period=T, delay=0.0015)).all()
     below, above = (walls(share * shifted, b) for share in (1.0 - margin, 1.0 + margin))
     found = measure_growth(below + above, "mujoco", integrator="euler", longest_step=5e-4).stable

@@ -32,8 +32,8 @@ from maglev_mj.plants.model import body_of
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, spectral_radius, stability, stated_gains
-from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import ClosedLoop, Linearised, acts_on_each_axis_alone, linearise
+from maglev_mj.theory.loop_array import LoopArray
 from maglev_mj.theory.read import loops_at
 from tests.sweeps import further, sweep
 
@@ -89,7 +89,7 @@ def at_rest(controller: Controller, delay: float) -> float:
 
 def closed(stiffness: float, damping: float, **loop: Any) -> float:
     """Return the spectral radius by closed forms, those of free motion left out."""
-    roots = np.linalg.eigvals(SampledLoop(**loop).matrix(stiffness, damping))
+    roots = np.linalg.eigvals(LoopArray(**loop).matrix(stiffness, damping))
     free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
     return float(np.abs(roots[np.argsort(np.abs(roots - 1.0))[free:]]).max())
 

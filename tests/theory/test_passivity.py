@@ -11,7 +11,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import Hand
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory import least_passive_damping
-from maglev_mj.theory.closed_loop import pd, spectral_radius
+from maglev_mj.theory.loop_array import pd, spectral_radius
 from tests.sweeps import further
 
 T, M = 0.005, 0.7

@@ -16,17 +16,17 @@ from maglev_mj.plants import MuJoCoBatchPlant
 from maglev_mj.plants.hand import Hand, exponential, get_hand
 from maglev_mj.spec import Spec
 from maglev_mj.theory import (
-    closed_loop,
     critical_delay,
     is_stable,
     largest_stable_stiffness,
     least_dynamic_stiffness,
+    loop_array,
     spectral_radius,
     stiffest_wall,
 )
 from maglev_mj.theory.boundary import boundary_of
-from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop, pd
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_array import LoopArray, LoopKeywords, pd
 from tests.sweeps import sweep
 
 T, M = 0.005, 0.7
@@ -129,7 +129,7 @@ def simulated(plant_type: Any, delay: float, gains: tuple[float, float], **optio
 
 def foretold(delay: float, gains: tuple[float, float], hand: Hand | None, lag: bool, velocity: Any) -> Any:
     """Return the same by powers of the closed-loop matrix."""
-    loop = SampledLoop(period=T, delay=delay, hand=hand, driver_lag=LAG * lag, velocity=velocity)
+    loop = LoopArray(period=T, delay=delay, hand=hand, driver_lag=LAG * lag, velocity=velocity)
     matrix = loop.matrix(*gains)
     state = np.zeros(len(matrix))
     state[0] = 1e-3
@@ -237,7 +237,7 @@ def test_a_hands_force_is_not_filtered_by_the_drivers() -> None:
     seen: list[float] = []
     hold = Hold(axes="z", stiffness=2000.0, damping=30.0)
     drive(plant, Controller([hold], period=T), ticks, observe=lambda sample, _: seen.append(sample.position[2]))
-    loop = SampledLoop(period=T, delay=0.0015, mass=M, driver_lag=lag)
+    loop = LoopArray(period=T, delay=0.0015, mass=M, driver_lag=lag)
     (compliance,) = loop.compliances(2000.0, 30.0, [frequency])
     settled = slice(ticks // 2, None)  # whole turns: 85 of them
     swing = 2.0 * (np.array(seen) / turns)[settled].mean()
@@ -245,7 +245,7 @@ def test_a_hands_force_is_not_filtered_by_the_drivers() -> None:
 
 
 def test_more_gains_than_are_taken_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(closed_loop, "_CHUNK", 16)
+    monkeypatch.setattr(loop_array, "_CHUNK", 16)
     stiffness, masses = np.linspace(1000.0, 6000.0, 19), np.linspace(0.5, 1.0, 19)
     found = spectral_radius(stiffness, 40.0, period=T, delay=0.0, mass=masses)
     alone = [float(spectral_radius(k, 40.0, period=T, delay=0.0, mass=m)) for k, m in zip(stiffness, masses)]
@@ -280,7 +280,7 @@ def test_published_hands_shift_the_critical_delay(gains: tuple[list[float], list
 
 
 def test_the_stability_functions_accept_the_fields_of_a_loop_by_its_names() -> None:
-    fields = {item.name for item in dataclasses.fields(SampledLoop) if item.init} | {"rate"}
+    fields = {item.name for item in dataclasses.fields(LoopArray) if item.init} | {"rate"}
     assert set(LoopKeywords.__annotations__) == fields | {"inertia", "law"}
     loop: Any = {"period": 1e-3, "delay": 5e-4, "inertia": 0.3, "law": pd(LowPass(100.0)), "hand": "arm"}
     array = Loop(stiffness=0.0, damping=0.0, **loop | {"hand": get_hand("arm")}).array()

@@ -10,7 +10,7 @@ from maglev_mj.control import LowPass
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants.hand import Hand, transition
-from maglev_mj.studies.levels import SteppedLoop
+from maglev_mj.studies.levels import _SteppedLoop
 from maglev_mj.theory import (
     DeviceLaw,
     Mode,
@@ -21,7 +21,7 @@ from maglev_mj.theory import (
     stable_ranges,
     stiffest_wall,
 )
-from maglev_mj.theory.closed_loop import SampledLoop, pd
+from maglev_mj.theory.loop_array import LoopArray, pd
 from maglev_mj.theory.two_rates import rates_of
 from tests.sweeps import further
 
@@ -48,7 +48,7 @@ ONE_RATE: list[tuple[dict[str, Any], list[float]]] = [
 def test_one_rate(loop: dict[str, Any], known: list[float]) -> None:
     stiffness, damping, radius, frequency, critical = known
     loop = HOST | loop
-    poles = np.linalg.eigvals(SampledLoop(**loop).matrix(stiffness, damping))
+    poles = np.linalg.eigvals(LoopArray(**loop).matrix(stiffness, damping))
     ring = np.abs(np.angle(poles[np.argmax(np.abs(poles))])) / (2.0 * np.pi * loop["period"])
     assert spectral_radius(stiffness, damping, **loop) == pytest.approx(radius, abs=6e-7)
     assert ring == pytest.approx(frequency, abs=6e-5)
@@ -98,7 +98,7 @@ def test_rates_that_are_not_commensurate() -> None:
             radius, abs=6e-7
         )
     # A fixed phase between the clocks; the worst of ten below a ratio of 4 if they are not commensurate.
-    loop, host = SampledLoop(**HOST, device=DeviceLaw(**damper)), pd()(*map(np.asarray, (2e4, 20.0, 5e-3)))
+    loop, host = LoopArray(**HOST, device=DeviceLaw(**damper)), pd()(*map(np.asarray, (2e4, 20.0, 5e-3)))
     phases = [np.abs(np.linalg.eigvals(loop.two_rates(0.1 * k).matrix(host)[:-1, :-1])).max() for k in range(10)]
     assert (min(phases), max(phases)) == pytest.approx((0.881942, 0.881966), abs=6e-7)  # as simulated
     for ratio, count in {1.0: 1, 1.0 + 1e-6: 10, 4.0 + 1e-6: 1}.items():
@@ -255,4 +255,4 @@ def test_wrong_values_are_refused(device: dict[str, Any], loop: dict[str, Any], 
         with pytest.raises(ParameterError, match=r"mode .* must be"):
             Mode(*values)
     with pytest.raises(ParameterError, match="a stepped loop must have neither"):
-        SteppedLoop(own_damping=1.0).flotor()
+        _SteppedLoop(own_damping=1.0).flotor()

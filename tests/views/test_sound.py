@@ -17,7 +17,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.recording.export import write_sound
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.stick_slip import StickSlip
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.loop_array import LoopArray
 from maglev_mj.views.window import offscreen
 from maglev_mj.views.window.offscreen import render
 
@@ -108,7 +108,7 @@ def render_buzz(path: Path, time_scale: float) -> float:
     """Write a clip of 1.5 s of a wall that rings; return its frequency [Hz]."""
     scene = Drop(height=1e-4, stiffness=9_500.0, pulse=0.0, duration=3.0)
     render(scene, path, seconds=1.5, time_scale=time_scale, width=160, height=160, rate=2, plots=False)
-    loop = SampledLoop(period=scene.period, delay=scene.delay, mass=scene.mass)
+    loop = LoopArray(period=scene.period, delay=scene.delay, mass=scene.mass)
     roots = np.linalg.eigvals(loop.matrix(scene.stiffness, scene.damping))
     return float(abs(np.angle(roots[np.abs(roots).argmax()]))) / (2.0 * np.pi * scene.period)
 

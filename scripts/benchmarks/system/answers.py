@@ -19,7 +19,7 @@ from maglev_mj.session import settable_parameters
 from maglev_mj.session.margin import margin
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import WallRequirements, design_wall, largest_stable_stiffness
-from maglev_mj.theory.closed_loop import LoopKeywords
+from maglev_mj.theory.loop_array import LoopKeywords
 from system import Table
 from timing import Run, answered, columns
 

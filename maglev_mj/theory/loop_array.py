@@ -34,7 +34,7 @@ _DIVIDES = "device period must divide the host's, {0} s (got {1.period:g})"
 _ALMOST = 1.0 - 2e-9
 """Largest fraction that does not count as a whole period."""
 _NAMES = {"inertia": "mass", "law": "design"}
-"""Names of a `Loop` for two fields of `SampledLoop`."""
+"""Names of a `Loop` for two fields of `LoopArray`."""
 _BATCHED = "period", "delay", "mass", "prediction", "own_damping"
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
@@ -62,7 +62,7 @@ class LinearisedLaw(NamedTuple):
 
 
 class LoopKeywords(TypedDict, total=False):
-    """Keywords of the stability functions: those of `SampledLoop`, and `inertia` and `law` as `Loop` names two."""
+    """Keywords of the stability functions: those of `LoopArray`, and `inertia` and `law` as `Loop` names two."""
 
     period: ArrayLike
     rate: ArrayLike
@@ -81,7 +81,7 @@ class LoopKeywords(TypedDict, total=False):
 
 
 def sampled_fields(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return keywords of `SampledLoop` of these, in which mass and design may have their names in a `Loop`."""
+    """Return keywords of `LoopArray` of these, in which mass and design may have their names in a `Loop`."""
     for name, other in _NAMES.items():
         if name in fields and other in fields:
             raise KeywordError(f"{other} and {name} must not both be given")
@@ -142,7 +142,7 @@ def rendered_stiffness(controller: LinearController, z: ArrayLike = 1.0) -> Arra
 
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SampledLoop:
+class LoopArray:
     """Closed loop of a wall without its gains.
 
     Values are numbers, or arrays that broadcast with the gains.
@@ -226,7 +226,7 @@ class SampledLoop:
             result[np.arange(k.size)[rows][:, None, None], own[:, None], own] = part
         return result.reshape(*shape, size, size)
 
-    def uniform(self, shape: tuple[int, ...]) -> Iterator[tuple[Any, SampledLoop]]:
+    def uniform(self, shape: tuple[int, ...]) -> Iterator[tuple[Any, LoopArray]]:
         """Yield parts of equal period and delay, with their indices into the flattened gains of a shape."""
         times = [np.asarray(getattr(self, name)) for name in ("period", "delay")]
         if not any(part.ndim for part in times):
@@ -527,7 +527,7 @@ class SampledLoop:
         shape = common_shape("stiffness, damping and loop", k.shape, b.shape, self.shape)
         return np.broadcast_to(k, shape), np.broadcast_to(b, shape)
 
-    def _each(self, change: Callable[[Array], Array]) -> SampledLoop:
+    def _each(self, change: Callable[[Array], Array]) -> LoopArray:
         """Return the loop with each array changed by a function."""
         hand, mode = self.hand, self.mode
         if hand is not None:
@@ -540,13 +540,13 @@ class SampledLoop:
         vars(copy).update(vars(self), hand=hand, mode=mode, shape=np.broadcast_shapes(*shapes), **values)
         return copy
 
-    def part(self, shape: tuple[int, ...], part: Any) -> SampledLoop:
+    def part(self, shape: tuple[int, ...], part: Any) -> LoopArray:
         """Return the loop for a slice or indices of the flattened gains."""
         if not self.shape:
             return self
         return self._each(lambda value: np.broadcast_to(value, shape).reshape(-1)[part] if value.ndim else value)
 
-    def widened(self) -> SampledLoop:
+    def widened(self) -> LoopArray:
         """Return the loop with a trailing dimension of 1 added to each array, for a search along it."""
         return self._each(lambda value: value[..., None] if value.ndim else value) if self.shape else self
 
@@ -682,12 +682,12 @@ def spectral_radius(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loo
     Args:
         stiffness: Wall stiffness [N/m], (...,).
         damping: Wall damping [N s/m], (...,).
-        loop: Keywords of `SampledLoop`; they broadcast with the gains.
+        loop: Keywords of `LoopArray`; they broadcast with the gains.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    return SampledLoop(**sampled_fields(loop)).spectral_radius(stiffness, damping)
+    return LoopArray(**sampled_fields(loop)).spectral_radius(stiffness, damping)
 
 
 @checked
@@ -697,7 +697,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     Args:
         stiffness: Wall stiffness [N/m], (...,).
         damping: Wall damping [N s/m], (...,).
-        loop: Keywords of `SampledLoop` except the delay; they broadcast with the gains.
+        loop: Keywords of `LoopArray` except the delay; they broadcast with the gains.
 
     Returns:
         The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable at any delay (the loop gain
@@ -715,12 +715,12 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     if "delay" in loop:
         raise ParameterError(f"critical_delay accepts no delay, because it returns one (got {loop['delay']!r})")
     loop["delay"] = 0.0
-    around = SampledLoop(**sampled_fields(loop))
+    around = LoopArray(**sampled_fields(loop))
     return critical_delay_of(around, *around.broadcast(stiffness, damping))
 
 
-def critical_delay_of(around: SampledLoop, stiffness: Array, damping: Array, free: Mask | None = None) -> Array:
-    """Return the critical delay of a SampledLoop without delay [s], for gains of its shape; see `critical_delay`.
+def critical_delay_of(around: LoopArray, stiffness: Array, damping: Array, free: Mask | None = None) -> Array:
+    """Return the critical delay of a LoopArray without delay [s], for gains of its shape; see `critical_delay`.
 
     `free` is True where poles at 1 of free motion do not count, (N,); by default without stiffness.
     """
@@ -739,7 +739,7 @@ def critical_delay_of(around: SampledLoop, stiffness: Array, damping: Array, fre
     return np.asarray(result.reshape(stiffness.shape) * np.asarray(around.period))
 
 
-def _stepped_delay(around: SampledLoop, stiffness: Array, damping: Array) -> Array:
+def _stepped_delay(around: LoopArray, stiffness: Array, damping: Array) -> Array:
     """Return the critical delay by a grid of up to ten periods and bisection; NaN above."""
     k, b = stiffness[..., None], damping[..., None]
     shape = k.shape[:-1]
@@ -778,12 +778,12 @@ def least_dynamic_stiffness(
         stiffness: Wall stiffness [N/m], (...,).
         damping: Wall damping [N s/m], (...,).
         frequencies: Frequencies [Hz]; None for all up to half the sample rate, see `theory.frequencies`.
-        loop: Keywords of `SampledLoop`; the period must be a number.
+        loop: Keywords of `LoopArray`; the period must be a number.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    around = SampledLoop(**sampled_fields(loop))
+    around = LoopArray(**sampled_fields(loop))
     if np.ndim(around.period):
         raise ParameterError(f"period must be a number (got shape {np.shape(around.period)})")
     stable = is_stable(around.spectral_radius(stiffness, damping))
