@@ -313,5 +313,6 @@ def _value(name: str, about: Option, options: argparse.Namespace) -> Any:
         from maglev_mj.parameters import number  # imported here: --help does not need NumPy
 
         bounds: Any = about.bounds
-        number(about.name or name, value, **bounds)
+        unit = re.search(r"\[([^]]+)\]", about.help)
+        number(about.name or name, value, **bounds, unit=unit[1] if unit else "")
     return value

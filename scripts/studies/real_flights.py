@@ -252,13 +252,13 @@ def flooded_device() -> None:
     """Be the twin's process; print when ESTOP is latched first."""
     trip = Firmware.trip
 
-    def reported(firmware: Firmware, faults: Fault, now: int) -> None:
+    def reported(firmware: Firmware, faults: Fault, now: int, **options: Any) -> None:
         first = not firmware.faults
-        trip(firmware, faults, now)
+        trip(firmware, faults, now, **options)
         if first:
             print(f"cut {time.monotonic_ns()} {int(faults)}", flush=True)
 
-    Firmware.trip = reported  # type: ignore[assignment, method-assign]
+    Firmware.trip = reported  # type: ignore[method-assign]
     main(["twin", "--listen", "udp://127.0.0.1:0", "--watchdog", "1", "--seconds", "20"])
 
 

@@ -19,6 +19,7 @@ from maglev_mj.bridge.preflight import (
     MARGIN,
     LinkReport,
     Preflight,
+    _clock,
     _problem,
     measure_link,
     preflight,
@@ -178,6 +179,50 @@ def test_a_wrong_clock_rate_is_measured_and_reported(clock: float, tmp_path: Pat
     assert report.clock == pytest.approx(1.0 / clock, rel=1e-3)
     said = f"the device clock runs at {report.clock:.3f} times the host clock (tolerance 2 %)"
     assert _problem(JOYSTICK, report, 0.003) == "" if clock == 0.99 else said in _problem(JOYSTICK, report, 0.003)
+
+
+class Stalling(Clock):
+    """Link to a twin that stands still for 50 ms of its host's time, from each of some instants [s] on."""
+
+    stalls: tuple[float, ...] = ()
+
+    def now(self) -> int:
+        time = super().now()
+        return time + 50_000_000 * sum(time > 1e9 * stall for stall in self.stalls)
+
+
+@pytest.mark.parametrize(
+    ("rate", "clock", "stalls", "wrong"),
+    [
+        (1000, 1.0, (0.2,), False),
+        (1000, 1.0, (0.1, 0.23, 0.38, 0.41), False),
+        (200, 1.0, (0.21, 0.34), False),
+        (1000, 1.01, (0.2,), False),
+        (1000, 1.05, (0.2,), True),
+        (1000, 0.95, (0.2, 0.31), True),  # before: the stalls hid it
+        (200, 1.03, (0.2, 0.31), True),
+    ],
+)
+def test_a_twin_that_stands_still_has_no_wrong_rate_and_a_wrong_rate_is_still_measured(
+    rate: int, clock: float, stalls: tuple[float, ...], wrong: bool, tmp_path: Path
+) -> None:
+    link = Stalling(Twin(TwinParameters(period=1.0 / rate), draw=lambda: 7))
+    link.rate, link.stalls = clock, stalls
+    with RemotePlant(link, folder=tmp_path) as plant:
+        report = measure_link(plant, 0.5)
+    assert report.clock == pytest.approx(1.0 / clock, rel=1e-3)
+    assert ("the device clock runs at" in _problem(JOYSTICK, report, 0.003)) is wrong
+
+
+@pytest.mark.parametrize("rate", [200, 1000])
+def test_rate_and_stalls_of_a_clock_are_told_apart_over_a_jittery_line(rate: int) -> None:
+    """One to three stalls of 5 to 100 ms in a second, wrong rates of 3 % and more, jitter of 1 ms."""
+    for seed, (error, count) in enumerate(product([-0.05, -0.03, -0.01, 0.0, 0.01, 0.03, 0.05], [0, 1, 3] * 5)):
+        draw = np.random.default_rng(seed)
+        device = np.arange(rate) / rate
+        stalled = sum(draw.uniform(0.005, 0.1) * (device > draw.uniform()) for _ in range(count))
+        arrived = np.maximum.accumulate(device / (1.0 + error) + stalled + draw.exponential(1e-3, rate))
+        assert (abs(_clock(1e9 * np.column_stack([device, arrived])) - 1.0) > 0.02) is (abs(error) > 0.02)
 
 
 JOYSTICK = find_scene("joystick")()

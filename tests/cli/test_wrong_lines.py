@@ -82,7 +82,8 @@ drop --phases 0                                     | phases must be at least 1 
 drop --rate 0                                       | argument --rate: must be a finite number above 0 (got '0')
 press --hits 0                                      | hits must be
 stick-slip --breakaway 0                            | breakaway must be
-twin --rate 0                                       | rate must be
+twin --rate 0                                       | rate must be between 10 and 20000 Hz (got 0
+twin --block -3                                     | block must be above 0 and at most 20000 N/m (got -3
 bridge DEVICE --max-current 0                       | max_current must be
 stability --damping 80 --stiffness 6000 --plant exact | must be a range (got one wall): for one, maglev-mj diagnose
 stability --damping 80 --stiffness 6000 --height 0  | must be a range (got one wall): for one, maglev-mj diagnose
