@@ -51,8 +51,9 @@ class Scale:
         speed: Speed limit [m/s], sqrt(x / m): 84 % of the speed that a hand of 20 N reaches across the range; at least
             twice `drop`.
         spin: Angular speed limit [rad/s], `speed` / r.
-        envelope: Position limit, just outside the stops [m], x.
-        tilt: Rotation limit, just outside the stops [rad].
+        envelope: Position limit, just outside the stops [m]: the range and the path in 1.7 ms at `speed`, as a stop yields
+            to a tap by as much on any device.
+        tilt: Rotation limit, just outside the stops [rad]: the range and the angle in 1.7 ms at `spin`.
         stored: Energy that laws may store without decay [J], F x: a hand's in a spring along the range.
         generated: Limit of generated energy [J], m times the square of `drop`.
         wall_energy: The same of walls on the device [J], half of it.
@@ -110,8 +111,8 @@ class Scale:
             drop=0.3 * drop,
             speed=0.6 * fast,
             spin=15.0 * fast / r,
-            envelope=0.0055 * x,
-            tilt=math.radians(7.5) * tilt,
+            envelope=0.0045 * x + 0.001 * fast,
+            tilt=math.radians(6.0 * tilt + 1.5 * fast / r),
             stored=0.045 * force * x,
             generated=0.008 * m * drop**2,
             wall_energy=0.004 * m * drop**2,

@@ -71,7 +71,7 @@ press --press 60 --force-limit 60                   | press must be below the fo
 press --duration 1 | duration must be above 1.905 and at most 100000 (got 1.0)
 stick-slip --law glue                               | law must be one of stick-slip, spring-reset, dahl,
 # values at a bound that excludes them
-view box --seconds 0                                | seconds must be above 0 (got 0
+view box --seconds 0                                | seconds must be above 0 s (got 0
 render box --out a.png --fps 0                      | fps must be
 fidelity drop --tolerance 0                         | tolerance must be above 0 (got 0
 fidelity drop --boundary-tolerance 0                | boundary must be above 0 (got 0
