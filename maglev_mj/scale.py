@@ -98,6 +98,11 @@ class Scale:
     path: float
     path_angle: float
 
+    @property
+    def reach(self) -> list[float]:
+        """Largest pose within the envelope, on every axis [m, rad], six."""
+        return [self.envelope] * 3 + [self.tilt] * 3
+
     @staticmethod
     def of(sizes: Sizes, published: Sizes) -> Scale:
         """Return the scale of a device from its sizes and those of the published joystick; see `Device.scale`."""

@@ -16,14 +16,14 @@ import pytest
 from maglev_mj import Device, ExactPlant, load_model
 from maglev_mj import device as device_module
 from maglev_mj.bridge.commissioning.calibration import Calibration
-from maglev_mj.bridge.safety import HostLimits, limits_of
+from maglev_mj.bridge.safety import HostLimits, Limits, SpotGuard, limits_of
 from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.cli import main
 from maglev_mj.device import Sensor, devices
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants.model import body_of, model_path
-from maglev_mj.plants.sensor import beams
+from maglev_mj.plants.sensor import beams, geometry_of, tracker_of
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Session
 from maglev_mj.session.session import device_controller
@@ -333,13 +333,56 @@ def test_coils_that_cannot_give_every_wrench_are_refused_by_axis(directions: Any
         EIGHT.change("coils", directions=directions)
 
 
-def test_the_position_limit_of_a_pose_sensor_covers_the_range() -> None:
+def seen(seed: int) -> Device:
+    """Return a random device: a pose sensor, or three beams on three diodes as on the published joystick."""
+    draw = np.random.default_rng(seed)
+    device = DEVICES["stage" if seed % 2 else "ubc"].change(
+        "range",
+        translation=np.exp(draw.uniform(math.log(3e-4), math.log(0.05), 3)).tolist(),
+        rotation_deg=np.exp(draw.uniform(0.0, math.log(25.0), 3)).tolist(),
+    )
+    sensor, offsets = device.sensor, (1e-3 * draw.uniform(-1.0, 1.0, 6)).tolist()
+    if sensor.kind == "pose":
+        return device.change("sensor", lever=float(draw.uniform(0.001, 1.0)), offsets=offsets)
+    moved = {name: getattr(sensor, name) + 0.01 * draw.uniform(-1.0, 1.0, (3, 3)) for name in ("leds", "diodes")}
+    beams = np.array(sensor.directions) + 0.3 * draw.uniform(-1.0, 1.0, (3, 3))
+    directions = (beams / np.linalg.norm(beams, axis=1)[:, None]).tolist()
+    moved = {name: points.tolist() for name, points in moved.items()}
+    return device.change("sensor", directions=directions, offsets=offsets, **moved)
+
+
+@pytest.mark.parametrize("seed", [*range(40), -1])
+def test_no_pose_of_the_range_is_out_of_range_of_the_sensor(seed: int) -> None:
+    """The limit follows from range and geometry: poses of the range are within it, poses outside the envelope soon not.
+
+    Before, the published joystick moved, turned on three axes, was out of range: 15.2 mm on a diode, limit 12 mm.
+    """
+    device = DEVICES["ubc"] if seed < 0 else seen(seed)
+    draw, limit = np.random.default_rng(seed + 1), limits_of(device).spot_limit
+    geometry, offsets = geometry_of(device), np.array(device.sensor.offsets)
+    ends = draw.uniform(-1.0, 1.0, (300, 6)) * device.reach
+    ends[::2] = np.sign(ends[::2]) * device.reach
+    spots = geometry.spots(ends) + offsets
+    guard, track = SpotGuard(Limits(spot_limit=limit, spot_speed=100.0), 1.0), tracker_of(geometry, device.scale.reach)
+    for count, (six, pose) in enumerate(zip(spots.tolist(), ends)):
+        assert not guard.check(six, 7, count, 1)
+        if np.linalg.norm(pose[3:]) < 0.8:
+            assert track((six - offsets).tolist()) == pytest.approx(pose.tolist(), abs=1e-9)
+    outer = geometry.spots(1.2 * draw.choice([-1.0, 1.0], (64, 6)) * device.scale.reach)
+    assert np.abs(outer).max() > 0.9 * (limit - 1e-3)  # no wider than needed
+
+
+def test_a_sensor_that_does_not_see_its_range_is_refused() -> None:
+    blind = DEVICES["ubc"].change("range", rotation_deg=(70.0, 70.0, 70.0))
+    with pytest.raises(ParameterError, match=r"^sensor\.directions: a beam turns past its diode within the range"):
+        limits_of(blind)
+    endless = DEVICES["stage"].change("range", translation=(math.inf,) * 3)
+    assert limits_of(endless).spot_limit == pytest.approx(0.0073, abs=2e-4)  # the envelope of the published joystick
+
+
+def test_the_limits_of_a_device_are_checked_with_its_meter() -> None:
     stage = DEVICES["stage"]
-    wide = stage.change("range", translation=(0.015, 0.015, 0.015))
-    assert [limits_of(device).spot_limit for device in (stage, wide)] == [0.012, pytest.approx(0.04)]
-    turned = stage.change("sensor", lever=0.2)  # whose rotations are sent as 14 mm
-    assert limits_of(turned).spot_limit == pytest.approx(12.0 / 4.5 * 0.2 * math.radians(4.0))
-    assert limits_of(stage.change("range", translation=(math.inf,) * 3)).spot_limit == 0.1
     with pytest.raises(ParameterError, match=r"three times coils\.meter, 0\.07 A \(got 0\.195 A\)"):
         limits_of(stage.change("coils", meter=0.07))
-    assert TwinParameters(calibration=Calibration.of(wide)).profile.limits.spot_limit == pytest.approx(0.04)
+    assert limits_of(DEVICES["ubc"]).spot_limit == Limits().spot_limit
+    assert TwinParameters(calibration=Calibration.of(stage)).profile.limits.spot_limit == limits_of(stage).spot_limit

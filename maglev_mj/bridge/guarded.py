@@ -116,7 +116,7 @@ class GuardedPlant:
             self.samples = self._connection.samples
             self.guards = device_guards(self.limits, host, self.period, scale)
             self.cycles = LastCycles(Path(folder))
-            self._track = tracker_of(calibration.beams)
+            self._track = tracker_of(calibration.beams, scale.reach)
             offsets = calibration.spot_offsets
             self._offsets: list[float] | None = offsets.tolist() if offsets.any() else None
             self._output = safety.OutputLimiter(calibration.coils, self.limits, host.wrench, self.period)

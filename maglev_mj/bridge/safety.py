@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -19,6 +20,7 @@ from maglev_mj.frames import AXES, ZERO, Command, clipped, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import Parameters, flag, number, param, read_json, store
 from maglev_mj.plants.coils import CoilMap, limited_wrench
+from maglev_mj.plants.sensor import geometry_of, largest_spot
 from maglev_mj.scale import OFF_LIFT, Scale
 from maglev_mj.spec import Spec
 
@@ -34,8 +36,8 @@ _STALE = 4
 """Periods after which an answer is stale, unless stated otherwise."""
 _HEADROOM = 1.25
 """Factor over the weight and the hover currents, as headroom for control."""
-_ROOM = 12.0 / 4.5
-"""Position limit of a pose sensor in ranges, as that of the published spots."""
+_ROOM = 1.1
+"""Limit of a spot over the largest of poses within the envelope: outside of that the fault is BOUNDARY, not the sensor."""
 _ROUNDING = 1e-9
 _LIFT, _METER_STEPS = 0.25, 3.0
 """Largest share of the weight that currents at `off_current` may lift; its least value in steps of the meter."""
@@ -52,7 +54,7 @@ class Limits(Parameters):
     current_limit: float = param("coil current limit", "A", default=Spec.peak_current.value, above=0.0, at_most=20.0)
     continuous_current: float = param("continuous current limit", "A", default=_CONTINUOUS, above=0.0, at_most=20.0)
     thermal_time: float = param("thermal time constant; assumed", "s", default=10.0, at_least=0.01, at_most=1e7)
-    spot_limit: float = param("spot position limit; assumed", "m", default=0.012, at_least=1e-4, at_most=0.1)
+    spot_limit: float = param("spot position limit; assumed", "m", default=0.0209, at_least=1e-4, at_most=10.0)
     spot_speed: float = param("spot speed limit; assumed", "m/s", default=1.0, at_least=1e-3, at_most=100.0)
     watchdog: float = param("watchdog timeout", "s", default=0.05, at_least=1e-3, at_most=1.0)
     enable: float = param("enable line timeout", "s", default=0.01, at_least=1e-5, at_most=1.0)
@@ -105,11 +107,12 @@ def macro(name: str, members: Mapping[str, Any]) -> str:
     return f"#define {name} \\\n    " + ", \\\n    ".join(lines)
 
 
+@lru_cache(maxsize=64)
 def limits_of(device: Device) -> Limits:
     """Return the limits of a device with coils; thresholds by its `Scale`, within the bounds of `Limits`.
 
     Raises:
-        ParameterError: If its meter is too coarse to tell that the coils are off.
+        ParameterError: If its meter is too coarse to tell that the coils are off, or its sensor does not see its range.
     """
     coils = device.coils
     if coils is None:
@@ -126,10 +129,11 @@ def limits_of(device: Device) -> Limits:
     )
     if problem := off_fault(own, device):
         raise ParameterError(problem)
-    farthest = _ROOM * max(*device.range.translation, device.sensor.lever * float(device.reach[3:].max()))
-    if device.sensor.kind == "pose":  # whose values are the pose itself
-        own = own.replace(spot_limit=min(max(own.spot_limit, farthest), 0.1))
-    return own.replace(thermal_time=coils.thermal_time)
+    farthest = _ROOM * largest_spot(geometry_of(device), scale.reach) + max(map(abs, device.sensor.offsets))
+    if not math.isfinite(farthest):
+        raise ParameterError("sensor.directions: a beam turns past its diode within the range of motion")
+    spot_limit = max(math.ceil(1e4 * farthest) / 1e4, 1e-4)
+    return own.replace(thermal_time=coils.thermal_time, spot_limit=spot_limit)
 
 
 _LIMITS = [x.name for x in Limits.parameters()]

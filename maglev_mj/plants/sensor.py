@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import product
 from operator import add
 from typing import Any, Protocol, Self, TypeAlias
 
@@ -164,9 +165,26 @@ def geometry_of(device: Device) -> Beams | PoseScale:
     return Beams(np.array(sensor.leds) - centre, directions, np.array(sensor.diodes) - centre, across)
 
 
-def tracker_of(geometry: Beams | PoseScale) -> PoseTracker | PoseScale:
-    """Return the function from values on the wire to a pose."""
-    return geometry if isinstance(geometry, PoseScale) else PoseTracker(geometry)
+def tracker_of(geometry: Beams | PoseScale, reach: Sequence[float] = (0.0,) * 6) -> PoseTracker | PoseScale:
+    """Return the function from values on the wire to a pose, at least of poses within a reach [m, rad]."""
+    if isinstance(geometry, PoseScale):
+        return geometry
+    distance, angle = math.hypot(*reach[:3]), math.hypot(*reach[3:])
+    return PoseTracker(geometry, max(MAX_DISTANCE, distance), max(MAX_ANGLE, min(angle, 0.5 * math.pi)))
+
+
+def largest_spot(geometry: Beams | PoseScale, reach: Sequence[float]) -> float:
+    """Return the largest value on the wire of poses within a reach [m, rad], on all axes at once [m].
+
+    Infinite if a beam turns past its diode on the way.
+    """
+    poses = np.array(list(product((-1.0, 0.0, 1.0), repeat=6))) * reach
+    if isinstance(geometry, Beams):
+        beams = np.einsum("...ab,kb->...ka", rotation_matrix(poses[:, 3:]), geometry.directions)
+        along = np.einsum("...ka,ka->...k", beams, geometry.normals)
+        if (along * np.sign(along[len(along) // 2])).min() < _GRAZING:
+            return math.inf
+    return float(np.abs(geometry.spots(poses)).max())
 
 
 def moved(pose: Array, change: NDArray[Any]) -> Array:
@@ -201,6 +219,9 @@ Convergence is quadratic: the next step would be 1e-14, the rounding of a pose. 
 
 _MOST_STEPS = 12
 """Largest number of Newton steps; 5 suffice from the centre to any pose within `MAX_DISTANCE` and `MAX_ANGLE`."""
+
+_GRAZING = 0.05
+"""Least cosine between a beam and the normal of its diode at which its spot is computed."""
 
 _Turn: TypeAlias = tuple[float, float, float]
 _UPRIGHT: _Turn = (0.0, 0.0, 0.0)

@@ -75,7 +75,7 @@ ABSURD: list[tuple[str, Any, str]] = [
             ("continuous_current", 0.0, 20.1),
             ("hover_limit", -0.1, 20.1),
             ("thermal_time", 0.009, 1.1e7),
-            ("spot_limit", 0.9e-4, 0.11),
+            ("spot_limit", 0.9e-4, 10.1),
             ("spot_speed", 0.9e-3, 101.0),
             ("stiffness_limit", -0.1, 1.1e8),
             ("damping_limit", -0.1, 1.1e6),

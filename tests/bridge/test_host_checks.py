@@ -80,7 +80,7 @@ def reported(change: Callable[[StateReport], StateReport]) -> Callable[[Rig], No
 
 
 GUARDED: list[tuple[Callable[[Rig], None], str]] = [
-    (reported(put("spots", 3, -0.0121)), "SENSOR_OUT_OF_RANGE: spots "),
+    (reported(put("spots", 3, -0.0210)), "SENSOR_OUT_OF_RANGE: spots "),
     (reported(put("currents", 4, 15.1)), "COIL_OVERCURRENT: measured currents "),
     (no_pose, "SENSOR_OUT_OF_RANGE: no pose was found"),
     (backwards, "NOT_FOLLOWING: the measured pose moves against the commanded force, at "),

@@ -113,9 +113,9 @@ def watched(limits: Limits | None = None) -> SpotGuard:
 def test_an_implausible_spot_is_detected() -> None:
     assert {watched().check(SPOTS, valid, 1, 1) for valid in range(7)} == {Fault.SENSOR_OUT_OF_RANGE}
     fast = Limits(spot_speed=100.0)
-    for place, value in product(range(6), (NAN, INF, -INF, 0.0121, -0.0121)):
+    for place, value in product(range(6), (NAN, INF, -INF, 0.0210, -0.0210)):
         assert watched(fast).check(moved(place, value, SPOTS), 7, 1, 1) == Fault.SENSOR_OUT_OF_RANGE
-        assert watched(fast).check(moved(place, math.copysign(0.0119, value), SPOTS), 7, 1, 1) == NONE
+        assert watched(fast).check(moved(place, math.copysign(0.0208, value), SPOTS), 7, 1, 1) == NONE
 
 
 @pytest.mark.parametrize("steps", [1, 2, 10])
