@@ -51,7 +51,7 @@ class Scale:
         speed: Speed limit [m/s], sqrt(x / m): 84 % of the speed that a hand of 20 N reaches across the range; at least
             twice `drop`.
         spin: Angular speed limit [rad/s], `speed` / r.
-        envelope: Position limit, just outside the stops [m]: the range and the path in 1.7 ms at `speed`, as a stop yields
+        envelope: Position limit, just outside the stops [m]: the range and the path in 1.7 ms at `speed`. A stop yields
             to a tap by as much on any device.
         tilt: Rotation limit, just outside the stops [rad]: the range and the angle in 1.7 ms at `spin`.
         stored: Energy that laws may store without decay [J], F x: a hand's in a spring along the range.

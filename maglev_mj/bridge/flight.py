@@ -12,11 +12,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj import session
-from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
+from maglev_mj.bridge.flight_guards import (
+    Alarm,
+    DelayGuard,
+    DeviceSample,
+    Guard,
+    PowerGuard,
+    When,
+    delay_limit,
+    landing,
+)
 from maglev_mj.bridge.landing import LandingReport, StopSwitch
 from maglev_mj.bridge.observer import LATE
 from maglev_mj.bridge.preflight import LoopTiming
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError
@@ -73,7 +83,6 @@ class Flight:
 
     Attributes:
         switch: Switch that ends the flight.
-        reason: Reason of a guard to end the flight; "" without.
         timing: Latencies of the loop.
 
     Raises:
@@ -115,7 +124,12 @@ class Flight:
         self._warn, self._check_due = warn, session.FrameClock(1.0)  # of the recording: once a second
         self._delay_guard = DelayGuard(delay_limit(critical_delay, plant.period, own=plant.delay))
         self._power_guard = PowerGuard(plant.period, self._inertia, plant.scale)
-        self.reason, self._checker = "", check
+        self._checker = check
+        self._guards: list[Guard] = [
+            (When.COMMANDED, self._power),
+            (When.ANSWERED, self._delay),
+            (When.ANSWERED, self._named),
+        ]
         self._name = ", ".join(filter(None, (f"{scene.name} on a device", rendered)))
         if file is not None:
             file.attach("device.toml", "application/toml", plant.calibration.device.toml().encode())
@@ -143,7 +157,7 @@ class Flight:
                 file.event("fault", str(error))
             raise
         finally:
-            plant.cycles.record = plant.refuse = None
+            plant.cycles.record, plant.guards = None, [one for one in plant.guards if one not in self._guards]
             if self.timing.answer.count and file is not None:
                 for name, h in self.timing.kinds.items():
                     times = f"median {h.p50 * 1e3:.3f} ms, 99 % {h.p99 * 1e3:.3f} ms, max {h.max * 1e3:.3f} ms"
@@ -156,10 +170,11 @@ class Flight:
         self._setup = self._describe(self._scene, self._controller)  # reads files: before the currents flow
         plant.takeoff(watch=self._watch, check_coils=True)
         self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
-        self.reason = self._check_sensor(plant.coils.sensor_delay)
+        if (late := landing(self._check_sensor(plant.coils.sensor_delay))) is not None:
+            plant.end(late)
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
-        plant.refuse = self._refuse
+        plant.guards += self._guards
         while not self._is_over(last):
             self._segment(last)
         ticks = plant.samples.tick - first
@@ -180,11 +195,31 @@ class Flight:
                 return f"the sensor is delayed by {delay * 1e3:.1f} ms; loop delay limit {limit * 1e3:.2f} ms"
         return ""
 
-    def _refuse(self, command: Command) -> bool:
-        """Return True if the laws of a command vibrate or generate energy: land instead."""
-        self._laws = [total - weight for total, weight in zip(command.force, self._carried)]
-        self.reason = self._power_guard.check(self._plant.pose, self._laws)
-        return bool(self.reason)
+    @property
+    def reason(self) -> str:
+        """Reason of a guard to land; "" without."""
+        return self._plant.reason
+
+    def _power(self, sample: DeviceSample) -> Alarm | None:
+        """Check that the laws of a command do not vibrate or generate energy."""
+        assert sample.force is not None
+        self._laws = [total - weight for total, weight in zip(sample.force, self._carried)]
+        return landing(self._power_guard.check(self._plant.pose, self._laws))
+
+    def _delay(self, sample: DeviceSample) -> Alarm | None:
+        """Check the loop delay of the last answer, with the sensor's."""
+        plant = self._plant
+        delay = max(plant.answers.delay_bound, plant.delay + self.timing.newest_age) + self._sensor_delay
+        return landing(self._delay_guard.check(delay))
+
+    def _named(self, sample: DeviceSample) -> Alarm | None:
+        """Return an alarm if the observer names a late sensor or a failing coil.
+
+        The device then stops: a hand moves a soft landing further.
+        """
+        delay, coil = self._plant.named
+        fault = (self._check_sensor(delay, self._controller.device_walls) if delay else "") or coil
+        return Alarm(Fault.HOST, fault, removes_walls=True) if fault else None
 
     def _missing(self) -> tuple[int, int]:
         """Return lost and skipped samples since takeoff."""
@@ -219,17 +254,12 @@ class Flight:
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         self._carried, self._faces = controller.carried.tolist(), controller.faces
-        plant, timing, check_delay = self._plant, self.timing, self._delay_guard.check
+        plant, timing = self._plant, self.timing
 
         def observe(sample: Sample, applied: Command) -> None:
             timing.add(plant)
             self._force = applied.force
-            delay = max(plant.answers.delay_bound, plant.delay + timing.newest_age) + self._sensor_delay
-            self.reason = self.reason or check_delay(delay)
-            if plant.sensor_delay and (late := self._check_sensor(plant.sensor_delay, controller.device_walls)):
-                plant.fail_host(late)  # a hand moves a soft landing further than the device's stop
-            if failing := plant.failing_coil:
-                plant.fail_host(failing)
+            plant.check_guards(When.ANSWERED)
             if self._warn is not None and self._file is not None and self._check_due():
                 self._check(self._file, self._warn)
             if not self._publishers:

@@ -1,6 +1,6 @@
-"""Guards of a flight.
+"""Guards of a flight: one list with one signature, from a sample to an alarm or nothing.
 
-Device guards cut the currents. The delay guard and the power guard (vibration, generated energy) land the flotor.
+An alarm without a fault lands the flotor; how a fault ends the flight stands in `ENDINGS` alone.
 """
 
 from __future__ import annotations
@@ -9,12 +9,13 @@ import math
 import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
+from enum import Enum
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
 from maglev_mj.bridge.connection import SampleCounter
 from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, FlotorGuard, HostLimits, Limits, SpotGuard, reading_fault
-from maglev_mj.bridge.wire import Fault, Flag, State, StateReport
+from maglev_mj.bridge.wire import Ending, Fault, Flag, State, StateReport, ending_of
 from maglev_mj.device import published_device
 from maglev_mj.errors import SensingError
 from maglev_mj.frames import ZERO
@@ -60,6 +61,7 @@ class DeviceSample(NamedTuple):
         expected: Currents that should flow [A], six; None if not available.
         modelled: Temperature rises computed from the sent currents, six; 1 trips.
         reversed: True if the measured pose moves against the commands; see `DelayEstimator`.
+        force: Force of the limited command that is about to be sent [N, N m], six; None before it is known.
     """
 
     report: StateReport
@@ -73,17 +75,44 @@ class DeviceSample(NamedTuple):
     expected: Sequence[float] | None
     modelled: Sequence[float]
     reversed: bool
+    force: Sequence[float] | None = None
 
 
 class Alarm(NamedTuple):
-    """Result of a failed guard: faults and a message of one line."""
+    """Result of a failed guard.
+
+    Attributes:
+        faults: The faults; none to land.
+        message: Message of one line.
+        removes_walls: True if walls on the device are removed before a controlled stop, which would keep them: they act
+            on a pose that is wrong.
+    """
 
     faults: Fault
     message: str
+    removes_walls: bool = False
+
+    @property
+    def ending(self) -> Ending:
+        """How it ends a flight."""
+        return ending_of(self.faults)
 
 
-Guard: TypeAlias = Callable[[DeviceSample], Alarm | None]
-"""Check of each sample of a device; returns an alarm or None."""
+def landing(message: str) -> Alarm | None:
+    """Return the alarm that lands the flotor for a message; None without one."""
+    return Alarm(Fault(0), message) if message else None
+
+
+class When(Enum):
+    """Times at which guards are asked."""
+
+    SAMPLED = "a sample has arrived"
+    COMMANDED = "its answer is known, and not yet sent"
+    ANSWERED = "its answer is sent"
+
+
+Guard: TypeAlias = tuple[When, Callable[[DeviceSample], Alarm | None]]
+"""When to check a sample of a device, and the check; it returns an alarm or None."""
 
 
 def device_guards(limits: Limits, own: HostLimits, period: float, scale: Scale) -> list[Guard]:
@@ -95,7 +124,7 @@ def device_guards(limits: Limits, own: HostLimits, period: float, scale: Scale) 
         period: Sample period [s].
         scale: Scale of the device.
     """
-    return [
+    checks: list[Callable[[DeviceSample], Alarm | None]] = [
         partial(_spots, SpotGuard(limits, period)),
         partial(_readings, limits),
         _pose,
@@ -107,6 +136,7 @@ def device_guards(limits: Limits, own: HostLimits, period: float, scale: Scale) 
         _clock,
         _Temperatures(),
     ]
+    return [(When.SAMPLED, check) for check in checks]
 
 
 def _spots(guard: SpotGuard, sample: DeviceSample) -> Alarm | None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn, Self, TypeAlias
+from typing import Any, NamedTuple, NoReturn, Self, TypeAlias
 
 import numpy as np
 
@@ -14,11 +14,11 @@ from maglev_mj.bridge import safety
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, LastCycles
-from maglev_mj.bridge.flight_guards import DeviceSample, device_guards
+from maglev_mj.bridge.flight_guards import Alarm, DeviceSample, When, device_guards
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import UNKNOWN, HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
-from maglev_mj.bridge.wire import CUT, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
+from maglev_mj.bridge.wire import CUT, Ending, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError, check_instance
 from maglev_mj.frames import ZERO, Command, DeviceWall, Sample
@@ -37,6 +37,18 @@ _Walls: TypeAlias = tuple[Wall, ...]
 _LARGEST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
+class Named(NamedTuple):
+    """What the observer names.
+
+    Attributes:
+        delay: Largest delay of the sensor in flight [s]; 0 if none was found.
+        coil: Message about a coil that fails; empty without.
+    """
+
+    delay: float
+    coil: str
+
+
 @checked(own="link")
 class GuardedPlant:
     """Remote device with guards, without takeoff and landing; see `RemotePlant`.
@@ -53,10 +65,11 @@ class GuardedPlant:
         renders_walls: True if the device renders walls at its own rate.
         latched: Faults latched in the device at the handshake, as one line; empty without faults.
         cycles: Last cycles, written to a file on a fault.
-        guards: Checks of each sample, in order; an alarm in flight cuts the currents.
+        guards: Checks of each sample, in order; an alarm in flight ends it, see `end`.
         disarmed: True after this host armed the device and switched the currents off.
         guided: True in takeoff and landing; the larger of the device's own and the chosen envelope then applies.
-        refuse: Check of each limited command of a scene, before it is sent: if True, only the weight is carried.
+        reason: Reason to land since ARM, of the first alarm without a fault; empty without. Then only the weight is
+            carried, until the landing.
         alarm: First alarm of the guards for the last sample, as text; empty without.
         state: State of the device at the last sample; `faults` are its faults then.
         first: First faults, at `fault_time` by the device's clock [ns]; 0 without faults.
@@ -69,14 +82,14 @@ class GuardedPlant:
             Includes contact with a stop; see `HandObserver`.
         sensor_delay: Largest delay of the sensor in flight [s], 0 if none was found; see `DelayEstimator`.
         coils: Estimator of the coil gains in takeoff.
-        failing_coil: Message about a coil that fails in flight, "" without; see `CoilMonitor`. Read it once a sample.
+        named: What the observer names. Read it once a sample.
         arrival: Arrival time of the last sample, by the link's clock [s].
     """
 
     hand_wrench = property(lambda self: self._hand.wrench)
     sensor_delay = property(lambda self: self._hand.sensor.delay)
     coils = property(lambda self: self._hand.coils)
-    failing_coil = property(lambda self: "" if self.samples.tick <= self._walled_until else self._hand.failing.fault())
+    named = property(lambda self: Named(self.sensor_delay, self._failing_coil()))
     arrival = property(lambda self: self._connection.arrival * 1e-9)
     answers = property(lambda self: self._connection.answers)
     last_delay = property(lambda self: self._connection.answers.last_delay)
@@ -134,11 +147,12 @@ class GuardedPlant:
         # armed by this host, with no end of the flight reported
         self.disarmed = self._armed = False
         self.guided = False
-        self.refuse: Callable[[Command], bool] | None = None
+        self.reason = ""
         self._carrying = Command((0.0 - calibration.body.load).tolist())
         self.unanswered: Sample | None = None  # an answer that is too late is ignored by the device
         self._pose_tick, self.alarm = 0, ""
         self._frame: Frame | None = None  # the last sample
+        self._sample: DeviceSample | None = None  # as the guards see it
         self._located: Sequence[float] = UNKNOWN  # its pose
         self.pose: Sequence[float] = ZERO
         self._forget_walls()
@@ -226,14 +240,11 @@ class GuardedPlant:
         previous: Any = before.body if before is not None else None
         guided, modelled = self.guided or not active, self._output.thermal.rises
         backwards = hand.sensor.reversed and not hand.check_coils  # in takeoff a coil is named
-        sample = DeviceSample(
+        self._sample = DeviceSample(
             report, previous, samples, active, guided, self._located, error, since, hand.currents, modelled, backwards
         )
         self.alarm = ""
-        for guard in self.guards:
-            if (alarm := guard(sample)) is not None:
-                self.alarm = self.alarm or f"{fault_names(alarm.faults)}: {alarm.message}"
-                self._fail_if_active(*alarm)
+        self.check_guards(When.SAMPLED)
         if error is not None:
             raise error
         return self.unanswered  # type: ignore[return-value]  # stored with the pose
@@ -252,10 +263,13 @@ class GuardedPlant:
         try:
             walls = self._on_device(command.walls) if command.walls else ()
             command, held, pulsed, width = self._output.currents(command, self.pose)
-            if self.refuse is not None and not self.guided and self.refuse(command):
-                command, held, pulsed, width = self._output.currents(self._carrying, self.pose)
         except (PlantError, ParameterError, TypeError) as error:
             self.fail(Fault.INVALID_COMMAND, str(error))
+        if not self.guided and self._sample is not None:
+            self._sample = self._sample._replace(force=command.force)
+            self.check_guards(When.COMMANDED)
+            if self.reason:
+                command, held, pulsed, width = self._output.currents(self._carrying, self.pose)
         self._answer(held, pulsed, width, walls)
         self._hand.answered(self.samples.tick, command, held, pulsed, width)
         return command
@@ -276,6 +290,10 @@ class GuardedPlant:
         self._answer(currents, None, 0.0)
         wrench = self.calibration.coils.wrench(np.asarray(currents)).tolist()
         self._hand.answered(self.samples.tick, Command(wrench), currents, None, 0.0)
+
+    def _failing_coil(self) -> str:
+        """Return a message about a coil that fails in flight, "" without; see `CoilMonitor`."""
+        return "" if self.samples.tick <= self._walled_until else self._hand.failing.fault()
 
     def _check_sample(self, call: str) -> None:
         self._check_open()
@@ -320,7 +338,7 @@ class GuardedPlant:
         hover = None if hover is None else numbers("hover", hover, shape="(6,)").tolist()
         stop = self._stop if hover is None else CUT
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover, stop=stop)
-        self.state, self._armed, self.guided = _ACTIVE, True, False
+        self.state, self._armed, self.guided, self.reason = _ACTIVE, True, False, ""
         self._hand.reset()
         self._forget_walls()
 
@@ -433,12 +451,28 @@ class GuardedPlant:
         if self.state is _ACTIVE:
             self.fail(faults, message)
 
-    def fail_host(self, message: str) -> NoReturn:
-        """Trip HOST, without the walls on the device, which a controlled stop would keep."""
-        if self._walls:
+    def check_guards(self, when: When) -> None:
+        """Check the last sample by the guards of a time; end the flight at an alarm."""
+        for time, guard in self.guards:
+            if time is when and self._sample is not None and (alarm := guard(self._sample)) is not None:
+                self.end(alarm)
+
+    def end(self, alarm: Alarm) -> None:
+        """End a flight by an alarm: set the reason to land, or trip the device, which stops or cuts; see `ENDINGS`.
+
+        Raises:
+            DeviceFault: If it has faults, in flight.
+        """
+        if alarm.ending is Ending.LAND:
+            self.reason = self.reason or alarm.message
+            return
+        self.alarm = self.alarm or f"{fault_names(alarm.faults)}: {alarm.message}"
+        if self.state is not _ACTIVE:
+            return
+        if alarm.removes_walls and alarm.ending is Ending.STOP and self._walls:
             self._send(self.last_currents, None, 0.0)
             self.read()  # the link may deliver two frames in reverse order
-        self.fail(Fault.HOST, message)
+        self.fail(alarm.faults, alarm.message)
 
     def fail(self, faults: Fault, message: str) -> NoReturn:
         """Trip the device, write its last cycles, raise DeviceFault."""

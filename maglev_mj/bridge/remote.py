@@ -5,14 +5,14 @@ from __future__ import annotations
 import gc
 import math
 from collections.abc import Callable, Sequence
-from typing import NoReturn, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
-from maglev_mj.bridge.flight_guards import shown
+from maglev_mj.bridge.flight_guards import Alarm, DeviceSample, When, shown
 from maglev_mj.bridge.guarded import GuardedPlant
 from maglev_mj.bridge.landing import LANDING_DELAY, LandingReport, Leader, Motion, Swing, straight
-from maglev_mj.bridge.wire import Fault, State
+from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import ZERO
@@ -105,9 +105,9 @@ class RemotePlant(GuardedPlant):
         if sum(x * g for x, g in zip(rest, gravity)) < _ON_STOP * base.reach[2] * math.hypot(*gravity):
             raise PlantError(f"no takeoff: the flotor is at {shown(rest)}; it must lie on its lower stop")
 
-        def off_path(pose: Sequence[float]) -> NoReturn:
+        def off_path(pose: Sequence[float]) -> None:
             coil = (fault := self.coils.fault(lost=True)) and f"; {fault}"
-            self.fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, off the takeoff path{coil}")
+            self.end(Alarm(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, off the takeoff path{coil}"))
 
         leader.aim(straight(rest, rest, duration))
         loop.cycle(2)  # warm-up of slow first calls; the device ignores these answers
@@ -146,12 +146,17 @@ class RemotePlant(GuardedPlant):
             return self._landed(self._leader, duration, watch)
         swing, cycles = Swing(self.scale.drop), self.cycles.mark(Fault(0), reason, self._about())
 
-        def check() -> bool:
-            if self.state is State.ACTIVE and (speed := swing.check(self.pose, self.samples.tick * self.period)):
-                self.fail(Fault.HOST, f"{reason}; still moving at {speed:.2f} m/s in the landing")
-            return watch is not None and bool(watch())
+        def swinging(sample: DeviceSample) -> Alarm | None:
+            if not sample.active or sample.error is not None:
+                return None
+            speed = swing.check(sample.pose, self.samples.tick * self.period)
+            return Alarm(Fault.HOST, f"{reason}; still moving at {speed:.2f} m/s in the landing") if speed else None
 
-        report = self._landed(self._tolerant, duration, check)
+        self.guards.append((When.SAMPLED, swinging))
+        try:
+            report = self._landed(self._tolerant, duration, watch)
+        finally:
+            self.guards.pop()
         return report._replace(reason=reason, path=self.cycles.write(cycles))
 
     def _landed(self, leader: Leader, duration: float, watch: _Watch | None) -> LandingReport:

@@ -37,7 +37,7 @@ _STALE = 4
 _HEADROOM = 1.25
 """Factor over the weight and the hover currents, as headroom for control."""
 _ROOM = 1.1
-"""Limit of a spot over the largest of poses within the envelope: outside of that the fault is BOUNDARY, not the sensor."""
+"""Limit of a spot over the largest of poses within the envelope: outside of that BOUNDARY comes first."""
 _ROUNDING = 1e-9
 _LIFT, _METER_STEPS = 0.25, 3.0
 """Largest share of the weight that currents at `off_current` may lift; its least value in steps of the meter."""

@@ -12,9 +12,9 @@ import hmac
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import Enum, IntEnum, IntFlag
 from typing import Annotated, Any, NamedTuple, TypeAlias, get_type_hints
 
 from maglev_mj.errors import ParameterError
@@ -47,6 +47,46 @@ class Fault(IntFlag):
     SENSOR_STOPPED = 8192  # the sensor's conversion counter stopped
     COIL_NOT_OFF = 16384  # current flows although the currents are cut
     WALL_ENERGY = 32768  # the walls on the device generated energy
+
+
+class Ending(Enum):
+    """Ways to end a flight early, the gentlest first."""
+
+    LAND = "landing"  # of the host, without a fault
+    STOP = "controlled stop"  # of the device: it fades the hover currents out
+    CUT = "cut"
+
+
+_WORKS, _BLIND = "sensor and coils work", "a controlled stop is damped by the spots"
+
+ENDINGS: Mapping[Fault, tuple[Ending, str]] = {
+    Fault.SENSOR_OUT_OF_RANGE: (Ending.CUT, _BLIND),
+    Fault.COIL_OVERTEMP: (Ending.CUT, "walls on the device would go on heating the coil"),
+    Fault.COIL_OVERCURRENT: (
+        Ending.CUT,
+        "the amplifier does not follow; the device stops if only a CMD was too large",
+    ),
+    Fault.FLOTOR_OVERSPEED: (Ending.CUT, f"the spots may have jumped: {_BLIND}"),
+    Fault.BOUNDARY: (Ending.CUT, f"diodes may be swapped: {_BLIND}"),
+    Fault.WATCHDOG: (Ending.STOP, f"{_WORKS}; the device cuts if the enable line opened"),
+    Fault.INVALID_COMMAND: (Ending.STOP, _WORKS),
+    Fault.ESTOP: (Ending.CUT, "someone asks for it"),
+    Fault.COIL_NOT_FOLLOWING: (Ending.CUT, "coils do not carry the currents of a controlled stop"),
+    Fault.SENSOR_FROZEN: (Ending.CUT, _BLIND),
+    Fault.CLOCK: (Ending.STOP, "a controlled stop counts samples, not time"),
+    Fault.NOT_FOLLOWING: (Ending.CUT, f"diodes or signs may be wrong: {_BLIND}"),
+    Fault.HOST: (Ending.STOP, _WORKS),
+    Fault.SENSOR_STOPPED: (Ending.CUT, _BLIND),
+    Fault.COIL_NOT_OFF: (Ending.CUT, "the currents are cut already"),
+    Fault.WALL_ENERGY: (Ending.STOP, f"{_WORKS}; the walls are removed"),
+}
+"""How a flight ends by each fault, and why; docs/explanation/faults.md has the same table."""
+
+
+def ending_of(faults: int) -> Ending:
+    """Return how faults end a flight: as the one that needs the most."""
+    endings = [ending for fault, (ending, _) in ENDINGS.items() if faults & fault]
+    return max(endings, key=list(Ending).index, default=Ending.LAND)
 
 
 class Flag(IntFlag):

@@ -252,9 +252,9 @@ def flooded_device() -> None:
     """Be the twin's process; print when ESTOP is latched first."""
     trip = Firmware.trip
 
-    def reported(firmware: Firmware, faults: Fault, now: int, **options: Any) -> None:
+    def reported(firmware: Firmware, faults: Fault, now: int, *, soft: bool = False) -> None:
         first = not firmware.faults
-        trip(firmware, faults, now, **options)
+        trip(firmware, faults, now, soft=soft)
         if first:
             print(f"cut {time.monotonic_ns()} {int(faults)}", flush=True)
 

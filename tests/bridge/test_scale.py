@@ -130,7 +130,7 @@ def test_limits_of_the_host_are_the_devices_own_unless_set(name: str) -> None:
     assert (own.envelope, own.envelope_angle) == (scale.envelope, scale.tilt)
     assert (own.speed_limit, own.spin_limit) == (scale.speed, scale.spin)
     assert HostLimits(speed_limit=0.1, envelope=0.003).scaled(scale) == own.replace(speed_limit=0.1, envelope=0.003)
-    guards: list[Any] = [part.args[0] for part in plant.guards if isinstance(part, partial)]
+    guards: list[Any] = [part.args[0] for _, part in plant.guards if isinstance(part, partial)]
     (guard,) = (part for part in guards if isinstance(part, FlotorGuard))
     for axis, far in ((0, scale.envelope), (4, scale.tilt)):
         for guided in (True, False):

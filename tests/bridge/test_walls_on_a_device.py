@@ -16,6 +16,7 @@ from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.flight_guards import Alarm
 from maglev_mj.bridge.observer import _WALLED, HandObserver
 from maglev_mj.bridge.preflight import assess, on_device
 from maglev_mj.bridge.twin import twin as twins
@@ -375,7 +376,7 @@ def test_walls_stand_until_a_command_without_them_arrives() -> None:
     assert plant._hand.measured is not None
     for _ in range(6):  # a stall, shorter than the watchdog's
         plant.read()
-        assert plant._hand.measured is not None and not plant.failing_coil
+        assert plant._hand.measured is not None and not plant.named.coil
     plant.write(Command(LIFT))
     sent = plant.samples.tick
     while plant._hand.measured is not None:
@@ -435,5 +436,6 @@ def test_a_delay_that_was_known_before_the_flight_does_not_end_it() -> None:
     sent: list[Any] = []
     plant._send = lambda *answer: sent.append(answer)  # type: ignore[method-assign]
     with pytest.raises(DeviceFault, match="HOST: delayed"):
-        plant.fail_host("delayed")
+        plant.state = State.ACTIVE
+        plant.end(Alarm(Fault.HOST, "delayed", removes_walls=True))
     assert not sent  # no walls to remove

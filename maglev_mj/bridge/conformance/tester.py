@@ -154,8 +154,8 @@ class Tester:
         self._sessions: set[int] = set()
         self._times: dict[int, int] = {}  # of the last frame from each address
         self._random, self._raw, self._idle = random.Random(1), b"", 0
-        self._track, self._offsets = tracker_of(calibration.beams, calibration.device.scale.reach), calibration.spot_offsets.tolist()
-        self._scale = calibration.device.scale
+        self._scale, self._offsets = calibration.device.scale, calibration.spot_offsets.tolist()
+        self._track = tracker_of(calibration.beams, self._scale.reach)
 
     def now(self) -> int:
         """Return the link's clock [ns]."""

@@ -13,8 +13,8 @@ from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, Profile, SpotGuard,
 from maglev_mj.bridge.wire import MOST_WALLS, NEVER, WRAP, Codec, Fault, HelloStatus, Operation, State, Wall, newer
 from maglev_mj.frames import ZERO
 
-_SOFT = Fault.WATCHDOG | Fault.INVALID_COMMAND | Fault.CLOCK | Fault.HOST
-"""Faults at which a TRIP starts a controlled stop: sensor and coils work."""
+_SOFT = sum((fault for fault in Fault if wire.ending_of(fault) is wire.Ending.STOP), Fault(0)) & ~Fault.WALL_ENERGY
+"""Faults at which a TRIP starts a controlled stop; no host detects WALL_ENERGY."""
 _LONGEST_STOP = 1.0
 _GAP = 2
 _SILENCE = 1_000_000_000
