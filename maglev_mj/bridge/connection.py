@@ -26,6 +26,9 @@ _HELLO_INTERVAL, _ESTOP_INTERVAL = 0.1, 0.005
 TAKEOVER = 1.0
 """Silence after which an idle device drops its host [s]."""
 
+_MISMATCH = 0.5
+"""Largest error of a timestamp against the number of its sample, in periods."""
+
 T = TypeVar("T")
 
 
@@ -168,6 +171,7 @@ class SampleCounter:
 
     def __init__(self, period: int) -> None:
         self.period, self.out_of_step, self.tick = period, "", -1
+        self._mismatch = int(_MISMATCH * period)
         self.elapsed = self.lost = self.skipped = self.time = self._sequence = 0
 
     def count(self, sequence: int, time: int, skipped: int) -> None:
@@ -180,7 +184,7 @@ class SampleCounter:
             self.tick = 0
         else:
             self.elapsed, passed = (sequence - self._sequence) & WRAP, time - self.time
-            if abs(passed - self.elapsed * self.period) > self.period // 2:
+            if abs(passed - self.elapsed * self.period) > self._mismatch:
                 span = f"{self.elapsed} samples of {self.period * 1e-6:.3f} ms"
                 self.out_of_step = f"{passed * 1e-6:.3f} ms elapsed over {span}"
             self.tick += self.elapsed

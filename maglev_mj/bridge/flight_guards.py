@@ -37,6 +37,8 @@ _RULES = (3, 5, 3.0), (8, 16, 1.25), (48, 64, 1.0)
 
 A busy machine exceeds the limit slightly for 0.1 s, and there a loop diverges slowly.
 """
+_HELD = 2.0
+"""Periods without an answer after which a device may hold."""
 _MEMORY = 0.2
 """Time constant of the sums of reversals [s]."""
 _FORGOTTEN = 1.0
@@ -131,7 +133,7 @@ def device_guards(limits: Limits, own: HostLimits, period: float, scale: Scale) 
         _response,
         partial(_envelope, FlotorGuard(own, scale)),
         partial(_currents, CoilGuard(limits)),
-        partial(_holding, 2e6 * period),
+        partial(_holding, 1e6 * _HELD * period),
         _enabled,
         _clock,
         _Temperatures(),
