@@ -258,7 +258,7 @@ def flooded_device() -> None:
         if first:
             print(f"cut {time.monotonic_ns()} {int(faults)}", flush=True)
 
-    Firmware.trip = reported  # type: ignore[method-assign]
+    Firmware.trip = reported  # type: ignore[assignment, method-assign]
     main(["twin", "--listen", "udp://127.0.0.1:0", "--watchdog", "1", "--seconds", "20"])
 
 
