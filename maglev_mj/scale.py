@@ -47,6 +47,7 @@ class Scale:
     Attributes:
         off: Largest current of a coil that is off [A]; six of them lift 22 % of the weight.
         least: Least change of a coil's current from which a missing force is judged [A]; as `off`, or n / g times it.
+        probe: Acceleration by the probe of one coil [m/s²], 4 % of g or, if more, n; see `Residual`.
         drop: Speed of a flotor that falls from the centre to its stop [m/s], sqrt(g d).
         speed: Speed limit [m/s], sqrt(x / m): 84 % of the speed that a hand of 20 N reaches across the range; at least
             twice `drop`.
@@ -75,6 +76,7 @@ class Scale:
 
     off: float
     least: float
+    probe: float
     drop: float
     speed: float
     spin: float
@@ -113,6 +115,7 @@ class Scale:
         return Scale(
             off=0.25 * m * g / lift,
             least=0.15 * m * max(g, noise) / lift,
+            probe=0.4 * max(g, noise),
             drop=0.3 * drop,
             speed=0.6 * fast,
             spin=15.0 * fast / r,

@@ -347,6 +347,11 @@ class Connection:
         self.settled = max(self.settled, report.at)
         return report
 
+    @property
+    def session(self) -> int:
+        """Number of the session, drawn by the device."""
+        return self._session
+
     def close(self) -> None:
         """End the session and close the link; idempotent."""
         if self.open:

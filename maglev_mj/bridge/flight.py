@@ -40,6 +40,8 @@ from maglev_mj.session import REPLACED, STEP_FORCE, ChangeRequest, Publisher, Sa
 from maglev_mj.terminal import wrapped
 
 _ANSWERS = 100  # of the median delay: single late answers do not destabilise a loop
+_PROVEN = 1e-3
+"""Least delay of the sensor that is acted on after a probe [s]."""
 _NOTE = "hand, sample rate and delay are the device's"
 
 
@@ -52,6 +54,7 @@ class FlightReport(NamedTuple):
         skipped: Samples not answered because a newer one had arrived, since takeoff.
         wall_time: Duration in real time [s].
         landing: Pose and motion after landing.
+        probes: Probes by their outcome, as text; "" without.
     """
 
     ticks: int
@@ -59,10 +62,12 @@ class FlightReport(NamedTuple):
     skipped: int
     wall_time: float
     landing: LandingReport
+    probes: str = ""
 
     def __str__(self) -> str:
         summary = f"  {self.wall_time:.1f} s, {self.ticks} samples, {self.lost} lost, {self.skipped} skipped"
-        return "\n".join([summary, *wrapped(str(self.landing), further="    ")])
+        probes = wrapped(self.probes, further="    ") if self.probes else []
+        return "\n".join([summary, *probes, *wrapped(str(self.landing), further="    ")])
 
 
 class Flight:
@@ -162,15 +167,17 @@ class Flight:
                 for name, h in self.timing.kinds.items():
                     times = f"median {h.p50 * 1e3:.3f} ms, 99 % {h.p99 * 1e3:.3f} ms, max {h.max * 1e3:.3f} ms"
                     file.event("timing", f"{name}: {times}")
+                if plant.probes:
+                    file.event("probes", plant.probes)
                 file.event("timing", "{} samples lost, {} skipped".format(*self._missing()))
-        return FlightReport(ticks, *self._missing(), time.monotonic() - start, landing)
+        return FlightReport(ticks, *self._missing(), time.monotonic() - start, landing, plant.probes)
 
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
         plant = self._plant
         self._setup = self._describe(self._scene, self._controller)  # reads files: before the currents flow
         plant.takeoff(watch=self._watch, check_coils=True)
         self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
-        if (late := landing(self._check_sensor(plant.coils.sensor_delay))) is not None:
+        if (late := landing(self._check_sensor(plant.coils.sensor_delay, least=LATE * plant.period))) is not None:
             plant.end(late)
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
@@ -182,14 +189,15 @@ class Flight:
             self._file.event("landing", self.reason)
         return ticks, plant.land(watch=lambda: self._watch() and False, reason=self.reason)
 
-    def _check_sensor(self, delay: float, walls: Sequence[DeviceWall] = ()) -> str:
+    def _check_sensor(self, delay: float, walls: Sequence[DeviceWall] = (), least: float = _PROVEN) -> str:
         """Add the sensor's delay [s] to that of the loop; return a message if the scene does not tolerate both.
 
-        `walls` are those on the device: they tolerate no delay that begins in flight.
+        `walls` are those on the device: they tolerate no delay that begins in flight. Delays up to `least` [s] are not
+        acted on.
         """
-        if walls and delay > self._sensor_delay + LATE * self._plant.period:
-            return f"the sensor is delayed by {delay * 1e3:.1f} ms; walls on the device removed"
-        if delay > max(self._sensor_delay, LATE * self._plant.period):  # false for NaN
+        if walls and delay > self._sensor_delay + least:
+            return f"the sensor is delayed by at least {delay * 1e3:.1f} ms; walls on the device removed"
+        if delay > max(self._sensor_delay, least):  # false for NaN
             self._sensor_delay, limit = delay, self._delay_guard.limit
             if delay + self._plant.answers.delay_bound > limit:
                 return f"the sensor is delayed by {delay * 1e3:.1f} ms; loop delay limit {limit * 1e3:.2f} ms"

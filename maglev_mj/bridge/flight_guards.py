@@ -62,7 +62,7 @@ class DeviceSample(NamedTuple):
         since: Time since the last pose [s].
         expected: Currents that should flow [A], six; None if not available.
         modelled: Temperature rises computed from the sent currents, six; 1 trips.
-        reversed: True if the measured pose moves against the commands; see `DelayEstimator`.
+        reversed: True if the measured pose moves against the commands; see `Residual`.
         force: Force of the limited command that is about to be sent [N, N m], six; None before it is known.
     """
 

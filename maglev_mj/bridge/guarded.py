@@ -24,6 +24,7 @@ from maglev_mj.errors import ParameterError, PlantError, SensingError, check_ins
 from maglev_mj.frames import ZERO, Command, DeviceWall, Sample
 from maglev_mj.keywords import checked, every_tick, explained
 from maglev_mj.parameters import numbers
+from maglev_mj.plants.coils import wrench_of
 from maglev_mj.plants.sensor import tracker_of
 
 _INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
@@ -80,16 +81,17 @@ class GuardedPlant:
         samples: Counter of received, lost and skipped samples.
         hand_wrench: Estimated wrench of the hand, low-passed at 20 Hz [N, N m]; NaN unless the device is active.
             Includes contact with a stop; see `HandObserver`.
-        sensor_delay: Largest delay of the sensor in flight [s], 0 if none was found; see `DelayEstimator`.
+        sensor_delay: Largest delay of the sensor in flight [s], 0 if none was found; see `Residual`.
         coils: Estimator of the coil gains in takeoff.
-        named: What the observer names. Read it once a sample.
+        named: What the observer names; see `Residual`.
+        probes: Probes of the last flight by their outcome, as text; "" without.
         arrival: Arrival time of the last sample, by the link's clock [s].
     """
 
     hand_wrench = property(lambda self: self._hand.wrench)
-    sensor_delay = property(lambda self: self._hand.sensor.delay)
+    sensor_delay = property(lambda self: self._hand.residual.delay)
     coils = property(lambda self: self._hand.coils)
-    named = property(lambda self: Named(self.sensor_delay, self._failing_coil()))
+    named = property(lambda self: Named(self.sensor_delay, self._hand.residual.coil))
     arrival = property(lambda self: self._connection.arrival * 1e-9)
     answers = property(lambda self: self._connection.answers)
     last_delay = property(lambda self: self._connection.answers.last_delay)
@@ -136,7 +138,9 @@ class GuardedPlant:
             step, delay = profile.wall_period / 1e9, profile.wall_delay / 1e9
             self.walls_clock = (step, delay) if step else None
             self.renders_walls = self.walls_clock is not None
-            self._hand = HandObserver(calibration, self.period, self.delay, age=0.5 * step - delay)
+            self._hand = HandObserver(
+                calibration, self.period, self.delay, age=0.5 * step - delay, seed=self._connection.session
+            )
             self._maps = calibration.wall_maps
             self._stop = calibration.controlled_stop(self.period + self.delay, self.limits.continuous_current)
             self._prepare()
@@ -146,6 +150,7 @@ class GuardedPlant:
         self.last_currents: Sequence[float] = ZERO
         # armed by this host, with no end of the flight reported
         self.disarmed = self._armed = False
+        self.probes = ""
         self.guided = False
         self.reason = ""
         self._carrying = Command((0.0 - calibration.body.load).tolist())
@@ -239,7 +244,7 @@ class GuardedPlant:
             hand.sampled(samples.tick, samples.elapsed, self._located, answers.answered_tick, answers.newest_delay)
         previous: Any = before.body if before is not None else None
         guided, modelled = self.guided or not active, self._output.thermal.rises
-        backwards = hand.sensor.reversed and not hand.check_coils  # in takeoff a coil is named
+        backwards = hand.residual.reversed and not hand.check_coils  # in takeoff a coil is named
         self._sample = DeviceSample(
             report, previous, samples, active, guided, self._located, error, since, hand.currents, modelled, backwards
         )
@@ -270,9 +275,25 @@ class GuardedPlant:
             self.check_guards(When.COMMANDED)
             if self.reason:
                 command, held, pulsed, width = self._output.currents(self._carrying, self.pose)
+        command, held, pulsed, probe = self._probed(command, held, pulsed)
         self._answer(held, pulsed, width, walls)
-        self._hand.answered(self.samples.tick, command, held, pulsed, width)
+        self._hand.answered(self.samples.tick, command, held, pulsed, width, probe)
         return command
+
+    def _probed(self, command: Command, held: Any, pulsed: Any) -> tuple[Command, Any, Any, Sequence[float]]:
+        """Return a command and its currents with those of a probe, within the limit, and the wrench of the probe."""
+        residual, most = self._hand.residual, self.limits.current_limit
+        residual.watching = self.state is _ACTIVE and not self._hand.check_coils
+        if (added := residual.currents()) is None:
+            return command, held, pulsed, ZERO
+        both = held if pulsed is None else pulsed
+        added = [max(min(dx, most - max(x, y)), -most - min(x, y)) for dx, x, y in zip(added, held, both)]
+        turned = self.calibration.coils.inverse_at_angle(*self.pose[3:])
+        probe = wrench_of(turned, np.array(added)).tolist()
+        held = [x + dx for x, dx in zip(held, added)]
+        pulsed = None if pulsed is None else [x + dx for x, dx in zip(pulsed, added)]
+        force = [x + dx for x, dx in zip(command.force, probe)]
+        return Command(force, command.extra, command.pulse_width, command.walls), held, pulsed, probe
 
     @explained
     def drive(self, currents: Sequence[float]) -> None:
@@ -290,10 +311,6 @@ class GuardedPlant:
         self._answer(currents, None, 0.0)
         wrench = self.calibration.coils.wrench(np.asarray(currents)).tolist()
         self._hand.answered(self.samples.tick, Command(wrench), currents, None, 0.0)
-
-    def _failing_coil(self) -> str:
-        """Return a message about a coil that fails in flight, "" without; see `CoilMonitor`."""
-        return "" if self.samples.tick <= self._walled_until else self._hand.failing.fault()
 
     def _check_sample(self, call: str) -> None:
         self._check_open()
@@ -345,7 +362,7 @@ class GuardedPlant:
     def disarm(self) -> None:
         """Switch the currents off."""
         self._ask(Operation.DISARM)
-        self._armed, self.disarmed = False, True
+        self._armed, self.disarmed, self.probes = False, True, str(self._hand.residual)
         self._hand.reset()
         if self.state is _ACTIVE:
             self.state = _INACTIVE
@@ -476,7 +493,7 @@ class GuardedPlant:
 
     def fail(self, faults: Fault, message: str) -> NoReturn:
         """Trip the device, write its last cycles, raise DeviceFault."""
-        self._armed = False
+        self._armed, self.probes = False, str(self._hand.residual)
         if self.state is not _FAULT or not self.faults & faults:
             with suppress(Exception):  # report and last cycles must not depend on the link
                 self.trip(faults)

@@ -6,7 +6,6 @@ import math
 import random
 import re
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -21,7 +20,7 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
 from maglev_mj.bridge.landing import LANDING_DELAY, Leader, Swing
-from maglev_mj.bridge.observer import _FREE, _WALLED, CoilMonitor, DelayEstimator, HandObserver
+from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.bridge.preflight import LinkReport, _critical_delay
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
@@ -432,70 +431,6 @@ def test_the_delay_guard_counts_the_sensors_delay(tmp_path: Path) -> None:
 # delay of the sensor in flight
 
 
-def estimated(
-    period: float, late: int, seconds: float, hand: Any = None, lost: Any = (), most: float = 3.0, gain: float = 1.0
-) -> float:
-    """Return the delay found for a free mass, driven at random, whose position is measured some samples late [s].
-
-    The measured position is multiplied by a gain, which must be found to be negative or not.
-    """
-    estimator, draw, mass = DelayEstimator(period, 0.7), random.Random(3), 0.7
-    x, v, force, path = 0.0, 0.0, 0.0, [0.0] * (late + 1)
-    for tick in range(round(seconds / period)):
-        if tick % max(1, round(0.005 / period)) == 0:
-            force = draw.uniform(-most, most)
-        pull = force + (0.0 if hand is None else hand(tick * period))
-        x, v = x + v * period + 0.5 * pull / mass * period**2, v + pull / mass * period
-        path.append(gain * x)
-        drive = (0.0, force, 0.0, 0.0, 0.0, 0.0), (0.0,) * 6
-        measured = math.nan if tick in lost else path[-1 - late]
-        estimator.add([0.0 * measured, measured, 0.0, 0.0, 0.0, 0.0], [(period, drive)])
-    assert estimator.reversed == (gain < 0.0)
-    delay = estimator.delay
-    for _ in range(round(0.1 / period)):  # at rest again
-        estimator.add([0.0] * 6, [(period, ((0.0,) * 6, (0.0,) * 6))])
-    assert not estimator.reversed
-    return delay
-
-
-@pytest.mark.parametrize("late", range(6))
-@pytest.mark.parametrize("period", [0.005, 0.002, 0.001])
-def test_the_delay_of_a_pose_follows_from_the_commands(period: float, late: int) -> None:
-    step = max(1, round(0.002 / period))
-    assert estimated(period, late * step, 0.3) == pytest.approx(late * step * period)
-    assert estimated(period, late * step, 0.15, lost=(20,)) == pytest.approx(late * step * period)
-
-
-def test_a_hand_is_not_mistaken_for_a_delay() -> None:
-    push = lambda time: 20.0 * math.sin(12.0 * time)  # noqa: E731
-    tap = lambda time: 20.0 * (time % 0.1 < 0.03)  # noqa: E731
-    assert estimated(0.005, 0, 2.0, push) == estimated(0.005, 0, 2.0, tap) == estimated(0.005, 0, 2.0, gain=0.0) == 0.0
-    blow = lambda time: 200.0 * (0.02 < time < 0.03)  # noqa: E731
-    assert estimated(0.005, 2, 0.2, blow) == 0.01
-    assert estimated(0.005, 2, 2.0, most=0.1) == 0.0  # too little to judge
-
-
-@pytest.mark.parametrize(("acceleration", "delay"), [(1.0, 0.005), (8.0, 0.0032)])
-def test_less_tells_a_delay_with_walls_on_the_device(acceleration: float, delay: float) -> None:
-    """A motion at 20 Hz: small, or with (1.8 ms / 3.2 ms)² left by a delay of 5 ms."""
-    found = []
-    for bounds, late in ((_FREE, delay), (_WALLED, delay), (_WALLED, 0.0)):
-        estimator, speed, zero = DelayEstimator(0.005, 0.7), 2.0 * math.pi * 20.0, (0.0,) * 6
-        estimator.bounds = bounds
-        for time in np.arange(0.0, 0.5, 0.005):
-            height = -acceleration / speed**2 * math.sin(speed * (time - late))
-            force = 0.7 * acceleration * math.sin(speed * (time - 0.0025))
-            estimator.add([0.0, 0.0, height, 0.0, 0.0, 0.0], [(0.005, ((0.0, 0.0, force, 0.0, 0.0, 0.0), zero))])
-        found.append(estimator.delay)
-    assert found == [0.0, 0.005, 0.0]
-
-
-@pytest.mark.parametrize("gain", [-1.0, -1.3, 0.5, 2.0])
-@pytest.mark.parametrize("period", [0.005, 0.002, 0.001])
-def test_a_pose_that_moves_against_the_commands_is_found(period: float, gain: float) -> None:
-    assert estimated(period, 0, 0.3, gain=gain) == 0.0
-
-
 def test_a_sensor_mirrored_in_flight_ends_it(tmp_path: Path) -> None:
     def prepare(twin: Any, link: Any) -> None:
         read = twin._read
@@ -532,7 +467,8 @@ def delayed_sensor(samples: int, since: float = 1.6) -> Any:
 )
 def test_a_sensor_delayed_in_flight_ends_it(name: str, hand: str, late: int, tmp_path: Path) -> None:
     flown = fly(name, hand=hand, prepare=delayed_sensor(late), folder=tmp_path)
-    assert f"HOST: the sensor is delayed by {5 * late}.0 ms; loop delay limit" in flown.outcome
+    message = re.search(r"HOST: the sensor is delayed by ([\d.]+) ms; loop delay limit", flown.outcome)
+    assert message is not None and float(message[1]) == pytest.approx(5.0 * late, abs=2.5)
     active = flown.rows[flown.rows[:, 14] == 1.0]
     assert np.linalg.norm(active[:, 7:10], axis=1).max() < 0.15 and flown.speeds(1.6).max() < 0.33
 
@@ -545,75 +481,6 @@ def test_a_sensor_whose_delay_shows_in_the_landing_only_lands_softly(hand: str, 
 
 
 # coils in flight
-
-
-def monitored(
-    period: float, change: Callable[[float, Any], Any], lost: Any = (), currents: Any = None
-) -> tuple[float, str]:
-    """Return time and text of the first message about a free flotor; infinity and "" for none.
-
-    Its coils carry these currents, or some drawn every 5 ms around those that hover; the wrench changes from 0.2 s on.
-    """
-    calibration, draw = Calibration.nominal(), np.random.default_rng(4)
-    monitor, body = CoilMonitor(calibration, period), calibration.body
-    x, v = np.zeros(6), np.zeros(6)
-    for tick in range(round(0.4 / period)):
-        if tick % max(1, round(0.005 / period)) == 0:
-            drawn = calibration.hover + draw.uniform(-0.5, 0.5, 6) if currents is None else np.array(currents)
-        wrench, since = PER_CURRENT @ drawn + body.load, tick * period - 0.2
-        if since >= 0.0:
-            wrench = wrench + change(since, drawn)
-        acceleration = wrench / body.inertia
-        x, v = x + period * v + 0.5 * period**2 * acceleration, v + period * acceleration
-        measured = np.full(6, math.nan) if tick in lost else x + 4e-7 * draw.standard_normal(6)
-        monitor.add((measured.tolist(), [(period, ((0.0,) * 6, tuple(drawn)))]))
-        if message := monitor.fault():
-            return since + period, message
-    return math.inf, ""
-
-
-PER_CURRENT = Calibration.nominal().coils.wrench_per_current
-STEADY = [2.0 if coil == 1 else 1.145 for coil in range(6)]
-"""Constant currents [A]."""
-
-
-@pytest.mark.parametrize("period", [0.005, 0.002, 0.001])
-@pytest.mark.parametrize("gain", [0.0, -1.0])
-@pytest.mark.parametrize("coil", range(6))
-def test_a_coil_that_fails_in_flight_is_named(coil: int, gain: float, period: float) -> None:
-    lose = lambda _, currents: (gain - 1.0) * currents[coil] * PER_CURRENT[:, coil]  # noqa: E731
-    for currents, most in ((STEADY, 0.03), (None, 0.2)):
-        time, message = monitored(period, lose, currents=currents)
-        assert re.fullmatch(rf"coil {coil} gives -?\d+ % of its calibrated force", message) and 0.0 < time < most
-        assert abs(float(message.split()[3]) - 100.0 * gain) <= 10.0
-    missing = range(round(0.195 / period), round(0.235 / period))
-    assert monitored(period, lose, missing, currents=STEADY) == (math.inf, "")
-
-
-@pytest.mark.parametrize("axis", range(6))
-@pytest.mark.parametrize("period", [0.005, 0.001])
-def test_a_hand_is_not_mistaken_for_a_coil(axis: int, period: float) -> None:
-    lever = 1.0 if axis < 3 else 0.03
-    for shape in (
-        lambda time: 20.0 * math.sin(40.0 * time),
-        lambda time: 20.0 * (time % 0.1 < 0.03),
-        lambda time: -200.0 * (0.02 < time < 0.03),
-        lambda time: 8.0,
-    ):
-        pull = lambda time, _: lever * shape(time) * np.eye(6)[axis]  # noqa: E731, B023
-        assert monitored(period, pull) == monitored(period, pull, currents=STEADY) == (math.inf, "")
-
-
-@pytest.mark.parametrize("more", [0.5, -0.5, -1.5, -3.0])
-def test_a_wrench_along_one_coil_is_a_fault_only_if_it_is_dead_or_reversed(more: float) -> None:
-    along = lambda _, currents: more * currents[1] * PER_CURRENT[:, 1]  # noqa: E731
-    assert monitored(0.005, along, currents=STEADY) == (math.inf, "")
-
-
-@pytest.mark.parametrize("period", [0.005, 0.001])
-def test_too_little_current_tells_nothing_of_a_coil(period: float) -> None:
-    dead = lambda _, currents: -currents[1] * PER_CURRENT[:, 1]  # noqa: E731
-    assert monitored(period, dead, currents=[0.12] * 6) == (math.inf, "")
 
 
 def failing_coil(coil: int, gain: float, rate: int) -> Any:
@@ -680,16 +547,4 @@ def test_a_gap_in_the_samples_is_not_an_acceleration() -> None:
     for tick in [*range(20), *range(25, 45)]:
         observer.sampled(tick, 6 if tick == 25 else 1, [1e-3 * tick] * 6, tick - 1, 0.0015)
         observer.answered(tick, hover, calibration.hover.tolist(), None, 0.0)
-        assert tick < 19 or max(observer.sensor._errors) < 1e-9
-
-
-def test_an_overflow_of_unread_samples_restarts_the_estimate() -> None:
-    calibration = Calibration.nominal()
-    observer = HandObserver(calibration, 0.0001, 0.00005)  # low-pass memory longer than the buffer
-    for tick in range(120):
-        observer.sampled(tick, 1, [1e-4 * (tick < 36) * (-1) ** tick] * 6, tick - 1, 0.00005)
-        observer.answered(tick, Command([0.0] * 6), [0.0] * 6, None, 0.0)
-        if tick == 35:
-            assert max(map(abs, observer.wrench)) > 1.0
-    weight = [*(-calibration.mass * calibration.gravity), 0.0, 0.0, 0.0]  # carried by the hand only
-    assert observer.wrench == pytest.approx(weight, abs=1e-9)
+        assert tick < 19 or not observer.residual._sums.any()

@@ -60,8 +60,7 @@ def no_pose(rig: Rig) -> None:
 
 def backwards(rig: Rig) -> None:
     """Let the pose appear to move against the commands."""
-    sensor = rig.plant._hand.sensor
-    sensor.reversed, sensor._compare = True, lambda *_: None  # type: ignore[method-assign]
+    rig.plant._hand.residual.reversed = True
 
 
 def out_of_step(rig: Rig) -> None:
