@@ -177,7 +177,8 @@ class Flight:
         self._setup = self._describe(self._scene, self._controller)  # reads files: before the currents flow
         plant.takeoff(watch=self._watch, check_coils=True)
         self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
-        if (late := landing(self._check_sensor(plant.coils.sensor_delay, least=LATE * plant.period))) is not None:
+        found = self._check_sensor(plant.coils.sensor_delay, least=LATE * plant.period) or self._check_weight()
+        if (late := landing(found)) is not None:
             plant.end(late)
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
@@ -201,6 +202,36 @@ class Flight:
             self._sensor_delay, limit = delay, self._delay_guard.limit
             if delay + self._plant.answers.delay_bound > limit:
                 return f"the sensor is delayed by {delay * 1e3:.1f} ms; loop delay limit {limit * 1e3:.2f} ms"
+        return ""
+
+    def _check_weight(self) -> str:
+        """Check the scene again with the mass that the takeoff has found, and carry it; return a message if refused.
+
+        The flotor hovers meanwhile.
+        """
+        plant, scene, found = self._plant, self._scene, self._plant.coils.weight
+        if not found:
+            return ""
+        plant.weigh()
+        body = plant.calibration.body
+        self._inertia, self._load, self._weight = (each.tolist() for each in (body.inertia, body.load, 0.0 - body.load))
+        self._note = found
+        if self._file is not None:
+            self._file.event("takeoff", found)
+        if self._checker is None:
+            return f"{found}: the scene was not checked with it"
+        self._checker.ask(scene, self._inertia, ())
+        while (answer := self._checker.answer()) is None:
+            plant.hover()
+        critical, problem = answer
+        if critical is None:
+            return f"{found}: {problem}"
+        self._delay_guard.limit = delay_limit(critical, plant.period, own=plant.delay)
+        self._power_guard = PowerGuard(plant.period, self._inertia, plant.scale)
+        self._controller = session.device_controller(scene, self._weight)
+        plant.hover()  # creating it takes half a period at 1 kHz, as does what follows
+        self._setup = self._describe(scene, self._controller)
+        plant.hover()
         return ""
 
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from statistics import median
 from typing import TypeAlias
 
 import numpy as np
@@ -27,8 +26,14 @@ _CERTAIN, _PROMPT = 0.02, 2e-4
 LATE = 0.5
 """Smallest delay of a sensor that is acted on, in sample periods: above its uncertainty over a jittery line."""
 
-_FAULTY, _RELATIVE = 0.07, 0.2
-"""Gain error of a faulty coil, absolute and relative to the largest error."""
+_FAULTY = 0.07
+"""Least error of a coil's gain, of the mass and of the inertia that is not as calibrated."""
+
+_CAUSES, _IMPROVED, _EXPLAINED, _SHOWN = 3, 0.4, 0.25, 500.0
+"""Most causes of a path; largest share of the squared error that one more leaves; error of a path that is explained,
+and of rotations that show a coil, in noises."""
+
+_CAUSE_NAMES = [*(f"coil {coil}" for coil in range(6)), "delay", "mass", "inertia"]
 
 _DRIFT = 0.2
 """Time per order of the polynomial that is projected out [s]: with jitter, the integrated currents drift."""
@@ -71,7 +76,7 @@ class HandObserver:
     measured: Sequence[float] | None = None
 
     def __init__(self, calibration: Calibration, period: float, delay: float, age: float = 0.0, seed: int = 0) -> None:
-        self._period, self._delay, self._split = period, delay, 0.5 * period - age
+        self._period, self._delay, self._split, self._seed = period, delay, 0.5 * period - age, seed
         self._keep = math.exp(-2.0 * math.pi * _CORNER * period)
         self._calibration = calibration
         self._body = [inertia / period**2 for inertia in calibration.body.inertia.tolist()]
@@ -92,6 +97,13 @@ class HandObserver:
         self._answered, self._valid_from = 0, 0.0  # newest answer; time after which no earlier one is in effect [s]
         self._poses: tuple[Sequence[float], Sequence[float]] = UNKNOWN, UNKNOWN  # the last two
         self._rising: tuple[Sums, Sums] = _STILL, _STILL  # of wrench and currents, in the last period
+
+    def weigh(self, calibration: Calibration) -> None:
+        """Continue with another mass and inertia."""
+        self._calibration = calibration
+        self._body = [inertia / self._period**2 for inertia in calibration.body.inertia.tolist()]
+        self._weight = calibration.body.load.tolist()
+        self.residual = Residual(calibration, self._period, self._delay, self._seed)
 
     def answered(
         self,
@@ -211,10 +223,11 @@ def _between(before: Sums, now: Sums, period: float) -> list[float]:
 
 
 class CoilEstimator:
-    """Estimator of each coil's gain and of the sensor's delay from a motion without a hand.
+    """Estimator of coil gains, sensor delay, mass and inertia from a motion without a hand.
 
     Least squares: the path computed from the currents by double integration is fitted to the measured path, after
-    liftoff. A gain is identifiable if the coil carried current.
+    liftoff. A gain is identifiable if the coil carried current. Of all causes the fewest that explain the path count: a
+    weight on the handle is a weight, not two coils.
 
     Args:
         calibration: Calibration of the device.
@@ -222,9 +235,12 @@ class CoilEstimator:
 
     Attributes:
         sensor_delay: Delay of the sensor at the last call of `fault` [s]; NaN if not identifiable.
+        mass: Mass relative to the calibrated one at that call; 1 within 7 %.
+        inertia: Moments of inertia, the same.
     """
 
     sensor_delay = math.nan
+    mass = inertia = 1.0
 
     def __init__(self, calibration: Calibration, period: float) -> None:
         self._period, self._scale = period, calibration.device.scale
@@ -244,40 +260,86 @@ class CoilEstimator:
         measured: Array = rows[np.isfinite(rows[:, 0])]
         return measured
 
-    def estimate(self) -> tuple[Array, float]:
-        """Return the coil gains relative to the calibration, (6,), and the sensor's delay [s]; NaN if uncertain."""
+    def _flown(self) -> Array | None:
+        """Return the rows of `_summed` after liftoff; None if too few."""
         rows = self._summed()
         lifted = np.flatnonzero(np.abs(rows[:, :3] - rows[:1, :3]).max(axis=1, initial=0.0) > self._scale.lifted)
-        if not lifted.size or len(rows) - lifted[0] < _FEWEST:
+        return rows[lifted[0] :] if lifted.size and len(rows) - lifted[0] >= _FEWEST else None
+
+    def estimate(self) -> tuple[Array, float]:
+        """Return the coil gains relative to the calibration, (6,), and the sensor's delay [s]; NaN if uncertain."""
+        rows = self._flown()
+        if rows is None:
             return np.full(6, np.nan), math.nan
-        matrix, residual = self._fit(rows[lifted[0] :], range(6))
+        matrix, residual = self._fit(rows, range(6))
         changes = np.linalg.lstsq(matrix, residual, rcond=None)[0]
         errors = self._scale.noise * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix)))
         *gains, delay = np.where(errors < [_CERTAIN] * 6 + [_PROMPT], changes, np.nan)
         return 1.0 + np.array(gains), float(delay)
 
-    def fault(self, lost: bool = False) -> str:
-        """Return a message about coils that are not as calibrated; "" if all are.
+    def causes(self) -> dict[str, float]:
+        """Return the fewest causes that explain the path, and their sizes; {} if it is as calibrated, or too short.
 
-        A gain common to all coils is not a coil fault: a weight on the handle has the same effect.
+        Relative changes of a coil's gain ("coil 0"), of 1 / mass and of 1 / inertia; the sensor's delay [s]. The cause
+        that leaves least is added, at most three times, while it leaves at most 40 % of the squared error.
+        """
+        rows = self._flown()
+        if rows is None:
+            return {}
+        matrix, residual = self._fit(rows, range(6))
+        common = matrix[:, :6].sum(axis=1).reshape(6, -1)
+        scaled = [(common * np.repeat(axes, 3)[:, None]).ravel() for axes in ([1.0, 0.0], [0.0, 1.0])]
+        columns = np.column_stack([matrix, *scaled])
+        chosen: list[int] = []
+        sizes, left = np.zeros(0), residual
+        while len(chosen) < _CAUSES and float(left @ left) > (_EXPLAINED * self._scale.noise) ** 2 * len(left):
+            tries = []
+            for k in set(range(columns.shape[1])) - set(chosen):
+                part = columns[:, [*chosen, k]]
+                values = np.linalg.lstsq(part, residual, rcond=None)[0]
+                rest = residual - part @ values
+                tries.append((float(rest @ rest), k, values, rest))
+            least, best, values, rest = min(tries, key=lambda each: each[0])
+            if least > _IMPROVED * float(left @ left):
+                break
+            chosen.append(best)
+            sizes, left = values, rest
+        return {_CAUSE_NAMES[k]: float(size) for k, size in zip(chosen, sizes)}
+
+    def fault(self, lost: bool = False) -> str:
+        """Return a message about coils that are not as calibrated; "" if all are. Stores delay, mass and inertia.
 
         Args:
             lost: True if the flotor does not follow: if no faulty gain is identified, name the most likely cause.
         """
-        gains, self.sensor_delay = self.estimate()
-        changes = np.abs(gains - median([gain for gain in gains.tolist() if math.isfinite(gain)] or [1.0]))
-        bad = np.flatnonzero(changes > max(_FAULTY, _RELATIVE * np.nan_to_num(changes).max()))
-        if bad.size:
-            return ", ".join(_gain_text(int(coil), gains[coil]) for coil in bad)
+        causes, (_, self.sensor_delay) = self.causes(), self.estimate()
+        large = {name: size for name, size in causes.items() if abs(size) > _FAULTY and name != "delay"}
+        self.mass, self.inertia = (1.0 / max(1.0 + large.pop(name, 0.0), 0.05) for name in ("mass", "inertia"))
+        if large:
+            return ", ".join(
+                f"{name} gives {100.0 * (1.0 + large[name]):.0f} % of its calibrated force" for name in sorted(large)
+            )
         if not lost or len(self._rows) < 3:
             return ""
         if self.sensor_delay > LATE * self._period:
             return f"the sensor is delayed by {self.sensor_delay * 1e3:.1f} ms"
+        if text := self.weight:
+            return text
         # on its stop the flotor can still rotate
         matrix, path = self._fit(self._summed(), range(3, 6))
         matrix = matrix[:, :6]
         sizes = (matrix**2).sum(axis=0) + self._scale.noise**2
-        return f"coil {int(np.argmax((matrix.T @ path) ** 2 / sizes))} is the most likely cause: weak, dead or reversed"
+        shown = (matrix.T @ path) ** 2 / sizes
+        if float(shown.max()) < (_SHOWN * self._scale.noise * self._scale.lever) ** 2:
+            return "it does not lift off: the weight, the currents, the forces or the sensor are not as calibrated"
+        return f"coil {int(np.argmax(shown))} is the most likely cause: weak, dead or reversed"
+
+    @property
+    def weight(self) -> str:
+        """Message about mass and inertia that differ from the calibration at the last call of `fault`; "" without."""
+        found = ("mass", self.mass), ("inertia", self.inertia)
+        text = " and ".join(f"{ratio:.2f} times the calibrated {name}" for name, ratio in found if ratio != 1.0)
+        return text and f"the flotor has {text}"
 
     def _fit(self, rows: Array, axes: Sequence[int]) -> tuple[Array, Array]:
         """Return the Jacobian of the path on some axes to gains and delay, (N, 7), and the residual path."""
@@ -294,7 +356,3 @@ class CoilEstimator:
             paths.append(scaled @ (rows[:, axis] - fall * rows[:, 12]))
         matrix = np.vstack(parts)
         return matrix, np.concatenate(paths) - matrix[:, :6].sum(axis=1)
-
-
-def _gain_text(coil: int, gain: float) -> str:
-    return f"coil {coil} gives {100.0 * gain:.0f} % of its calibrated force"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -15,7 +16,7 @@ from maglev_mj.bridge.landing import LANDING_DELAY, LandingReport, Leader, Motio
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import PlantError, SensingError
-from maglev_mj.frames import ZERO
+from maglev_mj.frames import ZERO, Command
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import Trajectory
@@ -71,7 +72,10 @@ class RemotePlant(GuardedPlant):
 
     rest: Sequence[float] = ZERO
 
+    _hovering: ControlLoop | None = None
+
     def _prepare(self) -> None:
+        self._hovering = None
         self._leader, self._tolerant = (Leader(self.calibration, self.period, x) for x in (self.delay, LANDING_DELAY))
 
     def takeoff(self, duration: float = 0.6, *, watch: _Watch | None = None, check_coils: bool = False) -> None:
@@ -126,6 +130,22 @@ class RemotePlant(GuardedPlant):
         if fault:
             self._landed(leader, duration, None)
             raise PlantError(f"no flight: {fault}; landed. Keep hands off during takeoff, or recalibrate")
+
+    def weigh(self) -> None:
+        """Continue with the mass and inertia that the takeoff has found."""
+        known, coils = self.calibration, self._hand.coils
+        mass, inertia = coils.mass * known.mass, coils.inertia * known.inertia
+        self.calibration = known = replace(known, mass=mass, inertia=inertia)
+        self._hand.weigh(known)
+        self._carrying = Command((0.0 - known.body.load).tolist())
+        self._prepare()
+
+    def hover(self) -> None:
+        """Hold the flotor where it is led, for one sample."""
+        if self._hovering is None:
+            self._leader.aim(straight(self.pose, self.pose, 1.0))
+            self._hovering = ControlLoop(self, self._leader)
+        self._hovering.cycle()
 
     def land(self, duration: float = 0.6, *, watch: _Watch | None = None, reason: str = "") -> LandingReport:
         """Move the flotor back to its rest pose and disarm.

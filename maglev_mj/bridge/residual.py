@@ -151,12 +151,15 @@ class Causes:
             name: np.array([x == name or (x[0] == name[0] != "coil") for x in self._names]) for name in set(self._names)
         }
 
-    def _responses(self, driven: Array) -> Array:
-        """Return what each cause adds to the second differences of the acceleration, (causes, steps, 6)."""
+    def _responses(self, driven: Array, only: int | None = None) -> Array:
+        """Return what each cause, or one, adds to the second differences of the acceleration, (causes, steps, 6)."""
         rows = np.arange(_REACH + 1, len(driven))
-        late = (1.0 - self._part) * driven[rows - self._whole]
-        late += self._part * driven[rows - self._whole - 1] - driven[rows]
-        added = np.concatenate([late, driven[rows] @ self._maps])
+        lags = len(self._whole)
+        delays = slice(None) if only is None else slice(only, min(only + 1, lags))
+        maps = slice(None) if only is None else slice(max(only - lags, 0), max(only + 1 - lags, 0))
+        part, before = self._part[delays], rows - self._whole[delays]
+        late = (1.0 - part) * driven[before] + part * driven[before - 1] - driven[rows]
+        added = np.concatenate([late, driven[rows] @ self._maps[maps]])
         twice: Array = added[:, 2:] - 2.0 * added[:, 1:-1] + added[:, :-2]
         return twice
 
@@ -189,7 +192,7 @@ class Causes:
         best = int(shares.argmin())
         kind, index = self._names[best]
         yield
-        answer = self._responses(probe)[best, fine]
+        answer = self._responses(probe, best)[0, fine]
         t, loud = self._agreement(e, x[best] - answer, answer, weight, math.copysign(1.0, sizes[best]))
         amount = float(_DELAYS[best]) if kind == "delay" else float(sizes[best])
         other = float(shares[~self._same[kind, index]].min())

@@ -289,10 +289,9 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
         file = None if flown.record is None else open_recording(flown.record)
         if file is not None:
             last.push(partial(_keep, file))
-        check = None
-        if viewer is not None:  # before real-time scheduling, which a child process would inherit
-            check = SideAnswers(partial(check_change, report=result.report, anyway=flown.anyway), UNKNOWN, _ANSWER)
-            last.callback(check.close, 0.0)
+        # before real-time scheduling, which a child process would inherit
+        check = SideAnswers(partial(check_change, report=result.report, anyway=flown.anyway), UNKNOWN, _ANSWER)
+        last.callback(check.close, 0.0)
         flight = Flight(
             plant,
             scene,

@@ -63,6 +63,7 @@ SECTIONS = {
     "answers": Section(system.SECTIONS["answers"]),
     "start": Section(system.SECTIONS["start"]),
     "recorder": Section(system.SECTIONS["recorder"]),
+    "observer": Section("the observer of a flight in each sample", compared=False),
     "others": Section("what a user would take instead", compared=False),
     "realism": Section("what each piece of realism costs and changes", compared=False, repeats=1),
     "speed_accuracy": Section("speed against accuracy", compared=False, repeats=1),

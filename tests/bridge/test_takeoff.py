@@ -266,6 +266,8 @@ def test_no_slow_work_between_arming_and_the_first_command(monkeypatch: pytest.M
 FLIGHTS = """
 import sys
 import maglev_mj.cli.bridge
+from dataclasses import replace
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
@@ -296,22 +298,37 @@ class Wish:
     def show(self, snapshot):
         pass
 
+class Judge:
+    looks = 0
+
+    def ask(self, *question):
+        pass
+
+    def answer(self):
+        self.looks += 1
+        return (0.01, "") if self.looks > 5 else None
+
 def audit(event, arguments):
     if Watched.armed and event in ("import", "open", "os.listdir", "os.scandir"):
         print(event, arguments[0])
 
 changed = []
 file = open_recording(sys.argv[1])
+heavy = replace(Calibration.nominal(), mass=0.8)
 sys.addaudithook(audit)
-for scene, critical_delay in (("joystick", 0.01), ("stick-slip", 0.01), ("table", 0.001)):
-    with Watched(VirtualLink(Twin(TwinParameters(), draw=lambda: 7))) as plant:
+for scene, critical_delay in (("joystick", 0.01), ("stick-slip", 0.01), ("table", 0.001), ("box", 0.01)):
+    parameters = TwinParameters(truth=heavy) if scene == "box" else TwinParameters()
+    with Watched(VirtualLink(Twin(parameters, draw=lambda: 7))) as plant:
         scene = find_scene(scene)().replace(period=plant.period, delay=plant.delay)
         options = {"critical_delay": critical_delay, "file": file, "warn": print}
         if scene.name == "joystick":
             options["publishers"] = [Wish(scene.replace(stiffness=0.95 * scene.stiffness))]
+        if scene.name == "box":
+            options["judge"] = Judge()
         flight = Flight(plant, scene, **options)
         assert flight.run(1.0).landing.at_rest
         assert bool(flight.reason) == (critical_delay == 0.001), flight.reason
+        assert scene.name != "box" or options["judge"].looks == 6  # with the mass that was found
 file.close()
 print(len(changed), "changed")
 """
