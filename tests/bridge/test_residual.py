@@ -371,3 +371,31 @@ def test_a_stop_may_be_touched_from_the_edge_of_the_range(share: float, clear: b
             [0.5 * share * part * (k in (0, 4)) for k, part in enumerate(residual._range)], (ZERO, ZERO), (ZERO, ZERO)
         )
     assert residual._clear[-1] == clear
+
+
+@pytest.mark.parametrize(("share", "near"), [(0.8, False), (0.85, False), (0.92, True), (1.05, True)])
+def test_a_swing_near_the_end_of_the_range_raises_no_suspicion(share: float, near: bool) -> None:
+    residual, seen = Residual(CALIBRATION, 0.005), list[bool]()
+    residual._suspects = lambda near: seen.append(near) or False  # type: ignore[func-returns-value, method-assign]
+    residual.watching = True
+    for _ in range(3):
+        residual.add([share * part * (k == 1) for k, part in enumerate(residual._range)], (ZERO, ZERO), (ZERO, ZERO))
+    assert seen[-1] == near
+
+
+@pytest.mark.parametrize(("period", "stride"), [(0.02, 1), (0.005, 1), (0.0025, 2), (0.001, 5), (0.0005, 10)])
+def test_a_step_takes_5_ms(period: float, stride: int) -> None:
+    residual = Residual(CALIBRATION, period)
+    assert residual._stride == stride and residual._parts * max(stride - 1, 1) >= 3  # judged before the next step
+
+
+def test_a_probe_of_two_blocks_covers_half_of_the_best() -> None:
+    counts = []
+    for least in (0.4, 0.5, 0.6):
+        per = CALIBRATION.coils.wrench_per_current * Residual(CALIBRATION, 0.005)._unit[:, None]
+        signs = 1.0 - 2.0 * (np.arange(64)[:, None] >> np.arange(6) & 1)
+        moved = (signs * Residual(CALIBRATION, 0.005).amplitudes @ per.T) ** 2
+        covered = (moved[:, None] + moved).min(axis=2)
+        counts.append(int((covered >= least * covered.max()).sum()))
+    assert len(Residual(CALIBRATION, 0.005)._pairs) == counts[1]
+    assert counts[0] >= counts[1] >= counts[2]

@@ -19,6 +19,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.errors import PlantError
+from maglev_mj.frames import DeviceWall
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.scenes import find_scene
 from tests.bridge.conftest import InProcess
@@ -137,3 +138,40 @@ def test_a_rotation_on_the_stop_shows_a_coil(size: float, named: bool) -> None:
     path[0] = size * scale.noise * scale.lever
     estimator._fit = lambda rows, axes: (matrix, path)  # type: ignore[method-assign]
     assert ("coil 4 is the most likely cause" in estimator.fault(lost=True)) == named
+
+
+@pytest.mark.parametrize(("count", "enough"), [(7, False), (8, True)])
+def test_eight_samples_after_liftoff_are_enough(count: int, enough: bool) -> None:
+    estimator = CoilEstimator(NOMINAL, 0.005)
+    for height in [0.0] * 5 + [1e-3] * count:
+        estimator.add([0.0, 0.0, height, 0.0, 0.0, 0.0], NOMINAL.hover.tolist())
+    assert (estimator._flown() is not None) == enough
+
+
+@pytest.mark.parametrize(("share", "certain"), [(0.9, True), (1.1, False)])
+def test_an_uncertain_gain_or_delay_is_not_reported(share: float, certain: bool) -> None:
+    estimator, noise = CoilEstimator(NOMINAL, 0.005), NOMINAL.device.scale.noise
+    sizes = noise / (share * np.array([0.02] * 6 + [2e-4]))
+    estimator._flown = lambda: np.zeros((1, 21))  # type: ignore[method-assign]
+    estimator._fit = lambda rows, axes: (np.diag(sizes), np.zeros(7))  # type: ignore[method-assign]
+    gains, delay = estimator.estimate()
+    assert (np.isfinite(gains) == certain).all() and np.isfinite(delay) == certain
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.45, False), (0.55, True)])
+def test_a_delay_of_half_a_period_is_acted_on_at_takeoff(share: float, named: bool, tmp_path: Path) -> None:
+    estimator = CoilEstimator(NOMINAL, 0.005)
+    for _ in range(5):
+        estimator.add([0.0] * 6, [0.0] * 6)
+    estimator.estimate = lambda: (np.ones(6), share * 0.005)  # type: ignore[method-assign]
+    assert ("the sensor is delayed by" in estimator.fault(lost=True)) == named
+
+
+@pytest.mark.parametrize(("delay", "acted"), [(0.9e-3, False), (1.1e-3, True)])
+def test_a_delay_of_1_ms_is_acted_on_after_a_probe(delay: float, acted: bool, tmp_path: Path) -> None:
+    plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7)), folder=tmp_path)
+    scene = find_scene("joystick")().replace(period=plant.period, delay=plant.delay)
+    for walls in ((), [DeviceWall(2, 0.0, 1, 6e3, 80.0)]):
+        flight = Flight(plant, scene, critical_delay=1e-4)
+        assert bool(flight._check_sensor(delay, walls)) == acted  # type: ignore[arg-type]
+    plant.close()
