@@ -14,7 +14,7 @@ import pytest
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.observer import CoilEstimator
-from maglev_mj.bridge.preflight import judge_change, measure_link
+from maglev_mj.bridge.preflight import check_change, measure_link
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
@@ -40,8 +40,8 @@ def flown(truth: Calibration, rate: int, folder: Path, judge: bool = True) -> tu
     twin = Twin(TwinParameters(period=1.0 / rate, calibration=NOMINAL, truth=truth, seed=3), draw=lambda: 7)
     plant = RemotePlant(VirtualLink(twin), folder=folder)
     scene = find_scene("drop" if rate == 1000 else "joystick")().replace(period=plant.period, delay=plant.delay)
-    side: Any = InProcess(partial(judge_change, report=measure_link(plant), anyway=False)) if judge else None
-    flight = Flight(plant, scene, critical_delay=0.01, judge=side)
+    side: Any = InProcess(partial(check_change, report=measure_link(plant), anyway=False)) if judge else None
+    flight = Flight(plant, scene, critical_delay=0.01, check=side)
     try:
         return flight.run(0.2).landing.reason or "landed", flight
     except PlantError as error:
@@ -173,5 +173,5 @@ def test_a_delay_of_1_ms_is_acted_on_after_a_probe(delay: float, acted: bool, tm
     scene = find_scene("joystick")().replace(period=plant.period, delay=plant.delay)
     for walls in ((), [DeviceWall(2, 0.0, 1, 6e3, 80.0)]):
         flight = Flight(plant, scene, critical_delay=1e-4)
-        assert bool(flight._check_sensor(delay, walls)) == acted  # type: ignore[arg-type]
+        assert bool(flight._check_sensor(delay, walls)) == acted
     plant.close()
