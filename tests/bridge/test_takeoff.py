@@ -324,11 +324,11 @@ for scene, critical_delay in (("joystick", 0.01), ("stick-slip", 0.01), ("table"
         if scene.name == "joystick":
             options["publishers"] = [Wish(scene.replace(stiffness=0.95 * scene.stiffness))]
         if scene.name == "box":
-            options["judge"] = Judge()
+            options["check"] = Judge()
         flight = Flight(plant, scene, **options)
         assert flight.run(1.0).landing.at_rest
         assert bool(flight.reason) == (critical_delay == 0.001), flight.reason
-        assert scene.name != "box" or options["judge"].looks == 6  # with the mass that was found
+        assert scene.name != "box" or options["check"].looks == 6  # with the mass that was found
 file.close()
 print(len(changed), "changed")
 """
