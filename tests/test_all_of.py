@@ -20,6 +20,7 @@ from maglev_mj.frames import AXES, Array, components
 from maglev_mj.plants import SampledPlant, Sensor
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.plants.trace import PassivityObserver, Trace, actuator_work
+from maglev_mj.recording import setup
 from maglev_mj.spec import GRAVITY, INERTIA
 from tests.all_of import (
     LAWS,
@@ -58,6 +59,11 @@ def test_every_law_and_velocity_estimate_of_the_package_is_listed() -> None:
     public = [getattr(control, name) for name in dir(control)]
     there = {cls for cls in public if isinstance(cls, type) and "__call__" in dir(cls)}
     assert there - {Law, AxisLaw, Friction, VelocityEstimator} == listed | {control.Bias}
+
+
+def test_every_law_and_velocity_estimate_of_the_package_is_rebuilt_from_a_recording() -> None:
+    for slot, parts in (("laws", itertools.chain(*LAWS.values())), ("velocity", VELOCITIES)):
+        assert {*map(type, parts)} <= {*setup._TYPES[slot]} and not {Law, AxisLaw, Friction} & {*setup._TYPES[slot]}
 
 
 def test_every_plant_of_the_package_is_listed() -> None:

@@ -13,7 +13,8 @@ import numpy as np
 
 from maglev_mj import control as _laws
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws.base import FunctionLaw
+from maglev_mj.control.laws import velocity as _velocity
+from maglev_mj.control.laws.base import FunctionLaw, Law
 from maglev_mj.control.loop import Record
 from maglev_mj.device import Device
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
@@ -28,15 +29,13 @@ from maglev_mj.versions import file_of, hash_of
 CodeLoader: TypeAlias = Callable[[str], Any]
 """Loader of a user's class or function by its reference FILE:NAME@HASH; executes the source."""
 
-_SLOTS: Mapping[str, tuple[type, ...]] = {
+_PUBLIC = [part for name in dir(_laws) if isinstance(part := getattr(_laws, name), type)]
+_BASES = {base for part in _PUBLIC for base in part.__mro__[1:]}
+
+_TYPES: Mapping[str, tuple[type, ...]] = {
     "controller": (Controller,),
-    "laws": (
-        *(_laws.Bias, _laws.Hold, _laws.Wall, _laws.HalfSampleWall),
-        *(_laws.VirtualCoupling, _laws.PassivityController),
-        *(_laws.StickSlip, _laws.SpringReset, _laws.ImplicitCoulomb),
-        *(_laws.Dahl, _laws.LuGre, _laws.ElastoPlastic, _laws.HaywardArmstrong),
-    ),
-    "velocity": (_laws.FiniteDifference, _laws.LowPass, _laws.Window, _laws.AdaptiveWindow),
+    "laws": tuple(part for part in _PUBLIC if issubclass(part, Law) and part not in _BASES),
+    "velocity": tuple(part for part in _PUBLIC if part.__module__ == _velocity.__name__),
     "plant": (ExactPlant, MuJoCoPlant),
     "timing": (Timing,),
     "sensor": (Sensor, SpotSensor),
@@ -45,7 +44,7 @@ _SLOTS: Mapping[str, tuple[type, ...]] = {
     "path": (Trajectory,),
     "target": (Trajectory,),
 }
-"""Allowed types by argument name; no other type is constructed."""
+"""Allowed types by argument name, with every law and estimator of the package; no other type is constructed."""
 
 ALLOW_HINT = "allow it with --scene {}, or with --scene attached for the source in the recording"
 """Advice to the user in an `UserCodeError`."""
@@ -261,8 +260,8 @@ def _description(slot: str, value: Any) -> Any:
 
 
 def _reference(slot: str, value: Any) -> str:
-    """Return the reference of an object's class: a name in `_SLOTS`, or FILE:NAME@HASH if user-defined."""
-    if type(value) in _SLOTS[slot]:
+    """Return the reference of an object's class: a name in `_TYPES`, or FILE:NAME@HASH if user-defined."""
+    if type(value) in _TYPES[slot]:
         return type(value).__name__
     definition = value.function if isinstance(value, FunctionLaw) else type(value)
     if slot in _OWN_SLOTS and (source := file_of(definition) if hasattr(definition, "__qualname__") else None):
@@ -305,7 +304,7 @@ def _value(slot: str, value: Any) -> Any:
         return value if math.isfinite(value) else str(float(value))
     if isinstance(value, list | tuple):
         return [_description(slot, part) if slot == "laws" else _value(slot, part) for part in value]
-    if slot not in _SLOTS:
+    if slot not in _TYPES:
         raise _NoJsonError
     description = _description(slot, value)
     if isinstance(description, str) and slot not in ("hand_force", *_OWN_SLOTS):
@@ -333,7 +332,7 @@ def _object(slot: str, description: Any, own: CodeLoader | None, extra: Mapping[
         return Device.parse(value_in(description, "device", str))
     if isinstance(description, dict):
         name = value_in(description, "class", str)
-        cls = {allowed.__name__: allowed for allowed in _SLOTS.get(slot, ())}.get(name)
+        cls = {allowed.__name__: allowed for allowed in _TYPES.get(slot, ())}.get(name)
         if cls is None:
             cls = _user_defined(slot, name, own)
         arguments = {key: _object(key, part, own) for key, part in description.items() if key != "class"}
@@ -355,7 +354,7 @@ def _user_defined(slot: str, name: str, own: CodeLoader | None) -> Any:
         UserCodeError: If it is not allowed to run.
     """
     if slot not in _OWN_SLOTS or "@" not in name:
-        allowed = ", ".join(cls.__name__ for cls in _SLOTS.get(slot, ()))
+        allowed = ", ".join(cls.__name__ for cls in _TYPES.get(slot, ()))
         raise ParameterError(f"{slot} must be of class {allowed or 'none'} (got {name[:60]!r})")
     if own is None:
         file = name.partition(":")[0][:60]
