@@ -19,8 +19,8 @@ from maglev_mj.recording.export import export
 from maglev_mj.recording.journal import (
     SAMPLE,
     TEXT,
+    Seal,
     byte_records,
-    checksum_record,
     header,
     open_journal,
     sample_records,
@@ -159,7 +159,7 @@ def journal_of(parts: Iterable[Part]) -> bytes:
         byte_records(json.dumps(part).encode()) if isinstance(part, dict) else sample_records(part) for part in parts
     ]
     block = b"".join(records)
-    return header() + block + checksum_record(block)
+    return (head := header()) + block + Seal(head)(block)
 
 
 def with_value(data: bytes, row: int, column: str, value: float) -> bytes:

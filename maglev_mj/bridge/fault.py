@@ -140,8 +140,7 @@ class LastCycles:
             The file; None if neither folder can be written. Raises nothing: it must not hide the fault.
         """
         with suppress(Exception):
-            records += journal.text_records({"end": {"lost": 0}})
-            data = journal.header() + records + journal.checksum_record(records)
+            data = b"".join(journal.journal_bytes((records, journal.text_records({"end": {"lost": 0}}))))
             for folder in (self._folder, Path(tempfile.gettempdir())):
                 with suppress(OSError):
                     folder.mkdir(parents=True, exist_ok=True)
@@ -190,6 +189,7 @@ class FaultRecord(Result):
         values: Values by name, (N,) each, NaN if missing: sample, time [s], state, faults, spot0 to spot5
             [m], x, y, z [m], rx, ry, rz [rad], held0.. and pulsed0.. [A], width [s], measured0.. [A], temperature0..
             as a share of a coil's limit, delay (at the device) and latency (of the answer) [s].
+        damage: Damage to the file, at which the cycles end; empty if intact.
     """
 
     faults: str
@@ -201,6 +201,7 @@ class FaultRecord(Result):
     skipped: int
     period: float
     values: Mapping[str, Array]
+    damage: str = ""
     units: ClassVar = _UNITS
     picture: ClassVar = "maglev_mj.bridge.pictures:last_cycles"
 
@@ -246,6 +247,7 @@ class FaultRecord(Result):
             *states,
             f"{1.0 / self.period:g} Hz; {since}: {self.lost} samples lost, {self.skipped} skipped",
             f"faults {self.faults}; first {self.first}{when}",
+            self.damage,
             *fault_meanings(self.faults),
         ]
         return Table("", _HEAD, rows, "\n".join(printable(remark) for remark in remarks if remark))
@@ -284,15 +286,20 @@ def load_fault(path: str | Path) -> FaultRecord:
     path = file_path(path)
     with refused(path):
         content = journal.open_journal(path)
-        for _ in content.blocks():  # checks their checksums
-            pass
         for index in np.flatnonzero(content.kinds == journal.TEXT)[::-1].tolist():
-            if "fault" in (message := content.message(index)):
+            try:
+                message = content.message(index)
+            except ParameterError:
+                if index < content.proven:
+                    raise
+                continue  # damaged, after the last checksum
+            if "fault" in message:
                 return _record(content, index, message)
         return _record(content, len(content.records), None)
 
 
 def _record(content: journal.JournalContent, last: int, message: Mapping[str, Any] | None) -> FaultRecord:
+    damage = "; ".join(filter(None, (content.repaired, content.damage)))
     cycles = content.cycles(last, _CYCLES)
     values = {name: cycles[name].astype(np.float64) for name in cycles.dtype.names or () if name not in _NAMES}
     values |= {name: column for kind, names in _NAMES.items() for name, column in zip(names, cycles[kind].T)}
@@ -307,11 +314,11 @@ def _record(content: journal.JournalContent, last: int, message: Mapping[str, An
         keys = {"faults": "fault", "first": "first", "message": "text"}
         texts = {name: value_in(message, key, str) for name, key in keys.items()}
     elif len(cycles) < 2:
-        raise ParameterError("no device cycles (only recordings of flights contain them)")
+        raise ParameterError(damage or "no device cycles (only recordings of flights contain them)")
     else:
         steps = np.diff(cycles["tick"])
         period, fault_time = float(np.median(np.diff(cycles["time"]) / steps)), math.nan
         counts = {"tick": int(cycles["tick"][-1]), "lost": int((steps - 1).sum()), "skipped": 0}
         faults = fault_names(int(cycles["faults"][-1]))
         texts = {"faults": faults, "first": faults, "message": "no fault recorded; last cycles"}
-    return FaultRecord(**counts, **texts, period=period, fault_time=fault_time, values=values)
+    return FaultRecord(**counts, **texts, period=period, fault_time=fault_time, values=values, damage=damage)

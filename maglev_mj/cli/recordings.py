@@ -44,14 +44,13 @@ def replay(
     page: PageOptions,
 ) -> int:
     """Play back a recording, or check it bit for bit."""
-    from maglev_mj.recording import InvalidRecordingError, Recording
+    from maglev_mj.recording import Recording
     from maglev_mj.session.replay import Replay
     from maglev_mj.views.viewer_process import show_remotely
 
     with Progress("replay"):
         recording = Recording.load(file)
-    if not recording.ticks:
-        raise InvalidRecordingError(f"{str(file)!r} contains no samples")
+    recording.require_samples(file)
     if recording.damage:
         say(f"  {file}: {recording.damage}; {recording.ticks} samples were read")
     for event in recording.events:
@@ -206,6 +205,7 @@ def _chosen(recording: Recording, file: Path, number: int | None, *, is_part: bo
     from maglev_mj.parameters import whole
     from maglev_mj.recording import InvalidRecordingError
 
+    recording.require_samples(file)
     segments = recording.segments
     usable = [(index, segment) for index, segment in enumerate(segments, start=1) if len(segment.tick) > 1]
     if not usable:

@@ -25,6 +25,7 @@ from maglev_mj.cli.options import (
 from maglev_mj.cli.output import Progress, keep_partial, print_written, write_result
 from maglev_mj.cli.peripherals import HandOptions, PageOptions, window
 from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.terminal import say
 
 if TYPE_CHECKING:
     from maglev_mj.interop.hand_devices import HandDevice
@@ -83,8 +84,11 @@ def _path_of(file: Path) -> Trajectory:
     from maglev_mj.plants.hand import Trajectory
     from maglev_mj.recording import load_samples
 
-    samples = load_samples(file, ["time", "position"]).arrays
-    return Trajectory(samples["time"] - samples["time"][0], samples["position"])
+    samples = load_samples(file, ["time", "position"])
+    samples.recording.require_samples(file)
+    if damage := samples.recording.damage:
+        say(f"  {file}: {damage}; {len(samples)} samples were read", sys.stderr)
+    return Trajectory(samples.time - samples.time[0], samples.position)
 
 
 def run(

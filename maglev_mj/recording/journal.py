@@ -15,8 +15,9 @@ import threading
 import time
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,8 +35,13 @@ SUFFIX = ".maglev"
 FORMAT, VERSION = "maglev_mj journal", 1
 """Entries `format` and `version` of the header."""
 
+_CHAINED = "chained"  # entry `checksums` of the header; journals of earlier versions have none
+
 FLUSH = 0.1
 """Write interval of the thread [s]; a killed process loses at most this much."""
+
+BLOCK = 256
+"""Records after which a block ends; damage costs its whole block."""
 
 SAMPLE, TEXT, CONTINUED, CHECKSUM, CYCLE = range(5)
 """Kinds of records; readers ignore unknown ones."""
@@ -48,7 +54,7 @@ _GRANULE = 4096  # alignment of the header's size [bytes]
 _MAX_HEADER = 1 << 20
 _RENAMES_OPEN = os.name != "nt"  # Windows cannot rename an open file
 _HEAD = struct.Struct("<II")
-_COUNT = struct.Struct("<I")
+_SUMS = struct.Struct("<II")
 PACK_SAMPLE = struct.Struct(f"<{_HEAD.size}x{ROW.itemsize // 8}d").pack
 """Pack the values of a sample into its record (kind and size 0)."""
 
@@ -107,10 +113,44 @@ def sample_records(rows: Rows) -> bytes:
     return records.tobytes()
 
 
-def checksum_record(data: bytes) -> bytes:
-    """Return the checksum record of a block of records."""
-    head = _HEAD.pack(CHECKSUM, len(data) // RECORD.itemsize)
-    return (head + _COUNT.pack(zlib.crc32(data))).ljust(RECORD.itemsize, b"\0")
+class Seal:
+    """Checksum records of the blocks of a journal, in order.
+
+    Each has two sums: of its block, and of the header and all blocks up to its own. A block in the wrong place, or of
+    another file, has a wrong second sum. Journals of earlier versions have the first alone.
+
+    Args:
+        head: Header of the journal.
+        size: Size of a record [bytes].
+        chained: False for a journal of an earlier version.
+    """
+
+    def __init__(self, head: bytes, size: int = RECORD.itemsize, *, chained: bool = True) -> None:
+        self._sum, self._size, self._chained = zlib.crc32(head), size, chained
+
+    def __call__(self, block: bytes) -> bytes:
+        """Return the checksum record of the next block."""
+        self._sum = zlib.crc32(block, self._sum) if self._chained else 0
+        sums = _SUMS.pack(zlib.crc32(block), self._sum)
+        return (_HEAD.pack(CHECKSUM, len(block) // self._size) + sums).ljust(self._size, b"\0")
+
+
+def sealed(parts: Iterable[bytes], seal: Seal) -> Iterator[bytes]:
+    """Yield blocks of records, each with its checksum; a part, such as a message, is in one block."""
+    block, size = list[bytes](), 0
+    for part in chain(parts, [b""]):  # the empty one ends the last block
+        block.append(part)
+        size += len(part)
+        if size and (size >= BLOCK * RECORD.itemsize or not part):
+            data, block, size = b"".join(block), [], 0
+            yield data + seal(data)
+
+
+def journal_bytes(parts: Iterable[bytes]) -> Iterator[bytes]:
+    """Yield the bytes of a journal of records: the header, then block by block."""
+    head = header()
+    yield head
+    yield from sealed(parts, Seal(head))
 
 
 def header() -> bytes:
@@ -120,6 +160,7 @@ def header() -> bytes:
         "version": VERSION,
         "dtype": _dtype_entries(_FORMATS),
         "cycle": _dtype_entries(_CYCLE_FORMATS),
+        "checksums": _CHAINED,
         "units": units(),
         "versions": versions(),
         "created": datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -167,11 +208,12 @@ class Journal:
             with errors_named(path):
                 if mode is not None:
                     self._partial.chmod(stat.S_IMODE(mode))
-                self._write(header())
+                self._write(head := header())
         except OSError:
             os.close(self._file)
             self._partial.unlink()
             raise
+        self._seal, self._process = Seal(head), os.getpid()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="journal", daemon=True)
         self._thread.start()
@@ -186,7 +228,7 @@ class Journal:
         queue = self._queue
         if len(queue) < self._limit:
             return True
-        while self._wait and not self._error:
+        while self._wait and self._thread.is_alive():  # not in a forked process
             time.sleep(_NAP)
             if len(queue) < self._limit:
                 return True
@@ -211,9 +253,13 @@ class Journal:
     def close(self) -> Path | None:
         """Write the queue and the end record; return the path, or None without samples; idempotent.
 
+        It does nothing in a forked process: the file and its thread are its parent's.
+
         Raises:
             RecordingError: If the file is incomplete.
         """
+        if self._process != os.getpid():
+            return None
         if not self._closing.is_set():
             if self.lost:
                 self.text({"event": "lost", "text": self._lost_text, "missed": 0})
@@ -263,9 +309,9 @@ class Journal:
             self._urgent = False
             if self._named and not os.path.samestat(os.stat(self._path), os.fstat(self._file)):
                 raise RecordingError("file replaced by another program")
-            data = b"".join(parts)
             self._has_samples |= any(part[0] == SAMPLE for part in parts)  # a full disk may accept some of them
-            self._write(data + checksum_record(data))
+            for block in sealed(parts, self._seal):
+                self._write(block)
             if self._has_samples and not self._named and _RENAMES_OPEN:
                 self._partial.replace(self._target)
                 self._named = True
@@ -291,27 +337,35 @@ def _is_in_use(path: Path) -> bool:
         content = open_journal(path)
     except (OSError, ParameterError):
         return False
-    return not content.ends(0, len(content.records))
+    return not content.is_closed()
 
 
 class JournalContent(NamedTuple):
-    """Content of a journal.
+    """Content of a journal up to its first bad block.
 
     Attributes:
         header: Entries of the header.
-        records: All complete records, a read-only memory map (N,).
+        records: The records, read-only, (N,).
         kinds: Kind of each record, (N,).
-        remainder: Bytes of an incomplete record at the end.
+        ends: Index after the last record of each block; the last block may have no checksum.
+        proven: Number of records that are intact and in their place, by their checksums.
+        rest: Bytes of the file after these records and their checksum.
+        damage: Damage at which the records end; empty for none, or a record that is cut off.
+        repaired: Damage that is undone in the records; empty for none.
     """
 
     header: Mapping[str, Any]
     records: NDArray[Any]
     kinds: NDArray[np.uint32]
-    remainder: int
+    ends: Sequence[int]
+    proven: int
+    rest: int
+    damage: str
+    repaired: str
 
-    def ends(self, first: int, last: int) -> bool:
-        """Return True if the last message of these records is the end record."""
-        texts = first + np.flatnonzero(self.kinds[first:last] == TEXT)
+    def is_closed(self) -> bool:
+        """Return True if the last message is the end record."""
+        texts = np.flatnonzero(self.kinds == TEXT)
         return bool(len(texts)) and "end" in self.message(int(texts[-1]))
 
     def message(self, index: int) -> Mapping[str, Any]:
@@ -346,29 +400,12 @@ class JournalContent(NamedTuple):
             raise ParameterError(f"cycle must be a dtype with the names {CYCLE_RECORD.names}")
         return np.asarray(self.records[indices]).view(CYCLE_RECORD) if len(indices) else np.empty(0, CYCLE_RECORD)
 
-    def blocks(self) -> Iterator[tuple[int, int]]:
-        """Verify the checksums; yield the record range [first, last) of each block, and of the end without a checksum.
-
-        Raises:
-            ParameterError: If a checksum is wrong.
-        """
-        start = 0
-        for index in np.flatnonzero(self.kinds == CHECKSUM).tolist():
-            data = self.records[start:index].tobytes()
-            checksum = self.records[index : index + 1].tobytes()
-            if checksum[4:12] != _HEAD.pack(index - start, zlib.crc32(data)):
-                raise ParameterError(f"wrong checksum of records {start} to {index}: the file is damaged")
-            yield start, index
-            start = index + 1
-        if start < len(self.records):
-            yield start, len(self.records)
-
 
 def open_journal(path: Path) -> JournalContent:
-    """Return the content of a journal.
+    """Return the content of a journal up to its first bad block.
 
     Raises:
-        ParameterError: If it is not a journal.
+        ParameterError: If it is not a journal, or its header is damaged.
         OSError: If it cannot be read.
     """
     with path.open("rb") as file:
@@ -383,12 +420,50 @@ def open_journal(path: Path) -> JournalContent:
     if (name, version) != (FORMAT, VERSION):
         actual = f"{str(name)[:40]} {str(version)[:40]}"
         raise ParameterError(f"format and version must be {FORMAT} {VERSION} (got {actual})")
+    data = repaired = None
+    if line.endswith(b"\r\n") and offset == len(line) - 1:
+        data = path.read_bytes().replace(b"\r\n", b"\n")  # if it had such pairs before, the checksums show it
+        line, size, repaired = data[:offset], len(data), "line endings converted to CRLF, undone: copy it as binary"
     if offset != len(line):
         raise ParameterError(f"offset must be the header's length, {len(line)} bytes")
     kind = _dtype(value_in(entries, "dtype", dict))
     count, remainder = divmod(size - offset, kind.itemsize)
-    records = np.memmap(path, kind, "r", offset, (count,)) if count else np.empty(0, kind)
-    return JournalContent(entries, records, np.array(records["kind"]), remainder)
+    records: NDArray[Any] = np.empty(0, kind)
+    if count:
+        mapped = np.memmap(path, kind, "r", offset, (count,)) if data is None else None
+        records = np.frombuffer(data or b"", kind, count, offset) if mapped is None else mapped
+    kinds, chained = np.array(records["kind"]), entries.get("checksums") == _CHAINED
+    ends, sealed_up_to, damage = _verified(records, kinds, Seal(line, kind.itemsize, chained=chained))
+    last = ends[-1] if ends else 0
+    return JournalContent(
+        entries,
+        records[:last],
+        kinds[:last],
+        ends,
+        proven=min(sealed_up_to, last) if chained else 0,
+        rest=(count - max(last, sealed_up_to)) * kind.itemsize + remainder,
+        damage=damage,
+        repaired=repaired or "",
+    )
+
+
+def _verified(records: NDArray[Any], kinds: NDArray[np.uint32], seal: Seal) -> tuple[list[int], int, str]:
+    """Return the end of each good block, the index after the last right checksum, and what is wrong behind them."""
+    ends, start = list[int](), 0
+    for index in np.flatnonzero(kinds == CHECKSUM).tolist():
+        right, stored = seal(records[start:index].tobytes()), records[index : index + 1].tobytes()
+        if stored != right:
+            own = _HEAD.size + _SUMS.size // 2
+            what = "damaged" if stored[:own] != right[:own] else "from elsewhere, or the header was changed"
+            return ends, start, f"wrong checksum of records {start} to {index} ({what})"
+        ends.append(index)
+        start = index + 1
+    # the last records are written before their checksum, and after a power failure they may be zeros
+    zeros = records[start:].tobytes().find(bytes(records.dtype.itemsize))  # no record has as many
+    if zeros < 0:
+        return [*ends, *[len(records)] * (len(records) > start)], start, ""
+    last = start + zeros // records.dtype.itemsize
+    return [*ends, *[last] * (last > start)], start, f"zeros from record {last} on (power failure?)"
 
 
 def _reason_no_journal(start: bytes) -> str:

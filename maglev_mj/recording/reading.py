@@ -133,7 +133,7 @@ class Content:
         event_samples: Number of samples before each event.
         attachments: Attached files by name.
         about: File format, and versions of the code that wrote it.
-        damage: Description of damage to the end of the file; empty if intact.
+        damage: Description of the damage at which the content ends; empty if intact.
 
     Raises:
         ParameterError: If it is not a journal, or its content is invalid.
@@ -147,28 +147,41 @@ class Content:
         self.event_samples: list[int] = []
         self.attachments: dict[str, bytes] = {}
         self.about = {"format": f"{FORMAT} {VERSION}", **(validated_versions(journal.header.get("versions")) or {})}
-        self.damage, self._closed, self._names, self._time = "", False, names, 0.0
-        last = 0
+        self._names, self._time, self._proven = names, 0.0, True
+        self._end: int | None = None  # index after the end record
+        damage = journal.damage or "incomplete (not closed)"
         for first, last in _runs(journal):
-            self._take(journal, first, last)
-            if self._closed:
+            self._proven = last <= journal.proven
+            try:
+                self._take(journal, first, last)
+            except ParameterError as error:
+                if self._proven:
+                    raise  # it was written so
+                damage = f"{error} (damaged)"
+                break
+            if self._end is not None:
                 break
         self.segments = [segment for segment in self.segments if len(segment)]
-        if not self._closed:
+        if self._end is None:
             end = f"readable up to {self._time:.1f} s" if self.segments else "no samples"
-            self.damage = f"incomplete (not closed): {end}"
-        elif len(journal.records) - last + bool(journal.remainder) > 1:  # its checksum may be truncated
-            self.damage = "data after the end record"
+            damage = f"{damage}: {end}"
+        else:
+            least = 0 if self._proven else journal.records.dtype.itemsize - 1  # its checksum may be truncated
+            damage = "data after the end record" * (journal.rest > least or len(journal.records) > self._end)
+        self.damage = "; ".join(filter(None, (journal.repaired, damage)))
 
     def _take(self, journal: JournalContent, first: int, last: int) -> None:
-        """Process the records of some blocks whose checksums are correct."""
+        """Process the records of some blocks up to the end record."""
         kinds = journal.kinds[first:last]
         samples = first + np.flatnonzero(kinds == SAMPLE)
         start = 0
         for text in (first + np.flatnonzero(kinds == TEXT)).tolist():
             end = int(np.searchsorted(samples, text))
             self._add(journal, samples[start:end])
-            self._message(journal.message(text))
+            if "end" in (message := journal.message(text)):
+                self._end = text + 1
+                return
+            self._message(message)
             start = end
         self._add(journal, samples[start:])
 
@@ -178,9 +191,19 @@ class Content:
         if not self.segments:
             raise ParameterError("sample before the first segment")
         for start in range(0, len(indices), _BLOCK):
-            rows = journal.records[indices[start : start + _BLOCK]]
+            self._add_rows(journal.records[indices[start : start + _BLOCK]])
+
+    def _add_rows(self, rows: Rows) -> None:
+        """Add samples; if a checksum does not prove them, all before the first invalid one."""
+        try:
             self.segments[-1].add(rows)
-        self._time = float(rows["time"][-1])
+            self._time = float(rows["time"][-1])
+        except ParameterError:
+            if self._proven or len(rows) == 1:
+                raise
+            half = len(rows) // 2
+            self._add_rows(rows[:half])
+            self._add_rows(rows[half:])
 
     def _message(self, message: Mapping[str, Any]) -> None:
         """Process a message; unknown ones are ignored."""
@@ -199,20 +222,16 @@ class Content:
             except ValueError:
                 raise ParameterError("data of an attachment must be base64") from None
             self.attachments.setdefault(value_in(message, "attach", str), data)
-        elif "end" in message:
-            self._closed = True
 
 
 def _runs(journal: JournalContent) -> Iterator[tuple[int, int]]:
-    """Verify the checksums; yield record ranges [first, last) of several blocks each, as blocks are short (0.1 s)."""
+    """Yield record ranges [first, last) of several blocks each, as blocks are short; one without a checksum alone."""
     start = end = 0
-    for first, last in journal.blocks():
-        if last - start > _BLOCK and end > start:
+    for last in journal.ends:
+        if (last - start > _BLOCK or last > journal.proven) and end > start:
             yield start, end
-            start = first
+            start = end
         end = last
-        if journal.ends(first, last):
-            break
     yield start, end
 
 

@@ -19,10 +19,10 @@ from maglev_mj.keywords import checked
 from maglev_mj.parameters import store, whole
 from maglev_mj.pictures import save
 from maglev_mj.recording.journal import (
+    BLOCK,
     SUFFIX,
     InvalidRecordingError,
-    checksum_record,
-    header,
+    journal_bytes,
     sample_records,
     text_records,
 )
@@ -226,17 +226,15 @@ class Recording(Result):
         if path.suffix != SUFFIX:
             raise ParameterError(f"path must end in {SUFFIX} (got {path.name!r}): for other formats use export")
         with atomic_path(path) as partial, partial.open("wb") as file:
-            file.write(header())
-            for block in self._blocks():
-                file.write(block + checksum_record(block))
+            file.writelines(journal_bytes(self._records()))
 
-    def _blocks(self) -> Iterator[bytes]:
+    def _records(self) -> Iterator[bytes]:
         """Yield the records of a journal."""
         for name, data in self.attachments.items():
             yield text_records({"attach": name, "data": base64.b64encode(data).decode()})
         for kind, part in self.parts():
             if kind == "rows":
-                yield sample_records(part)
+                yield from (sample_records(part[start : start + BLOCK]) for start in range(0, len(part), BLOCK))
             elif kind == "begin":
                 yield text_records({"begin": part.setup, "time": part.began})
             elif kind == "stick":
@@ -248,13 +246,22 @@ class Recording(Result):
 
     @classmethod
     def load(cls, path: Path | str) -> Recording:
-        """Read a journal; an incomplete one is read up to its last complete record.
+        """Read a journal up to its end, its last complete record or its first damaged block, see `damage`.
 
         Raises:
-            InvalidRecordingError: If the file is missing, not a recording, or invalid: for example a wrong checksum, or
-                a value that is not finite, of another type or out of range.
+            InvalidRecordingError: If the file is missing, not a recording, or invalid: for example a value that is not
+                finite, of another type or out of range.
         """
         return _read(path)
+
+    def require_samples(self, path: Path | str) -> None:
+        """Check that there are samples, for a message with the path.
+
+        Raises:
+            InvalidRecordingError: If there are none; the message names the damage.
+        """
+        if not self.ticks:
+            raise InvalidRecordingError(f"{str(path)!r} contains no samples" + f" ({self.damage})" * bool(self.damage))
 
     @property
     def ticks(self) -> int:
@@ -390,7 +397,7 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
     One hour at 1 kHz takes some seconds and less than 1 GB: constant and duplicate fields are stored once.
 
     Args:
-        path: Path of a journal; an incomplete one is read up to its last complete record.
+        path: Path of a journal; a damaged one is read up to the damage, see `recording.damage`.
         fields: Names of the fields to load, such as "time" and "position"; None for all.
 
     Raises:

@@ -515,6 +515,7 @@ def _seen(path: Path, seen: Oscillation) -> str:
     word = "grows" if seen.growth > 0.0 else "decays"
     return (
         f"{path.name}: {seen.frequency:.4g} Hz, {word} by a factor {factor:.3g} in a cycle, over {seen.samples} samples"
+        + f"; {seen.damage}" * bool(seen.damage)
     )
 
 

@@ -41,7 +41,8 @@ class Oscillation(NamedTuple):
     """Oscillation with the pole z: duration of a cycle [s], frequency [Hz], growth of the amplitude [1/s], and more.
 
     The doubling time [s] is minus the halving time if it decays. The amplitude [m, rad] is the largest of the samples
-    used, rate the sample rate [Hz], error the standard error of growth and angular frequency [1/s].
+    used, rate the sample rate [Hz], error the standard error of growth and angular frequency [1/s], damage that at
+    which the recording ends.
     """
 
     pole: complex
@@ -53,6 +54,7 @@ class Oscillation(NamedTuple):
     amplitude: float
     rate: float
     error: float
+    damage: str = ""
 
 
 class _Fit(NamedTuple):
@@ -212,7 +214,13 @@ def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any]]:
         ParameterError: If the file cannot be read, or contains no oscillation.
     """
     if Path(path).suffix == ".maglev":
-        return _of_recording(Recording.load(path))
+        recording = Recording.load(path)
+        recording.require_samples(path)
+        try:
+            seen, stated = _of_recording(recording)
+        except ParameterError as error:
+            raise ParameterError(f"{error}" + f"; {recording.damage}" * bool(recording.damage)) from None
+        return seen._replace(damage=recording.damage), stated
     time, position, period, rotary = read_motion(path)
     return find_oscillation(time, position, period=period), {"inertia": None} if rotary else {}
 
@@ -254,8 +262,6 @@ def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:
 
     A sample is usable in a wall, if the axis has one, while neither a limit nor a pulse acts on it.
     """
-    if not recording.segments:
-        raise ParameterError("recording must have samples (got no segment)")
     segment = max(recording.segments, key=len)
     metadata, setup = segment.metadata, segment.setup
     axis = AXES.index(metadata.axis)
