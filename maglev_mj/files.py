@@ -94,10 +94,13 @@ def atomic_path(path: Path) -> Iterator[Path]:
     target, mode = destination(path)
     if special := mode is not None and not stat.S_ISREG(mode):
         from tempfile import TemporaryDirectory  # imported here: slow, rarely needed
+    process = os.getpid()
     with errors_named(path), TemporaryDirectory() if special else nullcontext(target.parent) as folder:
-        partial = Path(folder, f"{path.stem}.{os.getpid()}.partial{path.suffix}")
+        partial = Path(folder, f"{path.stem}.{process}.partial{path.suffix}")
         try:
             yield partial
+            if process != os.getpid():
+                return
             if special:
                 target.write_bytes(partial.read_bytes())
                 return
@@ -105,4 +108,5 @@ def atomic_path(path: Path) -> Iterator[Path]:
                 partial.chmod(stat.S_IMODE(mode))
             partial.replace(target)
         finally:
-            partial.unlink(missing_ok=True)
+            if process == os.getpid():  # a forked process leaves it to its parent
+                partial.unlink(missing_ok=True)

@@ -243,7 +243,7 @@ class Connection:
     """
 
     def __init__(self, link: Link, calibration: bytes, key: bytes | None, patience: float) -> None:
-        self._link, self._keyed, self.open = link, key is not None, True
+        self._link, self._keyed, self.open, self._process = link, key is not None, True, os.getpid()
         self._session = self._sequence = self._request = self._skipped = self._handshake_time = 0
         self.settled = self.arrival = self.latency = self.sequence = 0
         self._answered: int | None = None  # by the newest answer
@@ -353,11 +353,11 @@ class Connection:
         return self._session
 
     def close(self) -> None:
-        """End the session and close the link; idempotent."""
+        """End the session and close the link; idempotent. In a forked process the session is its parent's."""
         if self.open:
             try:
                 with suppress(Exception):  # best effort: the link may be down
-                    if self._session:
+                    if self._session and self._process == os.getpid():
                         self.control(Operation.BYE)
             finally:
                 self.open = False

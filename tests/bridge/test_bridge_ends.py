@@ -49,6 +49,18 @@ def test_commands_that_have_lain_in_a_queue_do_not_feed_the_watchdog() -> None:
     assert rig.twin.firmware.faults & (Fault.WATCHDOG | Fault.FLOTOR_OVERSPEED) and rig.plant.samples.tick < 400
 
 
+def test_a_forked_process_that_leaves_its_copy_ends_no_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(pose=CENTRE)
+    rig.plant.arm()
+    rig.fly(0.1)
+    with monkeypatch.context() as patch:
+        patch.setattr("os.getpid", lambda: -1)
+        rig.plant._connection._link = Mock(wraps=rig.link)
+        rig.plant.close()
+        assert not rig.plant._connection._link.send.called  # type: ignore[attr-defined]
+    assert rig.twin.firmware.state == State.ACTIVE
+
+
 def test_calls_of_a_closed_plant_raise() -> None:
     rig = Rig()
     rig.plant.close()

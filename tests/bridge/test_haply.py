@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -484,3 +485,13 @@ def test_the_numbers_of_an_arm_are_those_of_its_device_file(tmp_path: Path) -> N
     assert Arm.of(heavy) == replace(Arm(), mass=0.3, rate=500.0)
     (tmp_path / "heavy.toml").write_text(heavy.toml(), encoding="utf-8")
     assert Arm.of(Device.load(tmp_path / "heavy.toml")) == Arm.of(heavy)
+
+
+def test_a_forked_process_that_leaves_its_copy_ends_no_flight_of_an_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = Mock(wraps=VirtualLink(HaplyTwin(Arm())))
+    plant = HaplyPlant(link)
+    plant.read()
+    sent = link.send.call_count
+    monkeypatch.setattr("os.getpid", lambda: -1)
+    plant.close()
+    assert link.send.call_count == sent and not link.close.called

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hmac
 import json
 import math
+import os
 import re
 import socket
 import time
@@ -337,7 +338,7 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
         self.period = number("period", own if period is None else period, **SAMPLE_PERIOD)
         self.delay, self._stale = self.period + self.arm.delay, max(STALE, 2.0 * self.period)
         self.age = self.round_trip = 0.0
-        self._tick, self._late, self._fault, self._closed = -1, 0, "", False
+        self._tick, self._late, self._fault, self._closed, self._process = -1, 0, "", False, os.getpid()
         self._force: Sequence[float] = _NO_FORCE
         try:
             inventory = self._link.receive(_PATIENCE) or b""
@@ -404,9 +405,11 @@ class HaplyPlant(AbstractContextManager["HaplyPlant"]):
         self.close()
 
     def close(self) -> None:
-        """Send a zero force and close the link; idempotent."""
+        """Send a zero force and close the link; idempotent. In a forked process the arm is its parent's."""
         if not self._closed:
             self._closed = True
+            if self._process != os.getpid():
+                return
             with suppress(LinkError):
                 self._link.send(force_message(self.device, _NO_FORCE))
             self._link.close()
