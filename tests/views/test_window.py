@@ -31,7 +31,7 @@ from maglev_mj.views.readings import SteadyRange, banner, fitted_range, stop_con
 from maglev_mj.views.window.keys import KEYS, help_rows
 from maglev_mj.views.window.painter import Scenery, default_view, project, zoom
 from maglev_mj.views.window.screen import Area, Layout, Screen, letters, message_rows, status_rows
-from maglev_mj.views.window.window import _Window, fitted_size
+from maglev_mj.views.window.window import _font_scale, _Window, _work_area, fitted_size
 from tests.sweeps import sweep
 
 SIZES = (480, 360), (640, 400), (800, 600), (1250, 500), (1920, 1080)
@@ -387,3 +387,13 @@ def test_keys_seek_in_a_recording() -> None:
     assert press("HOME", "SPACE").state == "running"
     replay.tick(10.0)
     assert press().state == "paused" and press().time == pytest.approx(3.995)
+
+
+def test_a_screen_without_a_monitor_has_a_window_of_a_common_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A board without a screen, a remote desktop, a switch to another machine; GLFW aborts if asked for its area.
+    asked = list[object]()
+    monkeypatch.setattr(glfw, "get_primary_monitor", lambda: None)
+    for name in ("get_monitor_workarea", "get_monitor_content_scale", "get_video_mode", "get_monitor_pos"):
+        monkeypatch.setattr(glfw, name, asked.append)
+    left, top, *size = _work_area()
+    assert (left, top) == (0, 0) and fitted_size(*size) == (1177, 704) and _font_scale() == 100 and not asked

@@ -25,6 +25,7 @@ from maglev_mj.views.window.painter import Painter
 from maglev_mj.views.window.screen import Area, Screen, moved_by_mouse
 
 _SMALL, _LIMITS, _LARGE = (0.92, 0.88), (1200, 800), 2.0 / 3.0
+_NO_MONITOR = 0, 0, 1280, 800  # area for windows [pixels]
 """Fractions of a small screen, width and height; their limits [pixels]; fraction of a large screen."""
 
 _FRAME, _NAP = 1.0 / 60.0, 0.002
@@ -190,7 +191,7 @@ class _Window:
 
 def _opened(title: str, smooth: bool) -> Any:
     """Return a new hidden window in the middle of the screen, with its OpenGL context current; edges smooth or not."""
-    left, top, wide, high = glfw.get_monitor_workarea(glfw.get_primary_monitor())
+    left, top, wide, high = _work_area()
     size = fitted_size(wide, high)
     glfw.window_hint(glfw.VISIBLE, False)
     glfw.window_hint(glfw.SAMPLES, 4 * smooth)
@@ -202,6 +203,12 @@ def _opened(title: str, smooth: bool) -> Any:
     glfw.make_context_current(window)
     glfw.swap_interval(1)
     return window
+
+
+def _work_area() -> tuple[int, int, int, int]:
+    """Return left, top, width and height of the area for windows; a common one if no monitor is connected."""
+    monitor = glfw.get_primary_monitor()  # without one GLFW opens windows, and aborts when asked for this area
+    return glfw.get_monitor_workarea(monitor) if monitor else _NO_MONITOR
 
 
 def _font_scale() -> int:
