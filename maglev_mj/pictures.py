@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import wraps
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias, overload
+from typing import Any, ParamSpec, TypeAlias, TypeVar, overload
 
 import numpy as np
 
@@ -82,15 +86,52 @@ class PictureFolder:
         return self.folder / f"{name}.{ending or self.format}"
 
 
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
 def require() -> None:
-    """Check that charts can be drawn.
+    """Check that charts can be drawn, and import matplotlib.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     errors.require(("matplotlib",), "charts", "charts require matplotlib")
+    if "matplotlib" not in sys.modules:
+        # a notebook's backend need not exist here, and files need none
+        backend = os.environ.pop("MPLBACKEND", None)
+        import matplotlib
+
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
+            with suppress(ValueError):
+                matplotlib.rcParams["backend"] = backend  # for the user's own figures
 
 
+@contextmanager
+def own_style() -> Iterator[None]:
+    """Use matplotlib's defaults, and fonts that publishers accept, whatever the user's settings; restore these."""
+    require()
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # all but the backend
+        matplotlib.rcParams.update({"pdf.fonttype": 42, "ps.fonttype": 42})  # TrueType
+        yield
+
+
+def drawn(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Make a function that draws a chart use `own_style`."""
+
+    @wraps(function)
+    def styled(*values: _P.args, **keywords: _P.kwargs) -> _T:
+        with own_style():
+            return function(*values, **keywords)
+
+    return styled
+
+
+@drawn
 def new_figure(head: Sequence[str], rows: int, columns: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
     """Return a figure and its panels, row by row.
 
@@ -101,12 +142,15 @@ def new_figure(head: Sequence[str], rows: int, columns: int, height: float, **op
         height: Height without the head [inch].
         options: Options of matplotlib's `Figure.subplots`.
     """
-    require()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     class NotebookFigure(Figure):
         """Figure displayed by a notebook without pyplot."""
+
+        @drawn
+        def savefig(self, *values: Any, **keywords: Any) -> None:
+            super().savefig(*values, **keywords)
 
         def _repr_png_(self) -> bytes:
             file = BytesIO()
@@ -148,6 +192,7 @@ def _add_head(figure: Any, headline: str, *details: str) -> None:
     figure.set_figheight(figure.get_figheight() + len(lines) * 1.3 * large / 72.0)
 
 
+@drawn
 def new_grid(
     head: Sequence[str],
     quantities: Quantities,
@@ -352,6 +397,7 @@ class Panel:
     outside: Sequence[Any] = ()
 
 
+@drawn
 def small_multiples(head: Sequence[str], panels: Sequence[Panel], path: Path) -> Path:
     """Draw panels of curves in two columns.
 

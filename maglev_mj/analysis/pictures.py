@@ -13,12 +13,13 @@ import numpy as np
 from maglev_mj.analysis import Run, SegmentReport
 from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_grid
+from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, drawn, name_curves, new_grid
 
 _SHOWN, _LEAD, _POINTS = 0.4, 0.1, 2001
 _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
 
 
+@drawn
 def first_contact(report: SegmentReport, axis: int) -> Any:
     """Draw 0.4 s around the first contact (figure 5).
 
@@ -38,6 +39,7 @@ def first_contact(report: SegmentReport, axis: int) -> Any:
     return _over_time(report, axis, (start, min(start + _SHOWN, end)), marks=False)
 
 
+@drawn
 def whole_run(report: SegmentReport, axis: int) -> Any:
     """Draw position and force of the whole run (figure 6).
 
@@ -54,6 +56,7 @@ def whole_run(report: SegmentReport, axis: int) -> Any:
     return _over_time(report, axis, (float(trace.time[0]), float(trace.time[-1])), marks=True)
 
 
+@drawn
 def sticks(report: SegmentReport) -> Any:
     """Draw position and stick position by axis (figure 9).
 
@@ -72,6 +75,7 @@ def sticks(report: SegmentReport) -> Any:
     return staircases(head, run.motion.time, positions, anchors, titles or {0: "no friction"})
 
 
+@drawn
 def staircases(head: Sequence[str], time: Array, position: Array, anchors: Array, titles: Mapping[int, str]) -> Any:
     """Draw position and stick position over time, by axis.
 

@@ -10,10 +10,11 @@ import numpy as np
 from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.frames import AXES, Array
-from maglev_mj.pictures import BESIDE, new_figure
+from maglev_mj.pictures import BESIDE, drawn, new_figure
 from maglev_mj.terminal import printable
 
 
+@drawn
 def last_cycles(record: FaultRecord) -> Any:
     """Draw the last cycles before a fault.
 

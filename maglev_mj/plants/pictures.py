@@ -8,11 +8,12 @@ import numpy as np
 
 from maglev_mj.colours import SERIES
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.pictures import name_curves, new_grid
+from maglev_mj.pictures import drawn, name_curves, new_grid
 
 _STILL = 1e-6
 
 
+@drawn
 def moving_axes(headline: str, time: Array, position: Array, force: Array) -> Any:
     """Plot position and force of the moving axes, translations and rotations side by side; z if none moves.
 

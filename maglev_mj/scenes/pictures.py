@@ -11,7 +11,7 @@ import numpy as np
 from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, unit_of
-from maglev_mj.pictures import SHADE, TITLE, broken, draw_limit, line_style, name_curves, new_figure, new_grid
+from maglev_mj.pictures import SHADE, TITLE, broken, draw_limit, drawn, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import Variants, figure_head, parameter_texts, rank_text
 from maglev_mj.scenes.stability_check import wall_loops
@@ -22,6 +22,7 @@ _MOST_PANELS = 4
 _NAMES = {"z": "height"}
 
 
+@drawn
 def series(variants: Variants) -> Any:
     """Draw each series over time, one line per run.
 
@@ -86,6 +87,7 @@ def _over_time(variants: Variants, named: Mapping[str, str], **options: Any) -> 
     return figure, panels
 
 
+@drawn
 def first_contact(variants: Variants) -> Any:
     """Draw each series around the first contact with a wall at 0, one line per run.
 
@@ -107,6 +109,7 @@ def first_contact(variants: Variants) -> Any:
     return figure
 
 
+@drawn
 def spread(variants: Variants) -> Any:
     """Draw each figure over the sampling phase, except constant ones.
 
@@ -140,6 +143,7 @@ def spread(variants: Variants) -> Any:
     return figure
 
 
+@drawn
 def time_series(variants: Variants) -> Any:
     """Draw position and force over time (figure 3).
 
@@ -163,6 +167,7 @@ def time_series(variants: Variants) -> Any:
     return figure
 
 
+@drawn
 def phase_plane(variants: Variants) -> Any:
     """Draw velocity over position (figure 4).
 
@@ -279,6 +284,7 @@ def _lines_of(variants: Variants, label: str) -> str:
     return f"lines: sampling phase {result.phase:g}{shaded}"
 
 
+@drawn
 def figure_6(variants: Variants) -> Any:
     """Draw position, the hand's target, and actuator force over time (figure 6).
 
@@ -300,6 +306,7 @@ def figure_6(variants: Variants) -> Any:
     return figure
 
 
+@drawn
 def stick_slip(variants: Variants) -> Any:
     """Draw position and velocity beside the exact motion (figure 8).
 

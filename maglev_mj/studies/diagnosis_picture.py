@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, Colour, on_white
-from maglev_mj.pictures import TITLE, name_curves, new_figure
+from maglev_mj.pictures import TITLE, drawn, name_curves, new_figure
 from maglev_mj.studies.diagnosis import Diagnosis
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.remedies import short
@@ -23,6 +23,7 @@ _NAMES, _LETTERS = 0.45, 50
 """Share of the bars' width for the names of the remedies, and letters in a line of it."""
 
 
+@drawn
 def diagnosis(result: Diagnosis) -> Any:
     """Draw a diagnosis.
 

@@ -18,6 +18,7 @@ from maglev_mj.pictures import (
     Quantities,
     axis_label,
     draw_limit,
+    drawn,
     line_style,
     name_curves,
     new_figure,
@@ -84,6 +85,7 @@ def _room(segments: Any, extents: tuple[float, float]) -> bool:
     return any(len(points) > 1 and (np.ptp(points, axis=0) > 0.15 * np.array(extents)).all() for points in segments)
 
 
+@drawn
 def stability_map(result: StabilityMap) -> Any:
     """Draw the stability map.
 
@@ -134,6 +136,7 @@ def stability_map(result: StabilityMap) -> Any:
     return figure
 
 
+@drawn
 def drop_map(result: DropMap) -> Any:
     """Draw the final swing of drops over the gains.
 
@@ -188,6 +191,7 @@ def _outer(values: Array) -> tuple[float, float]:
     return float(values[0] - half), float(values[-1] + half)
 
 
+@drawn
 def design_map(result: DesignResult) -> Any:
     """Draw the spectral radius over mass and delay.
 
@@ -237,6 +241,7 @@ def design_map(result: DesignResult) -> Any:
     return figure
 
 
+@drawn
 def sweep(result: Sweep) -> Any:
     """Draw each figure over the first varied parameter, but for those that are flat.
 
@@ -323,6 +328,7 @@ def _heat_maps(
     return figure
 
 
+@drawn
 def law_sweep(result: LawSweep) -> Any:
     """Draw figure and spectral radius of each law over the varied parameter; for a map, also the scene's wall."""
     figure = sweep(result)
@@ -336,6 +342,7 @@ def law_sweep(result: LawSweep) -> Any:
     return figure
 
 
+@drawn
 def fidelity(result: FidelityResult) -> Any:
     """Draw each level's distance from those above.
 
@@ -357,6 +364,7 @@ def fidelity(result: FidelityResult) -> Any:
     return figure
 
 
+@drawn
 def device_card(result: DeviceCard) -> Any:
     """Draw stable walls by hand, and impedances over frequency.
 

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.colours import REFERENCE, SERIES
-from maglev_mj.pictures import FIRST, SECOND, TITLE, name_curves, new_figure
+from maglev_mj.pictures import FIRST, SECOND, TITLE, drawn, name_curves, new_figure
 from maglev_mj.theory import ClosedLoop, Linearised, Verdict
 
 _FREE = 1e-6  # accuracy of the double pole at 1 of an axis without stiffness
 
 
+@drawn
 def pole_map(loop: ClosedLoop | Verdict) -> Any:
     """Draw the poles of the closed loop and the unit circle.
 
@@ -35,6 +36,7 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
     return figure
 
 
+@drawn
 def impulse_response(near: Linearised) -> Any:
     """Draw the impulse response: wrench after a unit displacement at one sample.
 

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import json
-from contextlib import nullcontext
+import os
+import re
+import subprocess
+import sys
+import zlib
+from collections.abc import Iterator
+from contextlib import nullcontext, suppress
 from dataclasses import replace
+from importlib import import_module
+from inspect import isfunction, unwrap
 from pathlib import Path
+from pkgutil import walk_packages
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib import cycler, rc_context
 from matplotlib.text import Text
 
+import maglev_mj
 from maglev_mj.analysis.pictures import staircases, whole_run
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.pictures import last_cycles
@@ -19,6 +30,7 @@ from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.pictures import FORMATS, Panel, broken, new_figure, new_grid, save, small_multiples
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.run import run
 from maglev_mj.studies.pictures import _even
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.studies.sweep import sweep
@@ -346,3 +358,119 @@ def test_pictures_have_the_format_asked_for(tmp_path: Path, capsys: pytest.Captu
     (path,) = (tmp_path / "new").iterdir()
     assert path.name == "stick_slip.svg" and path.read_bytes().startswith(begins["svg"])
     assert f"wrote {path}" in capsys.readouterr().out
+
+
+SETTINGS: dict[str, Any] = {
+    "text.usetex": True,  # there is no LaTeX
+    "font.size": 30.0,
+    "font.family": "cursive",
+    "axes.facecolor": "red",
+    "axes.prop_cycle": cycler(color=["yellow"]),
+    "axes.formatter.use_locale": True,
+    "lines.linewidth": 9.0,
+    "legend.frameon": True,
+    "figure.dpi": 30.0,
+    "figure.constrained_layout.use": False,
+    "savefig.transparent": True,
+    "savefig.bbox": "tight",
+    "savefig.format": "svg",
+    "pdf.fonttype": 3,
+    "path.sketch": (3.0, 50.0, 9.0),
+    "mathtext.fontset": "cm",
+}
+"""Settings of a user for other figures, each of which would show in a chart."""
+
+
+def charts() -> dict[str, Any]:
+    """Return functions that draw charts of the package, by name."""
+    modules = [
+        import_module(one.name)
+        for one in walk_packages(maglev_mj.__path__, "maglev_mj.")
+        if one.name.rpartition(".")[2] in ("pictures", "diagnosis_picture")
+    ]
+    found = {
+        f"{module.__name__}.{name}": part
+        for module in modules
+        for name, part in vars(module).items()
+        if isfunction(part) and part.__module__ == module.__name__ and {"new_figure", "new_grid"} & {*names_in(part)}
+    }
+    return {name: part for name, part in found.items() if not name.rpartition(".")[2].startswith("_")}
+
+
+def names_in(function: Any, depth: int = 3) -> Iterator[str]:
+    """Yield the names that a function uses, and those of its module's functions that it calls."""
+    function = unwrap(function)
+    for name in function.__code__.co_names:
+        yield name
+        if depth and isfunction(part := function.__globals__.get(name)) and part.__module__ == function.__module__:
+            yield from names_in(part, depth - 1)
+
+
+def test_every_chart_has_a_style_of_its_own() -> None:
+    found = charts()
+    assert len(found) > 20 and not [name for name, part in found.items() if not hasattr(part, "__wrapped__")]
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, Any]:
+    small = StabilityParameters(stiffness=(500.0, 9000.0), damping=(10.0, 120.0), grid=2)
+    return {"time series": run(Drop(), plant="exact"), "map": run_stability(small)}
+
+
+def settings() -> dict[str, Any]:
+    """Return the settings as they are; asking for the backend would choose one."""
+    import matplotlib
+
+    return dict(dict.items(matplotlib.rcParams))
+
+
+@pytest.mark.parametrize("kind", ["time series", "map"])
+def test_settings_of_the_user_change_no_chart_and_charts_change_no_setting(
+    kind: str, results: Any, tmp_path: Path
+) -> None:
+    result = results[kind]
+    plain = result.plot(tmp_path / "plain.png").read_bytes()
+    with rc_context(SETTINGS):  # type: ignore[arg-type]
+        before, styled = settings(), result.plot(tmp_path / "styled.png").read_bytes()
+        assert settings() == before and styled == plain
+
+
+@pytest.mark.parametrize("by_hand", [False, True])
+def test_fonts_of_a_pdf_are_those_that_publishers_accept(by_hand: bool, results: Any, tmp_path: Path) -> None:
+    path = tmp_path / "chart.pdf"
+    with rc_context(SETTINGS):  # type: ignore[arg-type]
+        if by_hand:
+            results["map"].plot().savefig(path)
+        else:
+            results["map"].plot(path)
+    data = unpacked(path.read_bytes())
+    assert b"/Type3" not in data and b"/CIDFontType2" in data
+
+
+def unpacked(data: bytes) -> bytes:
+    """Return a PDF with its streams decompressed."""
+    parts = re.findall(rb"stream\r?\n(.*?)endstream", data, re.S)
+    for part in parts:
+        with suppress(zlib.error):
+            data += zlib.decompress(part)
+    return data
+
+
+@pytest.mark.machine
+@pytest.mark.parametrize(
+    "backend", ["module://matplotlib_inline.backend_inline", "module://nowhere", "nonsense", "qtagg"]
+)
+def test_a_notebooks_backend_ends_no_chart_and_is_left_as_it_is(backend: str, tmp_path: Path) -> None:
+    program = (
+        "import os, sys, maglev_mj\n"
+        "maglev_mj.run('drop', plant='exact').plot('chart.png')\n"
+        "import matplotlib\n"
+        "own = dict.__getitem__(matplotlib.rcParams, 'backend')\n"
+        "assert own == os.environ['MPLBACKEND'] or 'nonsense' in sys.argv\n"
+        "assert 'matplotlib.pyplot' not in sys.modules\n"
+        "print(os.environ['MPLBACKEND'])"
+    )
+    command = [sys.executable, "-c", program, backend]
+    environment = {**os.environ, "MPLBACKEND": backend}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr, done.stdout.strip()) == (0, "", backend)
