@@ -10,11 +10,12 @@ import io
 import os
 import select
 import signal
+import stat
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
-from typing import NamedTuple, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import maglev_mj
 from maglev_mj.cli.declare import Parser, joined
@@ -114,9 +115,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8"))
     if arguments is None:  # as a program: skip garbage collection at exit, which takes 25 ms
         atexit.register(gc.freeze)
-        for stream in (sys.stdout, sys.stderr):
-            if isinstance(stream, io.TextIOWrapper):
+        for name in ("stdout", "stderr"):
+            if isinstance(stream := getattr(sys, name), io.TextIOWrapper):
                 stream.reconfigure(errors="replace")  # some system encodings lack the unit symbols
+                setattr(sys, name, _on_terminal(stream))
     try:
         try:
             if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
@@ -142,6 +144,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"maglev-mj: requires {missing}, which cannot be imported{_WITHOUT[missing]}", file=sys.stderr)
         return 1
+
+
+class _Terminal(io.FileIO):
+    """Terminal that may close; what is written then is discarded, so that a flight lands and a job without it ends."""
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            return len(data)
+
+
+def _on_terminal(stream: io.TextIOWrapper) -> io.TextIOWrapper:
+    """Return a stream in place of one on a terminal, which may be closed already; others are returned unchanged."""
+    try:
+        if os.name != "posix" or not stat.S_ISCHR(os.fstat(stream.fileno()).st_mode):
+            return stream
+    except OSError:  # not a file
+        return stream
+    raw = _Terminal(stream.fileno(), "w", closefd=False)
+    return io.TextIOWrapper(io.BufferedWriter(raw), stream.encoding, "replace", line_buffering=stream.line_buffering)
 
 
 _WITHOUT = {

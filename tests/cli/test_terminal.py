@@ -9,6 +9,7 @@ import json
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ import pytest
 
 import maglev_mj
 from maglev_mj import cli
+from maglev_mj.cli import program
 from maglev_mj.cli.output import Progress
 from maglev_mj.cli.program import COMMANDS, GROUPS
 from maglev_mj.scenes.names import BUILT_IN
@@ -233,3 +235,44 @@ def test_a_run_has_its_bar_on_standard_error_and_its_result_on_standard_output(
     assert cli.main("sweep drop --vary phase=0:0.8:2 --set plant=exact --workers 0 --json -".split()) == 0
     assert "] sweep drop" in screen.text and screen.text.endswith("\r\x1b[K")
     assert len(json.loads(capsys.readouterr().out)["results"]) == 2
+
+
+@pytest.mark.needs("pty")
+def test_what_is_written_to_a_terminal_that_has_closed_is_discarded() -> None:
+    master, slave = os.openpty()
+    with open(slave, "w", encoding="utf-8", errors="replace") as opened:
+        stream = program._on_terminal(opened)
+        assert stream.isatty() and stream.encoding == "utf-8"
+        print("before, 1 µs", file=stream, flush=True)
+        assert os.read(master, 99) == "before, 1 µs\r\n".encode()
+        os.close(master)
+        for _ in range(3):
+            print("landing", file=stream, flush=True)
+        assert not stream.isatty()  # no bars from here on
+    with open("/dev/full", "w", encoding="utf-8") as full, pytest.raises(OSError, match="No space left"):
+        print("landing", file=program._on_terminal(full), flush=True)
+
+
+@pytest.mark.machine
+@pytest.mark.needs("pty", "linux")
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_terminal_that_closes_ends_no_job_under_nohup(ignored: bool, tmp_path: Path) -> None:
+    import fcntl
+    import termios
+
+    master, slave = os.openpty()
+    act = signal.SIG_IGN if ignored else signal.SIG_DFL
+    words = [*PROGRAM, "drop", "--plant", "exact", "--record", "run.maglev", "--out", "figures"]
+    job = subprocess.Popen(
+        words,
+        cwd=tmp_path,
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        start_new_session=True,
+        preexec_fn=lambda: (signal.signal(signal.SIGHUP, act), fcntl.ioctl(0, termios.TIOCSCTTY, 0)),
+    )
+    os.close(slave)
+    os.close(master)  # the terminal's window
+    assert job.wait(60.0) == (0 if ignored else -signal.SIGHUP)
+    assert (tmp_path / "run.maglev").exists() is ignored
