@@ -175,6 +175,28 @@ def one_line(value: object) -> str:
     return text if len(text) <= _MAX_CHARACTERS else f"{text[: _MAX_CHARACTERS - 1]}…"
 
 
+NO_MASK = "must have no masked values: fill them, or leave them out"
+"""What arrays must have, for messages."""
+
+
+def is_masked(value: Any) -> bool:
+    """Return True if an array, also in lists, has masked values: NumPy computes with the numbers behind the mask."""
+    if isinstance(value, list | tuple):
+        kinds = set(map(type, value))
+        return not kinds <= _PLAIN and any(map(is_masked, value))
+    masks = sys.modules.get("numpy.ma")  # not imported by NumPy; a masked array has imported it
+    return masks is not None and isinstance(value, masks.MaskedArray) and bool(masks.is_masked(value))
+
+
+_PLAIN = {float, int, str, bool, type(None)}
+
+
+def refuse_mask(name: str, value: object) -> None:
+    """Raise ParameterError if an array, also in lists, has masked values."""
+    if is_masked(value):
+        raise ParameterError(f"{name} {NO_MASK} (got {one_line(value)})")
+
+
 def meant(given: object, allowed: Iterable[str]) -> str:
     """Return "; did you mean X?" for the closest choice, or "" if none is close."""
     near = get_close_matches(str(given).lower(), allowed, n=1, cutoff=0.7)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from maglev_mj.errors import NO_MASK, is_masked
 from maglev_mj.keywords import checked
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -158,8 +159,15 @@ def join(parts: Sequence[Component]) -> Array:
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
+def is_finite(total: Any) -> bool:
+    """Return True if a sum of components is finite, without masked values."""
+    return bool(np.isfinite(total).all()) and not is_masked(total)
+
+
 def not_finite(name: str, parts: Six) -> str:
     """Return the message for the first of six components, or the time after them, that is not finite; "" if all are."""
+    if is_masked(tuple(parts)):
+        return f"{name} {NO_MASK}"
     values = join(parts)
     for *device, axis in np.argwhere(~np.isfinite(values)).tolist():
         where = f", device {tuple(device)}" if device else ""

@@ -17,7 +17,16 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, overload
 
-from maglev_mj.errors import KeywordError, MaglevError, ParameterError, choice_message, one_line
+from maglev_mj.errors import (
+    NO_MASK,
+    KeywordError,
+    MaglevError,
+    ParameterError,
+    choice_message,
+    is_masked,
+    one_line,
+    refuse_mask,
+)
 
 _T = TypeVar("_T")
 _WORDS = {"bool": "True or False", "float": "a number", "int": "an integer", "str": "a string"}
@@ -165,6 +174,7 @@ def with_period(names: Collection[str], keywords: Mapping[str, Any]) -> dict[str
 
             if changed.get(period) is not None:
                 raise KeywordError(f"{period} and {name} must not both be given")
+            refuse_mask(name, rate)
             if not _is_numeric(rate):
                 raise ParameterError(f"{name} must be a number (got {one_line(rate)})")
             with np.errstate(divide="ignore"):
@@ -182,6 +192,8 @@ def mismatch(
     positions, hints = _hints(call, arrays)
     certain = True
     for name, value in (*zip(positions, arguments), *keywords.items()):
+        if is_masked(value):
+            return f"{name} {NO_MASK} (got {one_line(value)})"
         if name in hints and name not in own:
             note, hint, usual, test = hints[name]
             if value.__class__ not in usual:
@@ -197,6 +209,7 @@ def mismatch(
                 fields = {key: getattr(value, key) for key in type(value).__dataclass_fields__}
                 if message := mismatch(type(value).__init__, (), fields, arrays=True):
                     return f"{name} {message}"
+        certain &= not hasattr(value, "mask")  # an array of this class may have masked values next time
     return None if certain else ""
 
 

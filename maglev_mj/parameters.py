@@ -30,7 +30,15 @@ from typing import (
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import MaglevError, ParameterError, check_one_of, choice_message, file_path, one_line
+from maglev_mj.errors import (
+    MaglevError,
+    ParameterError,
+    check_one_of,
+    choice_message,
+    file_path,
+    one_line,
+    refuse_mask,
+)
 from maglev_mj.files import parse_json, read_text
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.keywords import check_constructor, checked, with_period
@@ -75,6 +83,8 @@ def number(
     Raises:
         ParameterError: If it is not a number, not finite, or outside the bounds.
     """
+    if value.__class__ is not float:
+        refuse_mask(name, value)
     try:
         result = math.nan if isinstance(value, _NOT_NUMBERS) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
@@ -156,6 +166,7 @@ def numbers(
     lower, plain = -math.inf if above is None else above, above is None and not shape
     if value.__class__ is float and plain and max(at_least, -_LARGEST) <= value <= min(at_most, _LARGEST):
         return np.array(value)  # fast path: a third of the cost
+    refuse_mask(name, value)
     try:
         raw = np.asarray(value)
         kinds = map(type, np.array(value, object).flat) if isinstance(value, list | tuple) else ()

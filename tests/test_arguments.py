@@ -24,8 +24,10 @@ from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.errors import KeywordError, MaglevError, ParameterError
 from maglev_mj.interop import gym
+from maglev_mj.interop.navigation import Navigator
 from maglev_mj.parameters import Parameters
 from maglev_mj.plants.hand import RecordedHand, SpringHand, Trajectory
+from maglev_mj.studies.oscillation import find_oscillation
 from maglev_mj.theory.loop_array import LoopArray
 from tests.all_of import LAWS, SCENES
 from tests.test_all_of import below
@@ -89,6 +91,78 @@ def test_documented_shapes_pass_and_every_other_of_up_to_three_axes_is_refused(n
             assert shape not in allowed
         else:
             assert shape in allowed
+
+
+def masked(shape: tuple[int, ...]) -> Any:
+    """Return an array whose last value does not count, as a logger marks it."""
+    values = np.full(shape, 1e-3)
+    values[(-1,) * len(shape)] = 9999.0
+    return np.ma.masked_greater(values, 1.0)
+
+
+@pytest.mark.parametrize("name", [name for name, (_, shapes) in ARRAYS.items() if shapes])
+def test_masked_values_are_refused_where_arrays_are_taken(name: str) -> None:
+    call, allowed = ARRAYS[name]
+    for shape in allowed:
+        for value in (masked(shape), list(masked(shape)) if shape and name != "phase" else np.ma.masked):
+            with pytest.raises(MaglevError, match=r"must (have no masked values|be a)"):
+                call(value)
+        call(np.ma.masked_greater(np.full(shape, 1e-3), 1.0))  # without one they are numbers
+
+
+@pytest.mark.parametrize(("name", "call"), [pair for pair in calls() if "." not in pair[0] and pair[0] not in HOT])
+def test_masked_values_are_refused_by_every_public_call(name: str, call: Callable[..., Any]) -> None:
+    for key, one in inspect.signature(call).parameters.items():
+        if one.kind in (one.KEYWORD_ONLY, one.POSITIONAL_OR_KEYWORD):
+            with pytest.raises(ParameterError, match=r"must have no masked values|must be .*\(got masked_array"):
+                call(**{key: masked((6,))})
+
+
+def test_masked_values_are_refused_by_recordings_and_navigation() -> None:
+    (segment,) = maglev_mj.record_run(maglev_mj.find_scene("drop")(duration=0.05), plant="exact").segments
+    rows, navigator = masked(segment.position.shape), Navigator()
+    for act in (
+        lambda: segment.replace(position=rows),
+        lambda: replace(segment, arrays={**segment.arrays, "position": rows}),
+        lambda: navigator.move(masked((6,)), None, 0.1),
+        lambda: navigator.move([0.0] * 6, masked((6,)), 0.1),
+        lambda: navigator.move([0.0] * 6, np.zeros(6), 0.1, masked((6,))),
+        lambda: find_oscillation(np.arange(6), masked((6,)), period=0.001),
+        lambda: find_oscillation(np.arange(6), np.zeros(6), period=0.001, usable=masked((6,)) > 0.0),
+        lambda: maglev_mj.Timing(rate=masked((2,))),
+    ):
+        with pytest.raises(ParameterError, match="must have no masked values"):
+            act()
+
+
+def batch_of(value: Any) -> list[Any]:
+    """Return six components of two devices."""
+    return [value] + [np.zeros(2)] * 5
+
+
+@pytest.mark.parametrize("value", [masked((2,)), np.ma.masked], ids=["array", "number"])
+def test_masked_values_that_the_users_code_returns_are_refused(value: Any) -> None:
+    class Odd(maglev_mj.Law):
+        def __call__(self, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
+            wrench[0] = value
+            return state, None
+
+    several = np.ndim(value) > 0
+    pose: Any = {"pose": MANY} if several else {}
+    six = batch_of(value) if several else [value] + [0.0] * 5
+    zeros = [np.zeros(2)] * 6 if several else [0.0] * 6
+    controller = Controller([], period=0.01)
+    controller.step(Sample(0, 0.0, zeros))
+    for act in (
+        lambda: ExactPlant(**pose, hand_force=lambda *_: six).read(),
+        lambda: stepped(ExactPlant(**pose), six),
+        lambda: stepped(ExactPlant(**pose), (zeros, six)),
+        lambda: controller.step(Sample(1, 0.01, six)),
+        lambda: Controller([Odd()], period=0.01).step(Sample(0, 0.0, zeros)),
+        lambda: Controller([lambda *_: six], period=0.01).step(Sample(0, 0.0, zeros)),  # type: ignore[list-item]
+    ):
+        with pytest.raises(MaglevError, match=r"must (have no masked values|be a number)"):
+            act()
 
 
 LIKE: Any = replace

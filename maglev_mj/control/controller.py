@@ -16,7 +16,19 @@ import numpy as np
 from maglev_mj.control.laws.base import Face, Law, VelocityEstimator, answer, as_law, shape_of
 from maglev_mj.control.laws.velocity import FiniteDifference
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
-from maglev_mj.frames import AXES, ZERO, Array, Command, Component, DeviceWall, Sample, Six, components, not_finite
+from maglev_mj.frames import (
+    AXES,
+    ZERO,
+    Array,
+    Command,
+    Component,
+    DeviceWall,
+    Sample,
+    Six,
+    components,
+    is_finite,
+    not_finite,
+)
 from maglev_mj.keywords import checked, every_tick, mismatch, with_period
 from maglev_mj.parameters import SAMPLE_PERIOD, number
 
@@ -147,7 +159,7 @@ class Controller:
         except (AttributeError, TypeError):
             message = mismatch(Controller.step, (self, sample), {}, arrays=True) or "sample must be a Sample"
             raise ParameterError(message) from None
-        if not (isfinite(total) if total.__class__ is float else np.isfinite(total).all()):
+        if not (isfinite(total) if total.__class__ is float else is_finite(total)):
             if message := not_finite(f"sample at tick {tick}", (*position, sample.time)):
                 raise ParameterError(message)
         if periods < 1:

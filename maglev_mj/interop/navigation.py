@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, refuse_mask
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.parameters import number, numbers, six, store
 from maglev_mj.plants.model import Body, body_of
@@ -116,6 +116,7 @@ class Navigator:
         """
         now = numbers("pose", pose, shape="(6,)")
         number("elapsed", elapsed, at_least=0.0)
+        refuse_mask("anchors", anchors)
         motion = np.zeros(len(AXES)) if self._last is None else now - self._last
         if anchors is None:
             self._has_friction[:] = False

@@ -16,7 +16,19 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Interval, Timeline, Timing
 from maglev_mj.errors import DivergenceError, PlantError, check_instance
-from maglev_mj.frames import Array, Command, Component, DeviceWall, Sample, Six, clipped, components, join, not_finite
+from maglev_mj.frames import (
+    Array,
+    Command,
+    Component,
+    DeviceWall,
+    Sample,
+    Six,
+    clipped,
+    components,
+    is_finite,
+    join,
+    not_finite,
+)
 from maglev_mj.keywords import checked, every_tick
 from maglev_mj.parameters import flag, number, numbers, six
 from maglev_mj.plants.device_walls import DeviceWalls, Held
@@ -421,7 +433,7 @@ class SampledPlant(ABC):
 
     def _valid(self, total: Any) -> bool:
         """Return True if a sum of components is finite and has the batch shape."""
-        return np.shape(total) in ((), self.batch) and bool(np.isfinite(total).all())
+        return np.shape(total) in ((), self.batch) and is_finite(total)
 
     def _check_escape(self, position: Six) -> Component:
         """Return the squared angle [rad²]; raise DivergenceError outside the escape bounds or for NaN."""

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.errors import ParameterError, check_instance, check_one_of, file_path
+from maglev_mj.errors import ParameterError, check_instance, check_one_of, file_path, refuse_mask
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
 from maglev_mj.keywords import checked
@@ -79,6 +79,8 @@ class Segment(_Fields):
     metadata: RunMetadata = field(init=False)
 
     def __post_init__(self) -> None:
+        for name, values in self.arrays.items():
+            refuse_mask(name, values)
         store(self, metadata=RunMetadata.from_json(value_in(self.setup, "run", dict)))
 
     def __len__(self) -> int:
@@ -107,6 +109,8 @@ class Segment(_Fields):
 
     def replace(self, **values: ArrayLike) -> Segment:
         """Return a copy with new values of some fields, broadcast to their shapes."""
+        for name, part in values.items():
+            refuse_mask(name, part)
         new = {name: np.array(np.broadcast_to(part, self.arrays[name].shape), float) for name, part in values.items()}
         return replace(self, arrays={**self.arrays, **new})
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control import Controller, FiniteDifference, LowPass
 from maglev_mj.device import Device, lag_of
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, refuse_mask
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers, read_file
 from maglev_mj.plants.hand import Hand
@@ -86,6 +86,7 @@ def find_oscillation(
     """
     step = number("period", period, **SAMPLE_PERIOD)
     times, x = numbers("time", time, shape="(N,)"), numbers("position", position, shape=f"({np.size(time)},)")
+    refuse_mask("usable", usable)
     valid = np.ones(len(x), dtype=np.bool_) if usable is None else np.asarray(usable, dtype=np.bool_)
     common_shape("position and usable", x.shape, valid.shape)
     ends = np.flatnonzero(~valid[1:] | ~valid[:-1] | (np.abs(np.diff(times) - step) > 0.01 * step)) + 1

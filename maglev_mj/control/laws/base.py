@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, datacla
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import MaglevError, ParameterError, named
+from maglev_mj.errors import MaglevError, ParameterError, named, refuse_mask
 from maglev_mj.frames import AXES, Array, Component, DeviceWall, Six
 from maglev_mj.keywords import check_constructor, checked, every_tick
 from maglev_mj.parameters import SAMPLE_PERIOD, axis_indices, batch_shape, flag, number, numbers, per_axis, store
@@ -371,6 +371,7 @@ def _check(name: str, what: str, parts: Six, batch: tuple[int, ...]) -> None:
     if set(map(type, parts)) == {float} and math.isfinite(sum(parts)):
         return
     for axis, part in zip(AXES, parts):
+        refuse_mask(f"{name}: {what} on {axis}", part)
         array = np.asarray(part)
         if array.dtype.kind not in "fiu" or array.shape not in ((), batch):
             shape = f"of shape {batch}" if batch else "a number"
