@@ -22,19 +22,20 @@ BAUD = 921600
 """Default baud rate; at 200 Hz, STATE and CMD together use 3/5 of it."""
 
 _UDP = re.compile(r"udp://([\w.-]+):(\d{1,5})", re.ASCII)
-_SERIAL = re.compile(r"serial://(/[^?#]+|COM\d{1,3})(?:\?baud=(\d{1,8}))?", re.ASCII)
+_SERIAL = re.compile(r"serial://(/[^?#]+|COM\d{1,3})(?:\?baud=(\d{1,8})(&dtr=1)?)?", re.ASCII)
 
 
 class Url(NamedTuple):
-    """Parsed address of a link: "udp", host and port; or "serial", path and baud rate."""
+    """Parsed address of a link: "udp", host and port; or "serial", path, baud rate, and if DTR and RTS follow it."""
 
     scheme: str
     host: str
     number: int
+    dtr: bool = False
 
 
 def parse_url(text: str, *, server: bool = False) -> Url:
-    """Parse udp://HOST:PORT or serial:///PATH?baud=RATE (on Windows serial://COM3?baud=RATE).
+    """Parse udp://HOST:PORT or serial:///PATH?baud=RATE (on Windows serial://COM3?baud=RATE), optionally with &dtr=1.
 
     Args:
         text: Address.
@@ -47,7 +48,7 @@ def parse_url(text: str, *, server: bool = False) -> Url:
     if (udp := _UDP.fullmatch(text)) and least <= int(udp[2]) <= 65535:
         return Url("udp", udp[1], int(udp[2]))
     if (serial := _SERIAL.fullmatch(text)) and int(serial[2] or BAUD) > 0:
-        return Url("serial", serial[1], int(serial[2] or BAUD))
+        return Url("serial", serial[1], int(serial[2] or BAUD), serial[3] is not None)
     port = "serial:///PATH?baud=RATE (on Windows serial://COM3?baud=RATE)"
     raise ParameterError(f"address must be udp://HOST:PORT with a port from {least} to 65535, or {port}; got {text!r}")
 
@@ -244,11 +245,11 @@ def open_link(url: str | Link, key: bytes | None = None) -> Link:
         if not hasattr(url, "receive"):
             raise ParameterError(f"link must be an address or the result of open_link (got {one_line(url)})")
         return url
-    scheme, host, number = parse_url(url)
+    scheme, host, number, dtr = parse_url(url)
     if scheme == "udp":
         # open the checked address: the name may resolve differently next time
         return UdpLink(check_host(host, key), number)
-    return SerialLink(host, number)
+    return SerialLink(host, number, dtr=dtr)
 
 
 def readable(descriptor: int | socket.socket, timeout: float) -> bool:
@@ -276,6 +277,7 @@ LONGEST = 4096
 _FLOOD = 1e-3  # longest time spent on invalid data after the caller's timeout [s]
 _CODES = [bytes([length + 1]) for length in range(255)]
 _SLICE = 1e-3  # timeout of one read [s]; constant, because changing it reconfigures the port
+_RAISED = os.name != "nt"  # the system raises DTR and RTS of an opened port: to lower them would be an edge
 _ROOM = 0.0 if os.name == "nt" else 1e-4  # write timeout [s]; except on Windows, 0 makes pyserial block indefinitely
 
 
@@ -394,12 +396,34 @@ def _cause(error: OSError) -> str:
     return os.strerror(error.errno) if error.errno else "unplugged, or opened by another program"
 
 
+def _hang_up(path: str, lower: bool) -> None:
+    """Set if the system lowers DTR and RTS of a port that is closed; before it is opened, as this resets odd rates."""
+    try:
+        import fcntl
+        import termios
+    except ImportError:  # Windows
+        return
+    with suppress(OSError, termios.error):  # opening reports it
+        descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # not that of another program
+            values = termios.tcgetattr(descriptor)
+            values[2] = values[2] | termios.HUPCL if lower else values[2] & ~termios.HUPCL
+            termios.tcsetattr(descriptor, termios.TCSANOW, values)
+        finally:
+            os.close(descriptor)
+
+
 class SerialLink(_Line):
     """Link over a serial port, opened exclusively.
+
+    Edges of DTR and RTS reset many boards, or start their boot loader. POSIX systems raise both before a program can
+    act, so they are raised once and then kept across closing and opening; on Windows they stay low.
 
     Args:
         path: Path of the port, such as /dev/ttyUSB0 or COM3.
         baud: Baud rate, above 0.
+        dtr: True to raise DTR and RTS at opening, and lower them at closing.
 
     Raises:
         MissingPackageError: If pyserial is not installed.
@@ -407,12 +431,15 @@ class SerialLink(_Line):
         LinkError: If it cannot be opened.
     """
 
-    def __init__(self, path: str, baud: int) -> None:
+    def __init__(self, path: str, baud: int, *, dtr: bool = False) -> None:
         require(("serial",), "serial", "a serial link needs pyserial")
         from serial import Serial, SerialTimeoutException
 
         try:
-            self._port = Serial(path, baud, timeout=_SLICE, write_timeout=_ROOM, exclusive=True)
+            self._port = Serial(None, baud, timeout=_SLICE, write_timeout=_ROOM, exclusive=True)
+            self._port.port, self._port.dtr, self._port.rts = path, dtr or _RAISED, dtr or _RAISED
+            _hang_up(path, dtr)
+            self._port.open()
         except ValueError:
             raise ParameterError(f"baud must be a rate that {path} supports (got {baud!r})") from None
         except OSError as error:

@@ -232,11 +232,12 @@ def test_without_a_key_only_this_machine_is_spoken_to() -> None:
 
 
 def test_addresses() -> None:
-    assert parse_url("udp://127.0.0.1:5678") == ("udp", HOME, 5678)
-    assert parse_url("udp://localhost:0", server=True) == ("udp", "localhost", 0)
-    assert parse_url("serial:///dev/ttyUSB0?baud=460800") == ("serial", "/dev/ttyUSB0", 460800)
-    assert parse_url("serial:///dev/ttyUSB0") == ("serial", "/dev/ttyUSB0", 921600)
-    assert parse_url("serial://COM3?baud=115200") == ("serial", "COM3", 115200)
+    assert parse_url("udp://127.0.0.1:5678") == ("udp", HOME, 5678, False)
+    assert parse_url("udp://localhost:0", server=True) == ("udp", "localhost", 0, False)
+    assert parse_url("serial:///dev/ttyUSB0?baud=460800") == ("serial", "/dev/ttyUSB0", 460800, False)
+    assert parse_url("serial:///dev/ttyUSB0") == ("serial", "/dev/ttyUSB0", 921600, False)
+    assert parse_url("serial://COM3?baud=115200") == ("serial", "COM3", 115200, False)
+    assert parse_url("serial:///dev/ttyACM0?baud=115200&dtr=1") == ("serial", "/dev/ttyACM0", 115200, True)
 
 
 @pytest.mark.parametrize(
@@ -254,6 +255,8 @@ def test_addresses() -> None:
         "serial:///",
         "serial:///dev/ttyUSB0?baud=0",
         "serial:///dev/ttyUSB0?parity=even",
+        "serial:///dev/ttyUSB0?baud=921600&dtr=0",
+        "serial:///dev/ttyUSB0?dtr=1",
     ],
 )
 def test_what_is_no_address_is_named(text: str) -> None:
@@ -391,11 +394,52 @@ def test_a_failed_serial_line_is_one_sentence_without_the_librarys_words(
     with pytest.raises(LinkError) as opening:
         SerialLink("/dev/line", 9600)
     assert str(opening.value).startswith(f"cannot open serial:///dev/line: {says}")
-    monkeypatch.setattr("serial.Serial", lambda *_, **__: SimpleNamespace(write=fail, close=lambda: None))
+    monkeypatch.setattr("serial.Serial", lambda *_, **__: SimpleNamespace(write=fail, close=bool, open=bool))
     with closing(SerialLink("/dev/line", 9600)) as link, pytest.raises(LinkError) as writing:
         link.send(b"frame")
     assert str(writing.value).startswith(f"/dev/line lost: {says}")
     assert not re.search(r"Errno|readiness|could not|Could", f"{opening.value}{writing.value}")
+
+
+@pytest.mark.needs("pty")
+@pytest.mark.parametrize("dtr", [False, True])
+def test_opening_a_port_changes_dtr_and_rts_only_on_request(dtr: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The system raises both when a port is opened, and lowers them when one with HUPCL is closed.
+    import termios
+
+    from serial import serialposix
+
+    lines, edges, control = {"DTR", "RTS"}, list[str](), serialposix.fcntl.ioctl
+
+    def ioctl(descriptor: int, request: int, *values: Any) -> Any:
+        """Change the lines of a port; a pseudo-terminal has none."""
+        if request not in (serialposix.TIOCMBIS, serialposix.TIOCMBIC):
+            return control(descriptor, request, *values)
+        name = "DTR" if values[0] == serialposix.TIOCM_DTR_str else "RTS"
+        edges.extend([name] * ((name in lines) == (request == serialposix.TIOCMBIC)))
+        return values[0]
+
+    monkeypatch.setattr(serialposix.fcntl, "ioctl", ioctl)
+    server = PtyServer()
+    for _ in range(2):
+        with closing(open_link(f"serial://{server.path}?baud=921600{'&dtr=1' * dtr}")):
+            assert bool(termios.tcgetattr(server._slave)[2] & termios.HUPCL) is dtr
+    server.close()
+    assert not edges
+
+
+@pytest.mark.parametrize("dtr", [False, True])
+def test_where_no_system_raises_dtr_and_rts_they_stay_low(dtr: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Port(SimpleNamespace):
+        def open(self) -> None:
+            assert (self.port, self.dtr, self.rts) == ("COM3", dtr, dtr)
+            opened.append(self)
+
+    opened = list[Port]()
+    monkeypatch.setattr("maglev_mj.bridge.links._RAISED", False)
+    monkeypatch.setattr("serial.Serial", lambda *_, **__: Port(close=bool))
+    open_link(f"serial://COM3?baud=115200{'&dtr=1' * dtr}").close()
+    assert len(opened) == 1
 
 
 def test_without_pyserial_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
