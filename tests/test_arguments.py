@@ -27,6 +27,7 @@ from maglev_mj.interop import gym
 from maglev_mj.interop.navigation import Navigator
 from maglev_mj.parameters import Parameters
 from maglev_mj.plants.hand import RecordedHand, SpringHand, Trajectory
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.oscillation import find_oscillation
 from maglev_mj.theory.loop_array import LoopArray
 from tests.all_of import LAWS, SCENES
@@ -119,7 +120,7 @@ def test_masked_values_are_refused_by_every_public_call(name: str, call: Callabl
 
 
 def test_masked_values_are_refused_by_recordings_and_navigation() -> None:
-    (segment,) = maglev_mj.record_run(maglev_mj.find_scene("drop")(duration=0.05), plant="exact").segments
+    (segment,) = maglev_mj.record_run(Drop(duration=0.05), plant="exact").segments
     rows, navigator = masked(segment.position.shape), Navigator()
     for act in (
         lambda: segment.replace(position=rows),
@@ -159,7 +160,7 @@ def test_masked_values_that_the_users_code_returns_are_refused(value: Any) -> No
         lambda: stepped(ExactPlant(**pose), (zeros, six)),
         lambda: controller.step(Sample(1, 0.01, six)),
         lambda: Controller([Odd()], period=0.01).step(Sample(0, 0.0, zeros)),
-        lambda: Controller([lambda *_: six], period=0.01).step(Sample(0, 0.0, zeros)),  # type: ignore[list-item]
+        lambda: Controller([lambda *_: six], period=0.01).step(Sample(0, 0.0, zeros)),
     ):
         with pytest.raises(MaglevError, match=r"must (have no masked values|be a number)"):
             act()

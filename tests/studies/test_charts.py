@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib import cycler, rc_context
+from cycler import cycler
+from matplotlib import rc_context
 from matplotlib.text import Text
 
 import maglev_mj
@@ -421,7 +422,8 @@ def settings() -> dict[str, Any]:
     """Return the settings as they are; asking for the backend would choose one."""
     import matplotlib
 
-    return dict(dict.items(matplotlib.rcParams))
+    raw: dict[str, Any] = matplotlib.rcParams  # type: ignore[assignment]
+    return dict(dict.items(raw))
 
 
 @pytest.mark.parametrize("kind", ["time series", "map"])
