@@ -192,7 +192,7 @@ def mismatch(
     positions, hints = _hints(call, arrays)
     certain = True
     for name, value in (*zip(positions, arguments), *keywords.items()):
-        if is_masked(value):
+        if (hasattr(value, "mask") or isinstance(value, list | tuple)) and is_masked(value):
             return f"{name} {NO_MASK} (got {one_line(value)})"
         if name in hints and name not in own:
             note, hint, usual, test = hints[name]

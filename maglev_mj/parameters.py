@@ -83,7 +83,7 @@ def number(
     Raises:
         ParameterError: If it is not a number, not finite, or outside the bounds.
     """
-    if value.__class__ is not float:
+    if hasattr(value, "mask"):
         refuse_mask(name, value)
     try:
         result = math.nan if isinstance(value, _NOT_NUMBERS) else float(value)  # type: ignore[arg-type]
@@ -166,7 +166,8 @@ def numbers(
     lower, plain = -math.inf if above is None else above, above is None and not shape
     if value.__class__ is float and plain and max(at_least, -_LARGEST) <= value <= min(at_most, _LARGEST):
         return np.array(value)  # fast path: a third of the cost
-    refuse_mask(name, value)
+    if hasattr(value, "mask") or (isinstance(value, list | tuple) and not {float, int}.issuperset(map(type, value))):
+        refuse_mask(name, value)
     try:
         raw = np.asarray(value)
         kinds = map(type, np.array(value, object).flat) if isinstance(value, list | tuple) else ()
