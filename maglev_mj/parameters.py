@@ -657,20 +657,27 @@ def read_json(
     return read_file(kind, path, lambda text: parse(parse_json(text, parse_constant=float, **options)), error)
 
 
-def read_file(kind: str, path: str | Path, parse: Callable[[str], _T], error: type[MaglevError] = ParameterError) -> _T:
-    """Read and parse a text file.
+def read_file(
+    kind: str,
+    path: str | Path,
+    parse: Callable[[Any], _T],
+    error: type[MaglevError] = ParameterError,
+    read: Callable[[Path], Any] = read_text,
+) -> _T:
+    """Read and parse a file.
 
     Args:
         kind: Kind of the file, for messages.
         path: The file.
-        parse: Function of the text.
+        parse: Function of what `read` returns.
         error: Type of the error raised.
+        read: Function that reads the file; text by default.
 
     Raises:
         MaglevError: Of type `error`, if the file cannot be read or parsed; one line with path and reason.
     """
     try:
-        return parse(read_text(file_path(path)))
+        return parse(read(file_path(path)))
     except OSError as failure:
         raise error(f"{kind} {str(path)!r} cannot be read: {failure.strerror}") from None
     except (MaglevError, UnicodeError) as failure:

@@ -298,8 +298,9 @@ def _add(parser: Parser, name: str, kind: Any, about: Option, default: Any) -> N
 
 def _reading(kind: Any, about: Option) -> dict[str, Any]:
     """Return the argparse settings that parse an option's value."""
-    if get_origin(kind) is Literal:
-        return {"choices": get_args(kind), "metavar": about.metavar}
+    for part in (kind, *get_args(kind)):  # also of one that may be None
+        if get_origin(part) is Literal:
+            return {"choices": get_args(part), "metavar": about.metavar}
     kinds = [about.kind] if about.kind is not None else [*get_args(kind), kind]
     kind = next(part for part in kinds if part is not NoneType)
     read, metavar = KINDS.get(kind, (kind, None))

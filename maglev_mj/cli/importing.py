@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     from maglev_mj.recording.sample import Face
 
 _TABLE, _DEVICE = "table", "device"
+_DECIDED = "(default: decided by the file)"
 _VALUES = (
-    "column of each value: time, pose x to rz, wrench fx to frz, of a hand hx to hrz, currents i0, i1, ..., "
-    "quaternion=xyzw:A+B+C+D, euler=ZYX:A+B+C; those of a table without names are 1, 2, ..."
+    "column of each value (default: time and pose by name): time, pose x to rz, wrench fx to frz, of a hand hx to hrz, "
+    "currents i0, i1, ..., quaternion=xyzw:A+B+C+D, euler=ZYX:A+B+C; without names, the columns are 1, 2, ..."
 )
 
 
@@ -31,10 +32,16 @@ def _face(text: str) -> Face:
 
 
 def import_log(
-    file: Annotated[Path, option("text table: CSV, tabs, semicolons or blanks", "", "FILE")],
+    file: Annotated[Path, option("text table: CSV, tabs, semicolons or blanks; may be compressed by gzip", "", "FILE")],
     columns: Annotated[list[str], option(_VALUES, _TABLE, "NAME=COLUMN", several=True)],
     units: Annotated[
-        list[str], option("unit of time, length, angle, force, torque, current", _TABLE, "NAME=UNIT", several=True)
+        list[str],
+        option(
+            "unit of time, length, angle, force, torque, current (default: as the file states it)",
+            _TABLE,
+            "NAME=UNIT",
+            several=True,
+        ),
     ],
     scale: Annotated[
         list[str], option("SI units per count of a column, or -1 to mirror it", _TABLE, "COLUMN=FACTOR", several=True)
@@ -54,11 +61,23 @@ def import_log(
         Literal["none", "hold"], option("hold: hold a wrench until its next row, for rows of pose or wrench", _TABLE)
     ] = "none",
     resample: Annotated[bool, option("accept time off a grid: pose by a cubic, wrench held", _TABLE)] = False,
+    encoding: Annotated[Literal["utf-8", "utf-16", "latin-1"] | None, option(f"encoding {_DECIDED}", _TABLE)] = None,
+    skip: Annotated[int | None, option(f"lines before names or numbers {_DECIDED}", _TABLE, at_least=0)] = None,
+    separator: Annotated[
+        Literal["tab", "semicolon", "comma", "bar", "blank"] | None, option(f"separator {_DECIDED}", _TABLE)
+    ] = None,
+    decimal: Annotated[
+        Literal["point", "comma"] | None, option(f"decimal mark {_DECIDED}; the other one groups thousands", _TABLE)
+    ] = None,
+    names: Annotated[str | None, option(f"names of all columns {_DECIDED}", _TABLE, "A,B,...")] = None,
     out: Annotated[
         Path | None, option("file .maglev, .mcap, .npz, .csv, .parquet or .wav (default: beside the table)", "output")
     ] = None,
 ) -> int:
-    """Import a text table of another program as a recording, for analyse, diagnose, export and replay."""
+    """Import a text table of another program as a recording, for analyse, diagnose, export and replay.
+
+    Prints in one line what the file was taken for, which the recording keeps; options override each part of it.
+    """
     import numpy as np
 
     from maglev_mj.device import Device
@@ -85,7 +104,10 @@ def import_log(
     table: dict[str, Any] = {"rate": rate, "hold": join == "hold", "resample": resample, "delay": delay}
     table["scale"] = {name: parsed_number("scale", text) for name, text in assignments("scale", scale).items()}
     table["faces"] = [*map(_face, face)]
-    recording = import_table(file, assignments("columns", columns), assignments("units", units), **table, **body)
+    table |= {"encoding": encoding, "skip": skip, "separator": separator, "decimal": decimal}
+    table["names"] = None if names is None else names.split(",")
+    table["columns"] = assignments("columns", columns) if columns else None
+    recording = import_table(file, units=assignments("units", units), **table, **body)
     if path.suffix == ".maglev":
         recording.save(path)
     else:

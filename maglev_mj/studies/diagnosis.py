@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _SAMPLES = 4096
 _APART = 0.02  # largest distance of measured and judged frequency, relative
-MOTIONS = ".maglev", ".csv", ".txt", ".tsv"
+MOTIONS = ".maglev", ".csv", ".txt", ".tsv", ".tab", ".dat", ".lvm", ".asc", ".log", ".gz"
 _NAMES = (
     *("loop", "stable", "spectral_radius", "frequency", "doubling_time", "critical_stiffness", "damping_range"),
     *("critical_delay", "stable_delays", "rate_range", "rate_in_periods", "best", "remedies", "ineffective"),
@@ -375,9 +375,9 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     if wrong := [name for name in values if name not in accepted]:
         raise KeywordError(choice_message("argument of diagnose", ("scene", "on_axis", *accepted), wrong[0]))
     measured: Oscillation | None = None
-    remarks, stated = tuple[str, ...](), values
+    remarks, stated, taken = tuple[str, ...](), values, tuple[str, ...]()
     if recorded:
-        measured, values = _of_recording(Path(scene), values)
+        measured, values, taken = _of_recording(Path(scene), values)
     if "device" in stated and (scene is None or recorded):
         hardware = Device.load(stated["device"])
         own = {"period": hardware.period, "delay": hardware.delay, "mass": hardware.mass}
@@ -400,7 +400,7 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
         raise ParameterError(f"stiffness must be above 0 (got {loop.stiffness:g})")
     if measured is not None:
         loop, measured, how = _explained(loop, measured, given, assumptions)
-        remarks = (_seen(Path(scene), measured), *how)
+        remarks = (*taken, _seen(Path(scene), measured), *how)
     elif values.get("delay") is None:
         others = [loop.trial(delay=share * loop.period) for share in (0.0, 0.5, 1.0, 2.0)]
         words = ["stable" if one.whole.spectral_radius < 1.0 else "unstable" for one in others]
@@ -493,11 +493,11 @@ def _of_scene(
     return {**result, **stated}, of_scene
 
 
-def _of_recording(path: Path, values: dict[str, Any]) -> tuple[Oscillation, dict[str, Any]]:
-    """Return the oscillation of a recording, and the values that its file states, or those in their place."""
+def _of_recording(path: Path, values: dict[str, Any]) -> tuple[Oscillation, dict[str, Any], tuple[str, ...]]:
+    """Return the oscillation of a recording, the values that its file states, or those in their place, and notes."""
     from maglev_mj.studies.oscillation import read_oscillation  # slow
 
-    seen, known = read_oscillation(path)
+    seen, known, taken = read_oscillation(path)
     if values.get("mass") is not None or values.get("inertia") is not None:
         known = {name: value for name, value in known.items() if name not in ("mass", "inertia")}
     if values.get("cutoff") is not None:
@@ -506,7 +506,7 @@ def _of_recording(path: Path, values: dict[str, Any]) -> tuple[Oscillation, dict
     if known.get("stiffness") is None or known.get("damping") is None:
         if not known.get("device_stiffness"):
             raise ParameterError(f"stiffness and damping of the law must be given to explain {_seen(path, seen)}")
-    return seen, known
+    return seen, known, taken
 
 
 def _seen(path: Path, seen: Oscillation) -> str:

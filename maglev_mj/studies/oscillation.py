@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields
@@ -17,11 +16,11 @@ from maglev_mj.control import Controller, FiniteDifference, LowPass
 from maglev_mj.device import Device, lag_of
 from maglev_mj.errors import MaglevError, ParameterError, refuse_mask
 from maglev_mj.frames import AXES, Array
-from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers, read_file
+from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers
 from maglev_mj.plants.hand import Hand
 from maglev_mj.recording import Recording
 from maglev_mj.recording.setup import MEASURED, rebuild_controller, rebuild_plant
-from maglev_mj.recording.table import UNITS, read_table, uniform_ticks
+from maglev_mj.recording.table import read_log
 from maglev_mj.theory import stated_gains
 from maglev_mj.theory.loop_array import PdLaw
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
@@ -205,11 +204,14 @@ def _check(fit: _Fit, x: Array, turns: list[int], step: float) -> None:
         raise ParameterError(f"position must oscillate with one pole (got {reason}); record motion inside the wall")
 
 
-def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any]]:
-    """Return the oscillation in a recording, or a table of time and position, and what the file states of its loop.
+def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any], tuple[str, ...]]:
+    """Return the oscillation in a recording or table, on its main axis, and what the file states of its loop.
+
+    Time and pose of a table are chosen by their names; without a unit, they are SI.
 
     Returns:
-        The oscillation, and values of `DiagnosedLoop` by name; an inertia of None for a rotary axis of unknown inertia.
+        The oscillation, values of `DiagnosedLoop` by name, and what a table was taken for, in words. An inertia of None
+        is that of a rotary axis of unknown inertia.
 
     Raises:
         ParameterError: If the file cannot be read, or contains no oscillation.
@@ -221,41 +223,10 @@ def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any]]:
             seen, stated = _of_recording(recording)
         except ParameterError as error:
             raise ParameterError(f"{error}" + f"; {recording.damage}" * bool(recording.damage)) from None
-        return seen._replace(damage=recording.damage), stated
-    time, position, period, rotary = read_motion(path)
-    return find_oscillation(time, position, period=period), {"inertia": None} if rotary else {}
-
-
-def read_motion(path: str | Path) -> tuple[Array, Array, float, bool]:
-    """Read time [s] and position [m, rad], (N,) each, the sample period [s] and if it is an angle from a table.
-
-    Units in the names of the columns, such as time_ms or x [mm], are read; without one, they are SI.
-
-    Raises:
-        ParameterError: If the file cannot be read, or the times are not uniform; see `read_table`, `uniform_ticks`.
-    """
-    return read_file("motion", path, _parsed)
-
-
-def _parsed(text: str) -> tuple[Array, Array, float, bool]:
-    table = read_table(text)
-    if len(table.names) != 2 or len(table.rows) < 2:
-        got = f"{len(table.names)} columns, {len(table.rows)} rows"
-        raise ParameterError(f"table must be time and position, at least 2 rows (got {got}); others: maglev-mj import")
-    time, position = (numbers("time and position", table.values(name)) for name in table.names)
-    factors = [_factor(name, *parts) for name, parts in zip(table.names, (("time",), ("length", "angle")))]
-    period, tick, _ = uniform_ticks((time - time[0]) * factors[0][0], table.rows)
-    rotary = factors[1][1] == "angle"
-    return tick * period, position * factors[1][0], number("period", period, **SAMPLE_PERIOD), rotary
-
-
-def _factor(name: str, *quantities: str) -> tuple[float, str]:
-    """Return the factor to SI of the unit in the name of a column, and its quantity; 1 and the first without one."""
-    for word in reversed(re.findall("[a-zµ]+", name.lower().replace("µ", "u"))[name[:1].isalpha() :]):
-        for quantity in quantities:
-            if word in UNITS[quantity]:
-                return UNITS[quantity][word], quantity
-    return 1.0, quantities[0]
+        return seen._replace(damage=recording.damage), stated, ()
+    log = read_log(path, si=True)
+    seen = find_oscillation(log.tick * log.period, log.parts["position"][:, log.axis], period=log.period)
+    return seen, {"inertia": None} if log.axis > 2 else {}, (log.taken,)
 
 
 def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:
@@ -272,6 +243,8 @@ def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:
     usable &= (segment.applied == segment.command)[:, axis] & (segment.applied_pulse[:, axis] == 0.0)
     seen = find_oscillation(segment.time, position, period=metadata.period, usable=usable)
     stated: dict[str, Any] = {"inertia" if axis > 2 else "mass": float(metadata.inertia[axis])}
+    if axis > 2 and setup["kind"] == MEASURED and setup["parameters"].get("inertia_assumed"):
+        stated["inertia"] = None
     if setup["kind"] != MEASURED:  # a table of another program states neither rate nor law
         stated |= {"period": metadata.period}
     if not (setup["kind"] == MEASURED and setup["parameters"].get("delay_assumed")):

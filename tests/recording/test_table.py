@@ -22,7 +22,7 @@ from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import GuidedHand
 from maglev_mj.recording import InvalidRecordingError, import_table
 from maglev_mj.recording.export import EXPORTS, export
-from maglev_mj.recording.table import read_table
+from maglev_mj.recording.text_table import read_table
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from tests.published import EIGHT
@@ -140,7 +140,7 @@ def test_stamps_off_a_grid_are_resampled_and_identify_no_delay(tmp_path: Path) -
     assert "resampled" in recording.events[0] and 15 <= np.diff(segment.tick).max() <= 25
     assert_allclose(segment.position[:, 2], np.sin(30.0 * (time[0] + segment.time)), atol=1e-5)
     assert set(segment.applied[:, 2]) == {0.0, 1.0}
-    assert read_table(f"{stamps[0]}\n{stamps[0] + 1}\n").stamps("1", 1e-9)[1] == 1e-9
+    assert read_table(f"{stamps[0]}\n{stamps[0] + 1}\n".encode()).stamps("1")[1] == 1.0
     assert found.axes["z"].delay.why == found.axes["z"].noise.why == "resampled"
 
 

@@ -15,8 +15,9 @@ from maglev_mj import Controller, ExactPlant, Hand, Hold, Sensor, Timing, Wall, 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.recording import import_table
+from maglev_mj.recording.table import read_log
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.studies.oscillation import Oscillation, find_oscillation, read_motion, read_oscillation
+from maglev_mj.studies.oscillation import Oscillation, find_oscillation, read_oscillation
 from maglev_mj.studies.recorded_loop import _Explained, explain
 from maglev_mj.theory.loop import Loop
 from tests.studies.test_one_verdict import lagging
@@ -193,19 +194,20 @@ def times_of(name: str, scale: float) -> str:
 )
 def test_text_of_any_program_is_read(tmp_path: Path, text: str) -> None:
     (tmp_path / "run.csv").write_text(text, encoding="utf-8")
-    time, position, period, rotary = read_motion(tmp_path / "run.csv")
-    assert rotary is ("mrad" in text)
-    assert period == pytest.approx(0.005) and time == pytest.approx(0.005 * np.arange(50))
-    assert position == pytest.approx(np.sin(np.arange(50)), abs=1e-6)
+    log = read_log(tmp_path / "run.csv", si=True)
+    assert (log.axis > 2) is ("mrad" in text)
+    assert log.period == pytest.approx(0.005) and log.tick.tolist() == [*range(50)]
+    assert log.parts["position"][:, log.axis] == pytest.approx(np.sin(np.arange(50)), abs=1e-6)
 
 
 def test_a_table_that_is_not_time_and_position_is_refused(tmp_path: Path) -> None:
-    texts = {"0,1,2\n1,2,3\n": "got 3 columns, 2 rows.; others: maglev-mj import", "time,position\n0,1\n": "at least 2"}
-    texts |= {text_of(",").replace("0.0500", "0.0520"): "its tick at .* in row 12.: resample", "0,1\n1,\n": "finite"}
+    texts = {"0,1,2\n1,2,3\n": "columns must be given, such as z=NAME: no pose among 1, 2, 3"}
+    texts |= {"time,position\n0,1\n": "at least 16 samples .got 1", "0,1\n1,\n": "at least 16 samples .got 1"}
+    texts |= {text_of(",").replace("0.0500", "0.0520"): "its tick at .* in row 12.: resample"}
     for text, message in texts.items():
         (tmp_path / "run.csv").write_text(text)
         with pytest.raises(ParameterError, match=f"run.csv.*{message}"):
-            read_motion(tmp_path / "run.csv")
+            read_oscillation(tmp_path / "run.csv")
 
 
 LAWS: dict[str, dict[str, Any]] = {
@@ -220,7 +222,7 @@ def test_a_recording_states_its_loop(name: str, tmp_path: Path) -> None:
     changes: dict[str, Any] = {"stiffness": 6000.0, "damping": 20.0, "pulse": 0.0, "duration": 1.0}
     scene = Drop(**changes | {"period": 0.001, "delay": 0.001} | LAWS[name])
     record_run(scene, plant="exact").save(tmp_path / "run.maglev")
-    seen, stated = read_oscillation(tmp_path / "run.maglev")
+    seen, stated, _ = read_oscillation(tmp_path / "run.maglev")
     on, base = ("device_", {"device_damping": 20.0}) if "wall_on" in LAWS[name] else ("", {"damping": 20.0})
     base |= {"mass": 0.7, "delay": 0.001, "period": 0.001, f"{on}stiffness": 6000.0, **LAWS[name]}
     assert {key: stated[key] for key in base if key != "wall_on"} == {
