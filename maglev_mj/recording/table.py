@@ -326,11 +326,11 @@ def _in_si(
     for quantity, unit in units.items():
         check_one_of("quantity of units", UNITS, quantity)
         check_one_of(f"unit of {quantity}", UNITS[quantity], unit)
-    scales = {table.index(name): number("scale", factor) for name, factor in scale.items()}
+    scales = {table.place(name): number("scale", factor) for name, factor in scale.items()}
     factors, notes = dict[str, float](), dict[str, list[str]]()
     without = dict[str, str]()
     for name, quantity in used.items():
-        index = table.index(name)
+        index = table.place(name)
         factor, own, how = scales.get(index, 1.0), table.units[index], ""
         unit = units.get(quantity, "") or _own_unit(name, own, quantity, scaled=index in scales)
         if quantity == "time" and not unit:
@@ -348,10 +348,10 @@ def _in_si(
         lacking = ", ".join(without.values())
         raise ParameterError(f"units must be stated for {lacking}: {proposed}; counts need a scale, SI units per count")
     time, words = None, ["no time"]
-    if (name := columns.get("time")) is not None:
-        stamps, words = table.stamps(name), notes.pop("time", ["time scaled"])
-        stamps, wraps = _unwrapped(stamps)
-        time = stamps * factors[name]
+    if "time" in columns:
+        words = notes.pop("time", ["time scaled"])
+        stamps, wraps = _unwrapped(table.stamps(columns["time"]))
+        time = stamps * factors[columns["time"]]
         words += [f"32-bit stamps unwrapped {wraps} time{'s' * (wraps != 1)}"] * bool(wraps)
     words += [note for part in notes.values() for note in dict.fromkeys(part)]
     read = {

@@ -110,7 +110,7 @@ class TextTable(NamedTuple):
     rows: NDArray[np.int64]
     taken: tuple[str, ...]
 
-    def index(self, name: str) -> int:
+    def place(self, name: str) -> int:
         """Return the index of a column by its name, or by its number from 1."""
         if name not in self.names and name.isdecimal() and 0 < int(name) <= len(self.names):
             return int(name) - 1
@@ -119,7 +119,7 @@ class TextTable(NamedTuple):
 
     def values(self, name: str) -> Array:
         """Return a column as numbers, (N,), NaN for an empty cell; raise ParameterError for another word."""
-        index = self.index(name)
+        index = self.place(name)
         words = [row[index] for row in self.words]
         if all(map(_NUMBER.fullmatch, words)) and np.abs(values := np.array([*map(float, words)])).max() < _LARGEST:
             return values
@@ -144,7 +144,7 @@ class TextTable(NamedTuple):
 
     def stamps(self, name: str) -> Array:
         """Return a column since its first row, (N,), exact for nanoseconds since 1970; in s for clock times."""
-        index = self.index(name)
+        index = self.place(name)
         words = [row[index] for row in self.words]
         if self.is_clock(index):
             stamps = [_seconds(word, row) for row, word in zip(self.rows.tolist(), words)]
@@ -548,9 +548,9 @@ def _decimal(words: list[list[str]], rows: Sequence[int], names: Sequence[str], 
         mark = DECIMALS[wanted]
         other = ",."[mark == ","]
     for index in columns:
-        for k, part in enumerate(words):
-            if part[index] and (mark == "," or other):
-                part[index] = _pointed(part[index], mark, other, rows[k], names[index])
+        for row, cells in zip(rows, words):
+            if cells[index] and (mark == "," or other):
+                cells[index] = _pointed(cells[index], mark, other, row, names[index])
     return mark if mark in first else ""
 
 

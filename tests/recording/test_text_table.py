@@ -18,7 +18,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording import import_table
 from maglev_mj.recording.table import Log, read_log
-from maglev_mj.recording.text_table import DECIMALS, SEPARATORS
+from maglev_mj.recording.text_table import DECIMALS, SEPARATORS, TableFormat
+from maglev_mj.studies.oscillation import read_oscillation
 
 COUNT, RATE = 200, 200.0
 T = np.arange(COUNT) / RATE
@@ -368,3 +369,218 @@ def test_a_table_in_any_dialect_reads_back_equal(reader: str, tmp_path: Path) ->
         assert found[:, 0].tolist() == ticks.tolist(), one
         np.testing.assert_allclose(found[:, 1], 0.005 * ticks, rtol=1e-9, err_msg=str(one))
         np.testing.assert_allclose(found[:, 2:], wanted, rtol=0.0, atol=1e-9, err_msg=str(one))
+
+
+def for_diagnosis(path: Path, **options: Any) -> Array:
+    return as_rows(read_log(path, si=True, **options))
+
+
+def imported(path: Path, columns: dict[str, str] | None = None, **options: Any) -> Array:
+    units = {"time": "s", "length": "m"} | options.pop("units", {})
+    segment = import_table(path, columns, units, mass=0.3, **options).segments[0]
+    return np.column_stack([segment.tick, segment.time, segment.position])
+
+
+ENTRANCES: dict[str, Callable[..., Array]] = {
+    "diagnose": for_diagnosis,
+    "import by name": imported,
+    "import by column": lambda path, **options: imported(path, {"time": "1", "z": "2"}, **options),
+}
+entrances = pytest.mark.parametrize("entrance", ENTRANCES.values(), ids=ENTRANCES)
+FORMS = ["{:.6e}", "{:.6f}", "{:.9g}", "{!r}"]
+
+
+@entrances
+@pytest.mark.parametrize("form", FORMS)
+def test_no_part_of_a_cut_last_line_is_a_sample(entrance: Callable[..., Array], form: str, tmp_path: Path) -> None:
+    values = [2e-3 * math.sin(0.3 * k) for k in range(30)]
+    lines = [f"{0.005 * k:.3f},{form.format(value)}" for k, value in enumerate(values)]
+    for mark, endings in ((",", (b"", bytes(700))), (";", (b"",))):
+        text = "\n".join(["t,z", *lines]).replace(",", mark).encode()
+        for cut in range(len(lines[-1]) + 1):
+            (tmp_path / "rig.csv").write_bytes(text[: len(text) - cut] + endings[cut % len(endings)])
+            z = entrance(tmp_path / "rig.csv")[:, 4]
+            assert len(z) == 29 or (len(z) == 30 and cut == 0)
+            np.testing.assert_allclose(z, values[: len(z)], atol=1e-6)
+
+
+@entrances
+@pytest.mark.parametrize("ending", ["counts", "gzip", "utf-16"])
+def test_a_cut_last_line_is_named_in_other_files(entrance: Callable[..., Array], ending: str, tmp_path: Path) -> None:
+    lines = [f"{0.005 * k:.3f}\t{round(1e3 * math.sin(0.3 * k))}" for k in range(400)]
+    text = "\n".join(["t\tz", *lines]) + "\n" * (ending != "counts")
+    for cut in range(1, 60, 7):
+        data = text.encode("utf-16" if ending == "utf-16" else "utf-8")
+        data = gzip.compress(data, mtime=0)[:-cut] if ending == "gzip" else data[:-cut]
+        (tmp_path / "rig.csv").write_bytes(data)
+        found = entrance(tmp_path / "rig.csv")
+        assert 300 < len(found) <= 400
+        assert found[:, 4].tolist() == [round(1e3 * math.sin(0.3 * k)) for k in range(len(found))]
+        line = read_log(tmp_path / "rig.csv", si=True).taken
+        whole = text.encode()[: len(data)].endswith(b"\n") if ending == "counts" else "its end is lost" in line
+        assert whole or "last line without its end left out (row " in line, line
+
+
+@entrances
+@pytest.mark.parametrize("separator", ["tab", "semicolon", "blank", "bar"])
+@pytest.mark.parametrize("decimal", DECIMALS)
+def test_two_decimal_marks_are_refused_and_a_stated_one_reads_them(
+    entrance: Callable[..., Array], separator: str, decimal: str, tmp_path: Path
+) -> None:
+    counts = [round(3000.0 * math.sin(0.05 * k)) for k in range(200)]
+    lines = [f"{0.005 * k:.3f}{SEPARATORS[separator]}{count:,}" for k, count in enumerate(counts)]
+    text = "\n".join([f"t{SEPARATORS[separator]}z", *lines, ""])
+    if decimal == "comma":
+        text = text.translate({ord(","): ".", ord("."): ","})
+    (tmp_path / "rig.csv").write_text(text)
+    with pytest.raises(ParameterError, match=r"decimal mark must be one, point or comma .got '0.000' in row 2"):
+        entrance(tmp_path / "rig.csv")
+    forms: Callable[[str], Any] = lambda mark: (  # noqa: E731
+        {"form": TableFormat(decimal=mark)} if entrance is for_diagnosis else {"decimal": mark}
+    )
+    found = entrance(tmp_path / "rig.csv", units={"length": "mm"}, **forms(decimal))
+    assert found[:, 4].tolist() == [1e-3 * count for count in counts]
+    other = next(name for name in DECIMALS if name != decimal)
+    with pytest.raises(ParameterError, match=f"numbers must have a decimal {other} .got '0.000' in row 2, column 't'"):
+        entrance(tmp_path / "rig.csv", **forms(other))
+
+
+@entrances
+@pytest.mark.parametrize("burst", [2, 3, 8, 20])
+@pytest.mark.parametrize("spacing", [1e-5, 2e-4])
+def test_stamps_of_bursts_are_refused_and_a_rate_without_time_reads_them(
+    entrance: Callable[..., Array], burst: int, spacing: float, tmp_path: Path
+) -> None:
+    k = np.arange(400)
+    stamps = burst / RATE * (k // burst) + spacing * (k % burst)
+    write(tmp_path / "rig.csv", stamps, 1e-3 * np.sin(0.04 * k))
+    for options in ({}, {"resample": True}):
+        with pytest.raises(
+            ParameterError, match=r"time must be (that of each sample .*rate, 20\d.*without time|within)"
+        ):
+            entrance(tmp_path / "rig.csv", **options)
+    found = imported(tmp_path / "rig.csv", {"z": "2"}, rate=RATE)
+    assert found[:, 0].tolist() == k.tolist()
+
+
+@entrances
+@pytest.mark.parametrize(
+    ("step", "reason"), [(3600.0, "time jumps by 3600 s before row 102"), (-1.0, "must not go back")]
+)
+def test_a_clock_that_was_set_is_refused(
+    entrance: Callable[..., Array], step: float, reason: str, tmp_path: Path
+) -> None:
+    k = np.arange(200)
+    write(tmp_path / "rig.csv", 0.005 * k + step * (k >= 100), 1e-3 * np.sin(0.04 * k))
+    with pytest.raises(ParameterError, match=reason):
+        entrance(tmp_path / "rig.csv")
+    if step > 0.0:  # a stated rate says that the gap is one
+        assert entrance(tmp_path / "rig.csv", rate=RATE)[-1, 0] == 199 + 3600 * RATE
+
+
+def write(path: Path, time: Array, z: Array, form: str = "%.6f") -> None:
+    np.savetxt(path, np.column_stack([time, z]), delimiter=",", header="t,z", comments="", fmt=(form, "%.9f"))
+
+
+@entrances
+@pytest.mark.parametrize(("unit", "factor"), [("us", 1.0), ("ms", 1e-3), ("s", 1e-6)])
+@pytest.mark.parametrize("signed", [False, True])
+def test_wraps_of_a_32_bit_counter_are_undone(
+    entrance: Callable[..., Array], unit: str, factor: float, signed: bool, tmp_path: Path
+) -> None:
+    k = np.concatenate([np.arange(60), np.arange(64, 260_000, 400), 260_000 + np.arange(60)])  # gaps below a wrap
+    k = k if unit == "us" else np.arange(260)
+    counter = (2**32 - 100_000 + 20_000 * k) % 2**32 - 2**31 * signed
+    write(tmp_path / "rig.csv", counter * factor, 1e-3 * np.sin(0.04 * k), f"%.{6 * (factor < 1.0)}f")
+    options: dict[str, Any] = {"units": {"time": unit}, "rate": 50.0}
+    found = entrance(tmp_path / "rig.csv", **options)
+    assert found[:, 0].tolist() == k.tolist()
+    assert "32-bit stamps unwrapped" in read_log(tmp_path / "rig.csv", si=True, **options).taken
+
+
+@entrances
+@pytest.mark.parametrize("ppm", [100.0, -300.0, 5000.0])
+def test_a_clock_off_the_stated_rate_is_named(entrance: Callable[..., Array], ppm: float, tmp_path: Path) -> None:
+    k = np.arange(6000)
+    write(tmp_path / "rig.csv", 1e-3 * k / (1.0 + 1e-6 * ppm), 1e-3 * np.sin(0.04 * k), "%.9f")
+    rate = f"{1000.0 * (1.0 + 1e-6 * ppm):g}"
+    with pytest.raises(
+        ParameterError, match=rf"clock of the file gives {rate}\S* Hz, \{ppm:+.0f}.* ppm from it; leave"
+    ):
+        entrance(tmp_path / "rig.csv", rate=1000.0)
+    assert entrance(tmp_path / "rig.csv")[:, 0].tolist() == k.tolist()
+
+
+CONTRADICTIONS: dict[str, tuple[str, dict[str, Any], str]] = {
+    "separator": (
+        "t,z\n",
+        {"separator": "semicolon"},
+        "rows of numbers .got none in 41 lines with separator semicolon",
+    ),
+    "decimal": (
+        "t,z\n",
+        {"decimal": "comma"},
+        "rows of numbers .got none in 41 lines with decimal comma|names must be",
+    ),
+    "both": ("t,z\n", {"decimal": "comma", "separator": "comma"}, "separator and decimal must differ"),
+    "skip": ("t,z\n", {"skip": 99}, "rows of numbers .got none with skip 99"),
+    "before": ("t,z\n", {"skip": -1}, "skip must be at least 0 lines"),
+    "encoding": ("t,µ\n", {"encoding": "utf-8"}, "file must be in utf-8 .got another byte at 2"),
+    "choice": ("t,z\n", {"encoding": "ebcdic"}, "encoding must be one of utf-8, utf-16, latin-1"),
+    "names": ("t,z\n", {"names": ["t", "x", "z"]}, "names must be one for each of 2 columns .got 3"),
+    "number of names": ("t,z,x\n", {}, "names must be as many as the 2 values of row 2 .got 3 in row 1"),
+    "two units": ("t_ms,z\ns,mm\n", {}, "unit of 't_ms' must be that of the row of units .got s"),
+    "unit": ("t,z [N]\n", {"columns": {"time": "1", "z": "2"}}, "column '2' must be a length .got N in the file"),
+    "angle": ("t,a [deg]\n", {"columns": {"time": "1", "z": "2"}}, "must be a length .got deg in the file.: .* is rx"),
+    "rate": ("t,z\n", {"scale": {"t": 1000.0}}, "rate must be 10 Hz to 1 MHz .got 0.2 Hz"),
+    "two times": ("time,stamp\n", {}, "time must be one column .got 'time' or 'stamp'"),
+}
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_a_guess_that_the_file_contradicts_is_an_error(name: str, tmp_path: Path) -> None:
+    head, options, message = CONTRADICTIONS[name]
+    text = head + "".join(f"{0.005 * k:.3f},{1e-3 * math.sin(k):.6f}\n" for k in range(40))
+    (tmp_path / "rig.csv").write_bytes(text.encode("latin-1"))
+    units = {"time": "s", "length": "m"} if "columns" not in options and "two" not in name else None
+    with pytest.raises(ParameterError, match=message):
+        import_table(tmp_path / "rig.csv", **{"units": units, "mass": 0.3} | options)
+
+
+OVERRIDES: dict[str, tuple[str, dict[str, Any]]] = {
+    "separator": ("1;2,t,3;4,z\n", {"separator": "comma", "names": ["t", "z"]}),
+    "skip": ("a,b\n1,2\n3,4\n", {"skip": 3, "names": ["t", "z"]}),
+    "names": ("z,t\n", {"names": ["t", "z"]}),
+    "encoding": ("time µ,weg µ\n", {"encoding": "latin-1", "columns": {"time": "time µ", "z": "weg µ"}}),
+    "columns": ("z,t\n", {"columns": {"time": "z", "z": "t"}}),
+    "units": ("t [ms],z [nm]\n", {}),
+}
+
+
+@pytest.mark.parametrize("name", OVERRIDES)
+def test_options_override_what_the_file_says(name: str, tmp_path: Path) -> None:
+    head, options = OVERRIDES[name]
+    text = head + "".join(f"{0.005 * k:.3f},{1e-3 * k:.6f}\n" for k in range(40))
+    (tmp_path / "rig.csv").write_bytes(text.encode("latin-1"))
+    recording = import_table(tmp_path / "rig.csv", units={"time": "s", "length": "m"}, mass=0.3, **options)
+    assert recording.segments[0].position[:, 2].tolist() == [round(1e-3 * k, 6) for k in range(40)]
+
+
+@pytest.mark.parametrize("rotary", [True, False])
+def test_diagnose_chooses_by_name_and_says_what_the_table_was_taken_for(
+    rotary: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    t = 0.002 * np.arange(600)
+    head, scale = ("force [N];time in ms;position_deg;mode", 20.0) if rotary else ("f;ms;z_mm;u", 1.0)
+    ring = scale * np.exp(-2.0 * t) * np.cos(60.0 * t)
+    lines = [f"0,5;{1e3 * a:.1f};{b:.6f};hold".replace(".", ",") for a, b in zip(t, ring)]
+    (tmp_path / "rig.csv").write_text("\n".join([head, *lines, ""]))
+    assert main(["diagnose", str(tmp_path / "rig.csv"), "--stiffness", "2000", "--damping", "15"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "rig.csv: ; and decimal comma, time in ms, " in said and "500 Hz, 0 of 600 missing, by name: " in said
+    assert ("kg m²" in said) is rotary and ("rx = position_deg" in said) is rotary
+    recording = import_table(tmp_path / "rig.csv", {"time": "2", "rx" if rotary else "z": "3"}, mass=0.3)
+    recording.save(tmp_path / "rig.maglev")
+    assert "rig.csv: ; and decimal comma, time in ms, " in Recording.load(tmp_path / "rig.maglev").events[0]
+    _, stated, _ = read_oscillation(tmp_path / "rig.maglev")
+    assert stated == ({"inertia": None} if rotary else {"mass": 0.3})
