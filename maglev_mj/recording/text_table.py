@@ -47,7 +47,6 @@ _UNIT_OF |= {unit.lower(): unit for unit in _UNIT_OF if unit.lower() not in ("n"
 _UNIT_OF |= {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
 _QUANTITY_OF = {unit: quantity for quantity, units in UNITS.items() for unit in units}
 _NO_SI = set("- 1 v mv volt volts count counts ticks raw lsb bit % °c hz m/s mm/s rad/s deg/s m/s² m/s^2 ts rn".split())
-_MOST_OF_UNIT = 12  # characters of a unit in brackets
 
 ENCODINGS = "utf-8", "utf-16", "latin-1"
 SEPARATORS = {"tab": "\t", "semicolon": ";", "comma": ",", "bar": "|", "blank": " "}
@@ -170,7 +169,7 @@ def check_values(valid: NDArray[np.bool_], rows: NDArray[np.int64], values: Arra
 
 def unit_of(text: str) -> str:
     """Return the name in `UNITS` of a unit in words or symbols; empty for another one."""
-    word = text.strip().replace("µ", "u").replace("μ", "u")
+    word = text.replace(" ", "").replace("µ", "u").replace("μ", "u")
     return _UNIT_OF.get(word) or _UNIT_OF.get(word.lower(), "")
 
 
@@ -186,7 +185,7 @@ def base_and_unit(name: str) -> tuple[str, str]:
     """
     if match := re.fullmatch(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|<([^<>]*)>)\s*", name):
         text = next(part for part in match.groups()[1:] if part is not None)
-        if len(text) <= _MOST_OF_UNIT:
+        if unit_of(text) or re.fullmatch(r"\S{1,12}", text.strip()):
             return match[1], unit_of(text) or text.strip()
     match = re.fullmatch(r"(.*?)(\s+in\s+|\s|[_.-]|/)([^\s_./-]+)", name)
     if match and not name.startswith("/") and match[1] and (unit := unit_of(match[3])):
@@ -207,14 +206,13 @@ def read_table(data: bytes, wanted: TableFormat = TableFormat()) -> TextTable:  
             marks are in use, or the file contradicts what is wanted.
     """
     wanted.check()
-    text, taken, damaged = _decoded(data, wanted.encoding)
+    text, taken = _decoded(data, wanted.encoding)
     raw = re.split(r"\r\n|\r|\n", text.replace("\u2212", "-"))
     lines = [(row, line) for row, line in enumerate(raw, 1) if line.strip()]
     ended = not raw[-1].strip()
-    skipped, excel = wanted.skip or 0, None
-    if lines and (match := re.fullmatch(r"sep=(.)", lines[0][1].strip().strip('"'))):
-        excel, skipped = match[1], max(skipped, lines[0][0])
-    lines, labels = _without_labels([(row, line) for row, line in lines if row > skipped])
+    lines, labels = _without_labels([(row, line) for row, line in lines if row > (wanted.skip or 0)])
+    match = re.fullmatch(r'"?sep=(.)"?', lines[0][1].strip()) if lines else None  # for Excel
+    excel = match[1] if match else None
     labels = labels if wanted.names is None else []
     wanted = wanted._replace(names=labels or wanted.names)
     separator, count, numeric = _separator(lines, wanted, excel)
@@ -225,7 +223,7 @@ def read_table(data: bytes, wanted: TableFormat = TableFormat()) -> TextTable:  
     header, body = lines[:first], [part for part in lines[first:] if not _COMMENT.match(part[1])]
     words = [[word.strip() for word in split(line)] for _, line in body]
     rows, cut = [row for row, _ in body], ""
-    if not ended and len(words) > 1 and (damaged or _is_cut(words)):
+    if not ended and len(words) > 1 and _is_cut(words):
         cut = f"row {rows.pop()}, {one_line(words.pop()[-1])}"
     if words and (pandas := words[0]) and not pandas[0] and pandas[1:] == [str(k) for k in range(len(pandas) - 1)]:
         words, rows = words[1:], rows[1:]  # names of a data frame without names
@@ -260,8 +258,8 @@ def _no_rows(wanted: TableFormat, lines: Sequence[tuple[int, str]]) -> str:
     return f"table must have rows of numbers (got none{last}): export columns of numbers"
 
 
-def _decoded(data: bytes, encoding: str | None) -> tuple[str, list[str], bool]:
-    """Return the text, how it was encoded unless in UTF-8, and True if its end is lost."""
+def _decoded(data: bytes, encoding: str | None) -> tuple[str, list[str]]:
+    """Return the text, and how it was encoded unless in UTF-8 and if its end is lost, in words."""
     taken, damaged = list[str](), False
     if data[:2] == b"\x1f\x8b":
         data, damaged = _inflated(data)
@@ -294,7 +292,7 @@ def _decoded(data: bytes, encoding: str | None) -> tuple[str, list[str], bool]:
     if "\0" in whole or re.search(r"[\x01-\x08\x0e-\x1a\x1c-\x1f]", whole[:4096]):
         raise ParameterError("file must be a text table (got control characters): export it as CSV")
     name = {"utf-8": "", "latin-1": "Latin-1"}.get(str(codec), "UTF-16")
-    return whole, [name] * bool(name) + taken, damaged
+    return whole, [name] * bool(name) + taken
 
 
 def _inflated(data: bytes) -> tuple[bytes, bool]:

@@ -18,7 +18,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording import import_table
 from maglev_mj.recording.table import Log, read_log
-from maglev_mj.recording.text_table import DECIMALS, SEPARATORS, TableFormat
+from maglev_mj.recording.text_table import DECIMALS, SEPARATORS, TableFormat, base_and_unit
 from maglev_mj.studies.oscillation import read_oscillation
 
 COUNT, RATE = 200, 200.0
@@ -229,6 +229,30 @@ TABLES: dict[str, tuple[str | bytes, str]] = {
         ("t,x\n" + rows("{t:.6e},{x:.6e}")).encode()[:-20] + bytes(512),
         "its end is lost, commas and decimal point, last line without its end left out (row 201, '9.9500')",
     ),
+    "trailing.csv": (
+        "t [s],x [mm]\n" + rows("{t:.3f},{x:ms.6f},"),
+        "commas and decimal point, time in s, length in mm, 200 Hz, 0 of 200 missing, by name: time",
+    ),
+    "unused.csv": (
+        "t,x,z\n" + rows("{t:.3f},,{x:.9f}"),
+        "commas and decimal point, time in s (assumed), length in m (assumed), 200 Hz, 0 of 200 missing, by name: "
+        "time = t, z = z",
+    ),
+    "general.csv": (  # the time shows that the comma is the decimal mark of the gains, too
+        "t;z;gain\n"
+        + "".join(
+            f"{0.005 * k:.3f};{x:.9f};{7 if k < 50 else 1.5:{'' if k < 50 else '.3f'}}\n" for k, x in enumerate(X)
+        ).replace(".", ","),
+        "; and decimal comma, time in s (assumed)",
+    ),
+    "millions.csv": (
+        "ms;z\n" + "".join(f"{5 * k};{one:,}\n".replace(",", ".") for k, one in enumerate(range(999_900, 1_000_100))),
+        "error: decimal mark must not be one that may group thousands (got '1.000.000' in row 102, column 'z')",
+    ),
+    "half_a_letter.csv": (
+        ("ms,z_mm,unit\n" + rows("{t:ms.0f},{x:ms.6f},µ")).encode()[:-2],
+        "its end is lost, commas and decimal point, last line without its end left out (row 201, '')",
+    ),
     "book.xlsx": (
         b"PK\x03\x04" + bytes(100),
         "error: file must be a text table (got an Excel, ZIP, MATLAB or database file)",
@@ -248,6 +272,50 @@ def test_tables_of_programs_are_read_or_refused_in_words(name: str, tmp_path: Pa
     assert log.taken.startswith(f"{name}: {line}")
     assert log.tick.tolist() == [*range(COUNT - ("left out" in line))] and log.period == pytest.approx(1.0 / RATE)
     np.testing.assert_allclose(log.parts["position"][:, log.axis], X[: len(log.tick)], rtol=0.0, atol=6e-10)
+
+
+REMEDIES: dict[str, dict[str, Any]] = {
+    "excel_counts.csv": {"decimal": "comma", "columns": {"time": "ms", "z": "counts"}, "scale": {"counts": 1e-6}},
+    "rigol.csv": {"columns": {"z": "CH1"}, "scale": {"CH1": 1.0}, "rate": RATE},
+    "keysight.csv": {"columns": {"time": "x-axis", "z": "1"}, "scale": {"1": 1.0}},
+    "pandas_numbers.csv": {"columns": {"time": "2", "z": "3"}},
+    "ni_daq.csv": {"columns": {"z": "2"}, "scale": {"2": 1.0}, "rate": RATE},
+    "bursts.csv": {"columns": {"z": "x"}, "rate": RATE},
+    "set_clock.csv": {"rate": RATE},
+}
+
+
+@pytest.mark.parametrize("name", REMEDIES)
+def test_a_refused_table_is_read_by_the_remedy(name: str, tmp_path: Path) -> None:
+    content, line = TABLES[name]
+    assert line.startswith("error: ") and isinstance(content, str)
+    missing = 7 if name == "keysight.csv" else COUNT  # a value that its instrument marks as none
+    lines = content.splitlines()
+    lines[2 + 7 : 3 + 7] = [lines[2 + 7].split(",")[0] + ",+9.91E+37"] if missing == 7 else lines[2 + 7 : 3 + 7]
+    (tmp_path / name).write_text("\n".join([*lines, ""]))
+    units = {"time": "ms"} if name == "excel_counts.csv" else {"time": "s", "length": "m"}
+    units = {} if name == "keysight.csv" else units
+    segment = import_table(tmp_path / name, **{"columns": None, "units": units, "mass": 0.3} | REMEDIES[name]).segments[
+        0
+    ]
+    kept = np.delete(np.arange(COUNT), [missing] if missing < COUNT else [])
+    wanted = 1e-6 * np.arange(900, 1100) if name == "excel_counts.csv" else X[kept]
+    assert segment.tick.tolist() == [k + (720_000 if name == "set_clock.csv" and k > 100 else 0) for k in kept]
+    np.testing.assert_allclose(segment.position[:, segment.position.any(axis=0).argmax()], wanted, atol=6e-6)
+
+
+UNITS_OF_NAMES = {
+    "x [mm]": ("x", "mm"), "x (mm)": ("x", "mm"), "x in mm": ("x", "mm"), "x/mm": ("x", "mm"), "x_mm": ("x", "mm"),
+    "t µs": ("t", "us"), "t [μs]": ("t", "us"), "Winkel [°]": ("Winkel", "deg"), "angle (degrees)": ("angle", "deg"),
+    "F in N": ("F", "N"), "F/N": ("F", "N"), "F_N": ("F_N", ""), "phase_A": ("phase_A", ""), "M [N·m]": ("M", "Nm"),
+    "ms": ("ms", "ms"), "millis": ("millis", "ms"), "m": ("m", ""), "/rig/m": ("/rig/m", ""), "u [V]": ("u", "V"),
+    "position.x": ("position.x", ""), "M (N m)": ("M", "Nm"),
+    "time since start (of the run)": ("time since start (of the run)", ""),
+}  # fmt: skip
+
+
+def test_units_of_names() -> None:
+    assert {name: base_and_unit(name) for name in UNITS_OF_NAMES} == UNITS_OF_NAMES
 
 
 class Dialect(NamedTuple):
