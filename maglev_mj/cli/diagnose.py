@@ -60,7 +60,7 @@ _StatedLoop: TypeAlias = Annotated[dict[str, Any], Shared(_add_loop, _stated_val
 def diagnose(
     what: Annotated[
         str | None,
-        option("scene (its worst loop), or recording or CSV file (time, position) of a shaking device", "", "WHAT"),
+        option("scene (its worst loop), or recording or table (time, position, ...) of a shaking device", "", "WHAT"),
     ] = None,
     *,
     on_axis: Annotated[

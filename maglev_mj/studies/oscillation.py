@@ -226,7 +226,7 @@ def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any], tup
         return seen._replace(damage=recording.damage), stated, ()
     log = read_log(path, si=True)
     seen = find_oscillation(log.tick * log.period, log.parts["position"][:, log.axis], period=log.period)
-    return seen, {"inertia": None} if log.axis > 2 else {}, (log.taken,)
+    return seen, {"inertia": None} if log.axis > 2 else {}, (f"{log.taken}; axis {AXES[log.axis]}",)
 
 
 def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:

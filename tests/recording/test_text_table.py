@@ -274,6 +274,16 @@ def test_tables_of_programs_are_read_or_refused_in_words(name: str, tmp_path: Pa
     np.testing.assert_allclose(log.parts["position"][:, log.axis], X[: len(log.tick)], rtol=0.0, atol=6e-10)
 
 
+def test_the_page_lists_lines_as_printed(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "use_measurements.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^\| (\w+\.[\w.]+) \| `(.+)` \|$", page, re.MULTILINE)
+    assert len(lines) == 10
+    for name, line in lines:
+        content, _ = TABLES[name]
+        (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        assert read_log(tmp_path / name, si=True).taken.startswith(f"{name}: {line}")
+
+
 REMEDIES: dict[str, dict[str, Any]] = {
     "excel_counts.csv": {"decimal": "comma", "columns": {"time": "ms", "z": "counts"}, "scale": {"counts": 1e-6}},
     "rigol.csv": {"columns": {"z": "CH1"}, "scale": {"CH1": 1.0}, "rate": RATE},
