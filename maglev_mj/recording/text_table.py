@@ -312,9 +312,9 @@ def _inflated(data: bytes) -> tuple[bytes, bool]:
 
 def _without_labels(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], list[str]]:
     """Return the lines with values alone, and the labels of most of them, such as x:1,y:2 of a serial plotter."""
-    found = [_LABEL.findall(line) for _, line in lines[-_SAMPLE:]]
-    labels = max(found, key=found.count) if found else []
-    if not labels or 2 * found.count(labels) <= len(found):
+    found = Counter(tuple(_LABEL.findall(line)) for _, line in lines[-_SAMPLE:])
+    labels = [*max(found, key=found.__getitem__, default=())]
+    if not labels or 2 * found[tuple(labels)] <= found.total():
         return lines, []
     return [(row, _LABEL.sub("", line) if _LABEL.findall(line) == labels else line) for row, line in lines], labels
 

@@ -219,6 +219,17 @@ BROKEN = {
     "currents": (lines(HEAD, GOOD), "--columns i0=a --units current=A", "currents must be i0 to i5"),
     "face": (lines(HEAD, GOOD), "--face z:0:left", "side of a face must be one of above, below, as in"),
     "delay": (lines(HEAD, GOOD), "--delay 0.2", "delay must be at most 0.1 s, 10 periods"),
+    "separator": (
+        lines(HEAD, GOOD),
+        "--separator semicolon",
+        "rows of numbers .got none in 41 lines with separator semi",
+    ),
+    "names": (lines(HEAD, GOOD), "--names t,z", "names must be one for each of 5 columns .got 2"),
+    "decimal": (
+        lines(HEAD, GOOD, ";"),
+        "--decimal comma",
+        "numbers must have a decimal comma .got '0.01' in row 3, col",
+    ),
     "format": (lines(HEAD, GOOD), "--out log.xls", "suffix of out must be one of .maglev"),
 }
 

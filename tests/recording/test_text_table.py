@@ -284,6 +284,37 @@ def test_the_page_lists_lines_as_printed(tmp_path: Path) -> None:
         assert read_log(tmp_path / name, si=True).taken.startswith(f"{name}: {line}")
 
 
+@pytest.mark.parametrize("name", TABLES)
+def test_a_damaged_table_is_read_or_refused_in_a_line(name: str, tmp_path: Path) -> None:
+    content = TABLES[name][0]
+    data = (content if isinstance(content, bytes) else content.encode())[:3000]
+    rng = np.random.default_rng(len(data))
+    parts = [
+        b"",
+        b",",
+        b";",
+        b"\t",
+        b"\n",
+        b'"',
+        bytes(2),
+        b"#",
+        b"\xff",
+        b"x:1",
+        b"sep=;\n",
+        b"2026-13-45 25:61:99,1\n",
+    ]
+    for part in parts:
+        start, end = np.sort(rng.integers(0, len(data) + 1, 2)).tolist()
+        end = start + (end - start) % 20
+        (tmp_path / name).write_bytes(data[:start] + part + data[end:])
+        try:
+            log = read_log(tmp_path / name, si=True)
+        except ParameterError as error:
+            assert str(error).count("\n") == 0 and str(error).startswith("log ")
+        else:
+            assert log.taken.count("\n") == 0 and len(log.tick) <= log.tick[-1] + 1
+
+
 REMEDIES: dict[str, dict[str, Any]] = {
     "excel_counts.csv": {"decimal": "comma", "columns": {"time": "ms", "z": "counts"}, "scale": {"counts": 1e-6}},
     "rigol.csv": {"columns": {"z": "CH1"}, "scale": {"CH1": 1.0}, "rate": RATE},
@@ -556,7 +587,7 @@ def test_a_clock_that_was_set_is_refused(
         assert entrance(tmp_path / "rig.csv", rate=RATE)[-1, 0] == 199 + 3600 * RATE
 
 
-def write(path: Path, time: Array, z: Array, form: str = "%.6f") -> None:
+def write(path: Path, time: Any, z: Any, form: str = "%.6f") -> None:
     np.savetxt(path, np.column_stack([time, z]), delimiter=",", header="t,z", comments="", fmt=(form, "%.9f"))
 
 
