@@ -228,7 +228,7 @@ BROKEN = {
     "decimal": (
         lines(HEAD, GOOD, ";"),
         "--decimal comma",
-        "numbers must have a decimal comma .got '0.01' in row 3, col",
+        "numbers must have a decimal comma .got '0.0' in row 2, column 't'",
     ),
     "format": (lines(HEAD, GOOD), "--out log.xls", "suffix of out must be one of .maglev"),
 }
