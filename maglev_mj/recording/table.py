@@ -60,6 +60,7 @@ _SINCE_1970 = 1e9, 4.1e9  # [s], 2001 to 2099
 _TURN = 2.0**32  # of a counter
 _PREFIXES = 1.0, 1e-3, 1e-6, 1e-9
 _LONGEST_WRAP = 100.0  # steps across a wrap, in typical steps
+_FEW_GAPS, _MOST_MISSING = 3, 0.25  # pauses; share in more gaps, which bursts have
 _ONE_GAP = 0.9  # share of one gap in what is missing: the clock was set
 _LEAST_PPM = 0.1
 _OFF_GRID, _LONGEST_STEP, _ROUNDING = 0.25, 3.0, 1e-9  # in periods
@@ -467,7 +468,7 @@ def uniform_ticks(
 
     Raises:
         ParameterError: If time [s], (N,), of rows of a file does not increase, is off its ticks without `resample`, or
-            more samples are missing than there are at an estimated period: of bursts, or of a clock that was set.
+            too many samples are missing at an estimated period: of bursts, or of a clock that was set.
     """
     steps = np.diff(time)
     check_values(steps >= 0.0, rows[1:], steps, "time must not go back", "split the file there")
@@ -512,10 +513,10 @@ def _own_rate(time: Array, steps: Array, period: float) -> str:
 
 
 def _check_missing(steps: Array, step: float, rows: NDArray[np.int64]) -> None:
-    """Raise ParameterError if more samples are missing than there are."""
+    """Raise ParameterError if more samples are missing than there are, or a quarter of them in many gaps."""
     gaps = np.rint(steps / step) - 1.0
     missing, count = float(gaps.sum()), len(steps) + 1
-    if missing <= count:
+    if missing <= (count if np.count_nonzero(gaps) <= _FEW_GAPS else _MOST_MISSING * count):
         return
     longest = int(np.argmax(gaps))
     got = f"got {missing:.0f} missing beside {count} at {1.0 / step:.6g} Hz, the median of the steps"
@@ -524,5 +525,6 @@ def _check_missing(steps: Array, step: float, rows: NDArray[np.int64]) -> None:
         remedy = f"{where}: split the file there, or state the rate"
     else:
         mean = 1.0 / float(np.polyfit(np.arange(count), np.append(0.0, np.cumsum(steps)), 1)[0])
-        remedy = f"stamps of bursts are those of arrival: give rate, {mean:.4g} Hz on average, and columns without time"
+        given = f"give rate ({mean:.4g} Hz on average), without time if no sample is lost"
+        remedy = f"stamps of bursts are those of arrival: {given}"
     raise ParameterError(f"time must be that of each sample ({got}): {remedy}")
