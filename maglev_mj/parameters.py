@@ -44,6 +44,8 @@ from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.keywords import check_constructor, checked, with_period
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS, MAX_PERIOD, MIN_PERIOD
 
+MEASURED_MOTIONS = ".maglev", ".csv", ".txt", ".tsv", ".tab", ".dat", ".lvm", ".asc", ".log", ".gz"
+"""Endings of files with a measured motion: recordings and tables."""
 _NOT_NUMBERS = bool, np.bool_, str, bytes
 """Types that float() accepts but `number` rejects."""
 

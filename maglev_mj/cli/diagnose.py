@@ -11,8 +11,9 @@ from maglev_mj.cli.declare import Parser, Shared, option
 from maglev_mj.cli.options import Json, Picture, add_device, add_parameters, chosen, scene_word, stated
 from maglev_mj.cli.output import write_result
 from maglev_mj.errors import MaglevError
+from maglev_mj.parameters import MEASURED_MOTIONS
 from maglev_mj.scenes.names import scene_names
-from maglev_mj.studies.diagnosis import MOTIONS, DiagnosedLoop
+from maglev_mj.studies.diagnosis import DiagnosedLoop
 from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
 
 _SOURCES = {
@@ -37,7 +38,7 @@ def _add_loop(parser: Parser) -> None:
 def _add_scene(parser: Parser) -> None:
     """Add the options of the named scene, if any, that the loop does not have."""
     word = scene_word(parser, None, scene_names())
-    if word is None or word.endswith(MOTIONS):
+    if word is None or word.endswith(MEASURED_MOTIONS):
         return
     from maglev_mj.scenes.find import get_scene  # slow
 

@@ -17,7 +17,7 @@ from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import AXES
 from maglev_mj.keywords import checked, rate_of, with_period
-from maglev_mj.parameters import param
+from maglev_mj.parameters import MEASURED_MOTIONS, param
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import body_of
 from maglev_mj.result import NoTruthValue, Result, Table, number_text, plain
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 _SAMPLES = 4096
 _APART = 0.02  # largest distance of measured and judged frequency, relative
-MOTIONS = ".maglev", ".csv", ".txt", ".tsv", ".tab", ".dat", ".lvm", ".asc", ".log", ".gz"
 _NAMES = (
     *("loop", "stable", "spectral_radius", "frequency", "doubling_time", "critical_stiffness", "damping_range"),
     *("critical_delay", "stable_delays", "rate_range", "rate_in_periods", "best", "remedies", "ineffective"),
@@ -367,7 +366,7 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     values = with_period(accepted, values)
     assumptions: list[str] = []
     of_scene: dict[str, Any] = {"valid_to": None, "scene_hand": None}
-    recorded = isinstance(scene, str | Path) and str(scene).endswith(MOTIONS)
+    recorded = isinstance(scene, str | Path) and str(scene).endswith(MEASURED_MOTIONS)
     if scene is not None and not recorded:
         values, of_scene = _of_scene(scene, on_axis, values, assumptions)
     elif on_axis is not None:

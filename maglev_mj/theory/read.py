@@ -19,7 +19,7 @@ from maglev_mj.errors import KeywordError, ParameterError, TooManyCallsError, ch
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.keywords import with_period
 from maglev_mj.lazy import loaded
-from maglev_mj.parameters import loop_delay, number, numbers
+from maglev_mj.parameters import MEASURED_MOTIONS, loop_delay, number, numbers
 from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
 from maglev_mj.theory.doubts import doubts
@@ -73,7 +73,7 @@ def _loops(what: Loop | Loops) -> Loops:
 def _named(what: Any, changes: dict[str, Any]) -> Any:
     """Return the scene, or device, of a name or file, or the loop that explains a recording."""
     text = str(what)
-    if text.endswith((".maglev", ".csv", ".txt", ".tsv")):
+    if text.endswith(MEASURED_MOTIONS):
         found = loaded("maglev_mj.studies.diagnosis:diagnose")(what, **changes)
         return Loops((found.loop.loop_in_question,))
     if text.endswith(".toml") or text in devices():
