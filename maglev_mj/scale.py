@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import GRAVITY, RANGE, Spec
 
 HAND = 20.0
 """Force of a strong hand [N]."""
@@ -119,7 +119,7 @@ class Scale:
             drop=0.3 * drop,
             speed=0.6 * fast,
             spin=15.0 * fast / r,
-            envelope=0.0045 * x + 0.001 * fast,
+            envelope=RANGE[2] * x + 0.001 * fast,
             tilt=math.radians(6.0 * tilt + 1.5 * fast / r),
             stored=0.045 * force * x,
             generated=0.008 * m * drop**2,

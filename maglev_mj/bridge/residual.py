@@ -163,7 +163,7 @@ class Causes:
         twice: Array = added[:, 2:] - 2.0 * added[:, 1:-1] + added[:, :-2]
         return twice
 
-    def judge(
+    def compare(
         self, measured: Array, driven: Array, probe: Array, clear: bool
     ) -> Generator[None, None, Evidence | None]:
         """Compare accelerations [m/s²], (N, 6) each, with all causes; yields twice before the result.
@@ -354,7 +354,7 @@ class Residual:
         if self._tick % self._stride == 0:
             self._add_step(position)
         elif self._work is not None:
-            self._judge()
+            self._decide()
 
     def _add_step(self, position: Sequence[float]) -> None:
         now, step, poses, rows = np.array(self._totals), self._step, self._poses, self._rows
@@ -447,11 +447,11 @@ class Residual:
         if self._steps >= _FEWEST:
             rows = self._rows[-(min(self._steps, _JUDGED) + _REACH + 2) :]
             clear = all(self._clear[-min(self._steps, _JUDGED) :])
-            self._work = self._causes.judge(rows[:, 0], rows[:, 1], rows[:, 2], clear)
+            self._work = self._causes.compare(rows[:, 0], rows[:, 1], rows[:, 2], clear)
             if self._stride == 1:
-                self._judge()
+                self._decide()
 
-    def _judge(self) -> None:
+    def _decide(self) -> None:
         """Continue the judgement of a step: in one sample at 200 Hz, in three at 1 kHz."""
         assert self._work is not None
         try:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, refuse_mask
 from maglev_mj.frames import Array
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import param, param_range
@@ -32,6 +32,11 @@ _NO_EFFECT = {
     "quantum": "the resolution of the sensor is quantize, of the simulated contact",
 }
 _SOFTER = 1.0 - np.array([0.0, 1e-6, 1e-5, 1e-4, 1e-3])
+
+
+def _names(hands: Any) -> tuple[str, ...]:
+    refuse_mask("hand", hands)
+    return (hands,) if isinstance(hands, str) else tuple(hands)
 
 
 @checked
@@ -70,7 +75,7 @@ class WallRequirements(LoopParameters):
     hand: Sequence[str] = param(  # type: ignore[assignment]
         'hands, as names or numbers (see `get_hand`); "none" for a free flotor',
         default=("none",),
-        parse=lambda hands: (hands,) if isinstance(hands, str) else tuple(hands),
+        parse=_names,
     )
     spectral_radius: float = param(
         "largest spectral radius allowed; 1 for no margin", default=0.97, above=0.0, at_most=1.0

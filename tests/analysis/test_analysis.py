@@ -366,11 +366,14 @@ def test_what_cannot_be_analysed_is_refused(session: Path, tmp_path: Path, capsy
         analysed(segment[:1])
     with pytest.raises(RecordingError, match="in time order"):
         analysed(segment.replace(time=segment.time[::-1]))
-    for name, recording in (("none", Recording([])), ("one", Recording([segment[:1]]))):
+    for name, recording, lacks in (
+        ("none", Recording([]), "samples"),
+        ("one", Recording([segment[:1]]), "segment"),
+    ):
         recording.save(tmp_path / f"{name}.maglev")
         assert main(["analyse", str(tmp_path / f"{name}.maglev")]) == 2
         said = capsys.readouterr().err
-        assert len(said.splitlines()) == 1 and "contains no segment" in said
+        assert len(said.splitlines()) == 1 and f"contains no {lacks}" in said
     assert main(["analyse", str(session), "--from", "1"]) == 2
     assert "choose one of 2 by --segment" in capsys.readouterr().err
 

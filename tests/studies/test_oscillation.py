@@ -258,7 +258,7 @@ def test_the_driver_lag_of_a_recording_is_in_its_loop(
     record_run(scene, plant="mujoco" if plant == "mujoco" else "exact").save(tmp_path / "run.maglev")
     if plant == "device":  # which is not rebuilt
         monkeypatch.setattr("maglev_mj.studies.oscillation.rebuild_plant", lambda setup: None)
-    _, stated = read_oscillation(tmp_path / "run.maglev")
+    _, stated, _ = read_oscillation(tmp_path / "run.maglev")
     assert stated["driver_lag"] == lag
     found = diagnose(tmp_path / "run.maglev")
     assert found.loop.driver_lag == lag and "the loop as given explains the oscillation" in found.remarks
