@@ -45,7 +45,7 @@ _COIL_LEFT, _COIL_PART = 0.15, 0.35
 """Share that a suspected coil leaves of the squared change, and tolerance of its loss."""
 _FOLLOWED, _OTHERS, _SLOPE, _ERRORS, _PROMPT = 0.15, 0.01, 0.3, 5.0, 3.0
 """Of a missing force that follows the coil's own current: tolerance of the loss, share in other coils, tolerance of the
-slope against changes of the current, its least size in standard errors; divisor of the tolerances in the first step."""
+slope against changes of the current, its least size in standard errors; divisor of the tolerances in the first two steps."""
 _STOP, _NEAR = 0.95, 0.9
 """Sum of shares of the range from which a stop may be touched; share from which a swing raises no suspicion."""
 _PROBES, _PAUSE = 4, 0.5
@@ -238,9 +238,7 @@ def follows(missing: Array, current: Array, coil: int, steps: int, sizes: Array,
         sizes: Acceleration per current of each coil [m/s² per A], six.
         noise: Noise of the acceleration [m/s²].
     """
-    if steps == 1:  # too few
-        return 0.0
-    part = 1.0 if steps else 1.0 / _PROMPT
+    part = 1.0 if steps >= _COMPARED else 1.0 / _PROMPT
     latest, flowing = missing[-max(steps + 1, _COMPARED) :], current[-max(steps + 1, _COMPARED) :]
     own = latest[:, coil]
     loss = -float(own @ flowing) / max(float(flowing @ flowing), 1e-12)
