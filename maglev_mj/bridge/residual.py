@@ -45,7 +45,7 @@ _COIL_LEFT, _COIL_PART = 0.15, 0.35
 """Share that a suspected coil leaves of the squared change, and tolerance of its loss."""
 _FOLLOWED, _OTHERS, _SLOPE, _ERRORS, _PROMPT = 0.15, 0.01, 0.3, 5.0, 3.0
 """Of a missing force that follows the coil's own current: tolerance of the loss, share in other coils, tolerance of the
-slope against changes of the current, its least size in standard errors; divisor of the tolerances in the first two steps."""
+slope against changes of the current, its least size in standard errors; divisor of the tolerances in two steps."""
 _STOP, _NEAR = 0.95, 0.9
 """Sum of shares of the range from which a stop may be touched; share from which a swing raises no suspicion."""
 _PROBES, _PAUSE = 4, 0.5

@@ -319,8 +319,10 @@ def test_a_delayed_sensor_on_a_wall_ends_the_flight(
     flown = on_wall(name, *wall, rate=rate, hand=hand, faults=faults, seconds=0.5, delay=jittery(1), folder=tmp_path)
     assert "HOST: the sensor is delayed by" in flown.outcome and "walls on the device removed" in flown.outcome
     active = flown.rows[flown.rows[:, 14] == State.ACTIVE]
-    assert np.linalg.norm(active[:, 7:10], axis=1).max() < 0.30  # it grows while a probe tells it from a hand
-    assert flown.speeds(1.5).max() < 0.35  # the controlled stop, without walls and with the hand
+    # it grows while a probe of at least 15 ms tells it from a hand
+    assert np.linalg.norm(active[:, 7:10], axis=1).max() < (0.30 if wall[0] < 1e5 else 0.40)
+    # with the controlled stop, without walls and with the hand
+    assert flown.speeds(1.5).max() < (0.35 if wall[0] < 1e5 else 0.40)
 
 
 @pytest.mark.parametrize(
