@@ -6,6 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -29,7 +30,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, PlantError, SensingError
 from maglev_mj.frames import AXES, ZERO, Array, Command, DeviceWall, Sample
 from maglev_mj.parameters import number
 from maglev_mj.process import SideAnswers
@@ -84,7 +85,7 @@ class Flight:
         critical_delay: Critical delay of the scene [s]; see `preflight` and `delay_limit`.
         rendered: Wall stiffness of the scene as text, for the recording; see `Preflight`.
         check: `check_change` in a separate process, started before the thread becomes real-time; None to accept new
-            settings unchecked.
+            settings unchecked; another mass found in takeoff then ends the flight.
 
     Attributes:
         switch: Switch that ends the flight.
@@ -174,11 +175,13 @@ class Flight:
 
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
         plant = self._plant
-        self._setup = self._describe(self._scene, self._controller)  # reads files: before the currents flow
-        plant.takeoff(watch=self._watch, check_coils=True)
+        if (landed := self._take_off()) is not None:
+            if self._file is not None:
+                self._file.event("landing", landed.reason)
+            return 0, landed
         self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
-        found = self._check_sensor(plant.coils.sensor_delay, least=LATE * plant.period) or self._check_weight()
-        if (late := landing(found)) is not None:
+        late = landing(self._check_sensor(plant.coils.sensor_delay, least=LATE * plant.period) or plant.coils.weight)
+        if late is not None:
             plant.end(late)
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
@@ -189,6 +192,28 @@ class Flight:
         if self.reason and self._file is not None:
             self._file.event("landing", self.reason)
         return ticks, plant.land(watch=lambda: self._watch() and False, reason=self.reason)
+
+    def _take_off(self) -> LandingReport | None:
+        """Take off; return the report of a landing if the scene is not flown with the mass that was found.
+
+        With another mass or inertia the flotor lands, the scene is checked with it, and it takes off again: the device
+        gets the currents that carry the flotor, and those of a controlled stop, before each takeoff.
+        """
+        plant = self._plant
+        self._setup = self._describe(self._scene, self._controller)  # reads files: before the currents flow
+        plant.takeoff(watch=self._watch, check_coils=True)
+        if not (found := plant.coils.weight):
+            return None
+        if self._file is not None:
+            self._file.event("takeoff", found)
+        problem = plant.weigh()
+        landed = plant.land(watch=lambda: self._watch() and False)
+        if problem := problem or self._check_weight():
+            return landed._replace(reason=f"{found}: {problem}")
+        self._note = found
+        self._setup = self._describe(self._scene, self._controller)
+        plant.takeoff(watch=self._watch, check_coils=True)
+        return None
 
     def _check_sensor(self, delay: float, walls: Sequence[DeviceWall] = (), least: float = _PROVEN) -> str:
         """Add the sensor's delay [s] to that of the loop; return a message if the scene does not tolerate both.
@@ -205,33 +230,29 @@ class Flight:
         return ""
 
     def _check_weight(self) -> str:
-        """Check the scene again with the mass that the takeoff has found, and carry it; return a message if refused.
-
-        The flotor hovers meanwhile.
-        """
-        plant, scene, found = self._plant, self._scene, self._plant.coils.weight
-        if not found:
-            return ""
-        plant.weigh()
+        """Check the scene with the mass that the takeoff has found, and carry it; return a message if refused."""
+        plant, scene = self._plant, self._scene
+        if self._checker is None:
+            return "the scene was not checked with it"
         body = plant.calibration.body
         self._inertia, self._load, self._weight = (each.tolist() for each in (body.inertia, body.load, 0.0 - body.load))
-        self._note = found
-        if self._file is not None:
-            self._file.event("takeoff", found)
-        if self._checker is None:
-            return f"{found}: the scene was not checked with it"
         self._checker.ask(scene, self._inertia, ())
-        while (answer := self._checker.answer()) is None:
-            plant.hover()
+        try:
+            while (answer := self._checker.answer()) is None:
+                if self._watch():
+                    return "landing was requested"
+                with suppress(SensingError):  # a pose is not needed
+                    plant.read()
+        except PlantError:
+            raise
+        except MaglevError as error:
+            return str(error)
         critical, problem = answer
         if critical is None:
-            return f"{found}: {problem}"
+            return str(problem)
         self._delay_guard.limit = delay_limit(critical, plant.period, own=plant.delay)
         self._power_guard = PowerGuard(plant.period, self._inertia, plant.scale)
         self._controller = session.device_controller(scene, self._weight)
-        plant.hover()  # creating it takes half a period at 1 kHz, as does what follows
-        self._setup = self._describe(scene, self._controller)
-        plant.hover()
         return ""
 
     @property
@@ -256,7 +277,7 @@ class Flight:
 
         The device then stops: a hand moves a soft landing further.
         """
-        delay, coil = self._plant.named
+        delay, coil = self._plant.sensor_delay, self._plant.failing_coil
         fault = (self._check_sensor(delay, self._controller.device_walls) if delay else "") or coil
         return Alarm(Fault.HOST, fault, removes_walls=True) if fault else None
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, Self, TypeAlias
+from typing import Any, NoReturn, Self, TypeAlias
 
 import numpy as np
 
@@ -38,16 +38,9 @@ _Walls: TypeAlias = tuple[Wall, ...]
 _LARGEST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
-class Named(NamedTuple):
-    """What the observer names.
-
-    Attributes:
-        delay: Largest delay of the sensor in flight [s]; 0 if none was found.
-        coil: Message about a coil that fails; empty without.
-    """
-
-    delay: float
-    coil: str
+def _weight_fault(calibration: Calibration, own: HostLimits, limits: Limits) -> str:
+    weight = calibration.mass * math.hypot(*calibration.gravity)
+    return safety.weight_fault(weight, calibration.hover.tolist(), own, limits)
 
 
 @checked(own="link")
@@ -67,7 +60,7 @@ class GuardedPlant:
         latched: Faults latched in the device at the handshake, as one line; empty without faults.
         cycles: Last cycles, written to a file on a fault.
         guards: Checks of each sample, in order; an alarm in flight ends it, see `end`.
-        disarmed: True after this host armed the device and switched the currents off.
+        disarmed: True after this host armed the device and switched the currents off again.
         guided: True in takeoff and landing; the larger of the device's own and the chosen envelope then applies.
         reason: Reason to land since ARM, of the first alarm without a fault; empty without. Then only the weight is
             carried, until the landing.
@@ -83,7 +76,7 @@ class GuardedPlant:
             Includes contact with a stop; see `HandObserver`.
         sensor_delay: Largest delay of the sensor in flight [s], 0 if none was found; see `Residual`.
         coils: Estimator of the coil gains in takeoff.
-        named: What the observer names; see `Residual`.
+        failing_coil: Message about a coil that fails in flight, "" without; see `Residual`.
         probes: Probes of the last flight by their outcome, as text; "" without.
         arrival: Arrival time of the last sample, by the link's clock [s].
     """
@@ -91,7 +84,7 @@ class GuardedPlant:
     hand_wrench = property(lambda self: self._hand.wrench)
     sensor_delay = property(lambda self: self._hand.residual.delay)
     coils = property(lambda self: self._hand.coils)
-    named = property(lambda self: Named(self.sensor_delay, self._hand.residual.coil))
+    failing_coil = property(lambda self: self._hand.residual.coil)
     arrival = property(lambda self: self._connection.arrival * 1e-9)
     answers = property(lambda self: self._connection.answers)
     last_delay = property(lambda self: self._connection.answers.last_delay)
@@ -108,19 +101,17 @@ class GuardedPlant:
         folder: Path | str = Path(),
     ) -> None:
         link = open_link(link, key)
-        self.calibration = calibration = calibration or Calibration.nominal()
+        calibration = calibration or Calibration.nominal()
         self.scale = scale = calibration.device.scale
-        host = (limits or HostLimits()).scaled(scale)
-        self._hover: list[float] = calibration.hover.tolist()
-        weight = calibration.mass * math.hypot(*calibration.gravity)
-        if problem := safety.weight_fault(weight, self._hover, host, host.narrowed(_LARGEST)):
+        self._own_limits = host = (limits or HostLimits()).scaled(scale)
+        if problem := _weight_fault(calibration, host, host.narrowed(_LARGEST)):
             link.close()
             raise ParameterError(problem)
         self._connection = Connection(link, calibration.digest, key, patience)
         try:
             welcome, profile = self._connection.welcome, self._connection.profile
             self.stated, self.limits = profile.limits, host.narrowed(profile.limits)
-            if problem := safety.weight_fault(weight, self._hover, host, self.limits):
+            if problem := _weight_fault(calibration, host, self.limits):
                 raise HandshakeError(f"the device cannot hover: {problem}")
             if problem := safety.off_fault(profile.limits, calibration.device):
                 raise HandshakeError(f"the device cannot tell that its coils are off: {problem}")
@@ -142,8 +133,7 @@ class GuardedPlant:
                 calibration, self.period, self.delay, age=0.5 * step - delay, seed=self._connection.session
             )
             self._maps = calibration.wall_maps
-            self._stop = calibration.controlled_stop(self.period + self.delay, self.limits.continuous_current)
-            self._prepare()
+            self._carry(calibration)
         except BaseException:
             self._connection.close()
             raise
@@ -153,7 +143,6 @@ class GuardedPlant:
         self.probes = ""
         self.guided = False
         self.reason = ""
-        self._carrying = Command((0.0 - calibration.body.load).tolist())
         self.unanswered: Sample | None = None  # an answer that is too late is ignored by the device
         self._pose_tick, self.alarm = 0, ""
         self._frame: Frame | None = None  # the last sample
@@ -192,6 +181,15 @@ class GuardedPlant:
         self._walls: _Walls = ()  # of the last command
         self._answered_tick = 0  # tick of the last command
         self._walled_tick, self._walled_until = _BEFORE, _BEFORE  # last command with walls; last tick of their currents
+
+    def _carry(self, calibration: Calibration) -> str:
+        """Take the mass and inertia of a calibration; return a message if the limits do not allow hovering, else ""."""
+        self.calibration = calibration
+        self._hover: list[float] = calibration.hover.tolist()
+        self._stop = calibration.controlled_stop(self.period + self.delay, self.limits.continuous_current)
+        self._carrying = Command((0.0 - calibration.body.load).tolist())
+        self._prepare()
+        return _weight_fault(calibration, self._own_limits, self.limits)
 
     def _prepare(self) -> None:
         """Do slow work before takeoff."""
@@ -282,7 +280,7 @@ class GuardedPlant:
 
     def _probed(self, command: Command, held: Any, pulsed: Any) -> tuple[Command, Any, Any, Sequence[float]]:
         """Return a command and its currents with those of a probe, within the limit, and the wrench of the probe."""
-        residual, most = self._hand.residual, self.limits.current_limit
+        residual, most, before = self._hand.residual, self.limits.current_limit, (held, pulsed)
         residual.watching = self.state is _ACTIVE and not self._hand.check_coils
         if (added := residual.currents()) is None:
             return command, held, pulsed, ZERO
@@ -293,6 +291,9 @@ class GuardedPlant:
         held = [x + dx for x, dx in zip(held, added)]
         pulsed = None if pulsed is None else [x + dx for x, dx in zip(pulsed, added)]
         force = [x + dx for x, dx in zip(command.force, probe)]
+        own = self._own_limits.wrench
+        if own is not None and any(abs(x) > most for x, most in zip(force, own)):
+            return command, *before, ZERO  # a probe obeys the host's own limit, too
         return Command(force, command.extra, command.pulse_width, command.walls), held, pulsed, probe
 
     @explained
@@ -355,7 +356,7 @@ class GuardedPlant:
         hover = None if hover is None else numbers("hover", hover, shape="(6,)").tolist()
         stop = self._stop if hover is None else CUT
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover, stop=stop)
-        self.state, self._armed, self.guided, self.reason = _ACTIVE, True, False, ""
+        self.state, self._armed, self.guided, self.reason, self.disarmed = _ACTIVE, True, False, "", False
         self._hand.reset()
         self._forget_walls()
 

@@ -49,7 +49,7 @@ def parse_url(text: str, *, server: bool = False) -> Url:
         return Url("udp", udp[1], int(udp[2]))
     if (serial := _SERIAL.fullmatch(text)) and int(serial[2] or BAUD) > 0:
         return Url("serial", serial[1], int(serial[2] or BAUD), serial[3] is not None)
-    port = "serial:///PATH?baud=RATE (on Windows serial://COM3?baud=RATE)"
+    port = "serial:///PATH?baud=RATE[&dtr=1] (on Windows serial://COM3?baud=RATE)"
     raise ParameterError(f"address must be udp://HOST:PORT with a port from {least} to 65535, or {port}; got {text!r}")
 
 

@@ -16,7 +16,7 @@ from maglev_mj.bridge.landing import LANDING_DELAY, LandingReport, Leader, Motio
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import PlantError, SensingError
-from maglev_mj.frames import ZERO, Command
+from maglev_mj.frames import ZERO
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import Trajectory
@@ -72,10 +72,7 @@ class RemotePlant(GuardedPlant):
 
     rest: Sequence[float] = ZERO
 
-    _hovering: ControlLoop | None = None
-
     def _prepare(self) -> None:
-        self._hovering = None
         self._leader, self._tolerant = (Leader(self.calibration, self.period, x) for x in (self.delay, LANDING_DELAY))
 
     def takeoff(self, duration: float = 0.6, *, watch: _Watch | None = None, check_coils: bool = False) -> None:
@@ -131,21 +128,16 @@ class RemotePlant(GuardedPlant):
             self._landed(leader, duration, None)
             raise PlantError(f"no flight: {fault}; landed. Keep hands off during takeoff, or recalibrate")
 
-    def weigh(self) -> None:
-        """Continue with the mass and inertia that the takeoff has found."""
-        known, coils = self.calibration, self._hand.coils
-        mass, inertia = coils.mass * known.mass, coils.inertia * known.inertia
-        self.calibration = known = replace(known, mass=mass, inertia=inertia)
-        self._hand.weigh(known)
-        self._carrying = Command((0.0 - known.body.load).tolist())
-        self._prepare()
+    def weigh(self) -> str:
+        """Land, and take off next, with the mass and inertia that the takeoff has found.
 
-    def hover(self) -> None:
-        """Hold the flotor where it is led, for one sample."""
-        if self._hovering is None:
-            self._leader.aim(straight(self.pose, self.pose, 1.0))
-            self._hovering = ControlLoop(self, self._leader)
-        self._hovering.cycle()
+        Returns:
+            Message if the limits do not allow hovering with them; "" if they do.
+        """
+        known, coils = self.calibration, self._hand.coils
+        known = replace(known, mass=coils.mass * known.mass, inertia=coils.inertia * known.inertia)
+        self._hand.weigh(known)
+        return self._carry(known)
 
     def land(self, duration: float = 0.6, *, watch: _Watch | None = None, reason: str = "") -> LandingReport:
         """Move the flotor back to its rest pose and disarm.

@@ -273,7 +273,7 @@ class Residual:
         seed: Seed of the signs.
 
     Attributes:
-        watching: True while a scene is rendered or the flotor lands; otherwise nothing is suspected.
+        watching: True after takeoff until the currents are off; otherwise nothing is suspected.
         delay: Largest delay of the sensor that was named [s].
         coil: Message about a coil that was named; "" without.
         reversed: True if the pose was found to move against the commands.

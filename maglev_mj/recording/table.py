@@ -64,6 +64,8 @@ _FEW_GAPS, _MOST_MISSING = 3, 0.25  # pauses; share in more gaps, which bursts h
 _ONE_GAP = 0.9  # share of one gap in what is missing: the clock was set
 _LEAST_PPM = 0.1
 _OFF_GRID, _LONGEST_STEP, _ROUNDING = 0.25, 3.0, 1e-9  # in periods
+_MOST_TICKS = 1e8
+"""Most samples of a table that is resampled."""
 _LARGEST_TURN, _NORM_ERROR = 1.0, 0.01
 
 
@@ -141,6 +143,8 @@ def read_log(
             remedy = f"{'import it, and ' * si}state the unit of time, such as time=ms"
             raise ParameterError(f"rate must be 10 Hz to 1 MHz ({got}): {remedy}")
         if off_grid := bool(error.max() > _OFF_GRID or (np.diff(tick) < 1.0).any()):
+            if (count := time[-1] / period) > _MOST_TICKS:
+                raise ParameterError(f"table spans {count:.3g} samples of {period:g} s: split the file at its gap")
             path_of = Trajectory(time, parts["position"], "cubic")
             tick = np.arange(np.floor(time[-1] / period + _ROUNDING) + 1.0)
             before = np.searchsorted(time, (tick + _ROUNDING) * period, side="right") - 1

@@ -111,7 +111,7 @@ class TextTable(NamedTuple):
 
     def place(self, name: str) -> int:
         """Return the index of a column by its name, or by its number from 1."""
-        if name not in self.names and name.isdecimal() and 0 < int(name) <= len(self.names):
+        if name not in self.names and str(name).isdecimal() and 0 < int(name) <= len(self.names):
             return int(name) - 1
         check_one_of("column", self.names, name)
         return self.names.index(name)
@@ -212,7 +212,7 @@ def read_table(data: bytes, wanted: TableFormat = TableFormat()) -> TextTable:  
     ended = not raw[-1].strip()
     lines, labels = _without_labels([(row, line) for row, line in lines if row > (wanted.skip or 0)])
     match = re.fullmatch(r'"?sep=(.)"?', lines[0][1].strip()) if lines else None  # for Excel
-    excel = match[1] if match else None
+    excel, lines = (match[1], lines[1:]) if match else (None, lines)
     labels = labels if wanted.names is None else []
     wanted = wanted._replace(names=labels or wanted.names)
     separator, count, numeric = _separator(lines, wanted, excel)

@@ -27,14 +27,16 @@ def cell_verdicts(scenes: Sequence[Scene]) -> list[Verdict | Exception]:
     """Return the verdict of `stability` on each scene, or the error that it raises."""
     result: list[Verdict | Exception] = [MaglevError()] * len(scenes)
     equal, groups = defaultdict[Any, list[int]](list), defaultdict[Any, list[int]](list)
+    kinds: dict[int, Any] = {}
     for index, scene in enumerate(scenes):
         try:
             controller = scene.controller()
+            kinds[index] = _kind(scene, controller, index)
             equal[_content(scene, controller, index)].append(index)
         except Exception as error:  # of a user's scene
             result[index] = error
     for first, *_ in equal.values():
-        groups[_kind(scenes[first], first)].append(first)
+        groups[kinds[first]].append(first)
     for kind, indices in groups.items():
         size = len(indices) if kind == _STATED else _AT_ONCE
         for start in range(0, len(indices), size):
@@ -60,9 +62,9 @@ def _content(scene: Scene, controller: Controller, index: int) -> Any:
     return (*laws, repr(controller.velocity), *clocks, *map(np.ndarray.tobytes, map(np.asarray, arrays)))
 
 
-def _kind(scene: Scene, index: int) -> Any:
+def _kind(scene: Scene, controller: Controller, index: int) -> Any:
     """Return what is equal for scenes whose laws are linearised together."""
-    controller, body = scene.controller(), scene.body.bounded
+    body = scene.body.bounded
     if stated_gains(controller) is not None:
         return _STATED
     kinds = [law_kind(law) for law in controller.laws]

@@ -478,8 +478,11 @@ def _of_scene(
     if loop.device is not None:
         names = "stiffness", "damping", "period", "delay", "cutoff"
         result |= {f"device_{name}": getattr(loop.device, name) for name in names}
-    if stated.get("inertia") is None:
-        result["inertia" if axis.startswith("r") else "mass"] = loop.inertia
+    name, other = ("inertia", "mass") if axis.startswith("r") else ("mass", "inertia")
+    if stated.get(other) is not None:
+        raise ParameterError(f"{other} must not be given on axis {axis} of {found.name}: state its {name}")
+    if stated.get(name) is None:
+        result[name] = loop.inertia
     hand, side = verdict.loops.hand, AXES[3:] if axis.startswith("r") else AXES[:3]
     of_scene: dict[str, Any] = {
         "valid_to": verdict.valid_to,

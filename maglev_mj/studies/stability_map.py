@@ -304,8 +304,8 @@ class StabilityParameters(LoopParameters):
         if bool(self.friction) != bool(self.quantum):
             raise ParameterError("friction and quantum must be given together: a wall is quiet by both")
         if self.plant != "none" and not self.plain:
-            what = self.described or ", rotary axis"
-            raise ParameterError(f"plant must be none{what} (got {self.plant}): plants have {PLAIN}")
+            what = self.described.removeprefix(", ") or "a rotary axis"
+            raise ParameterError(f"{what} cannot be simulated (plant {self.plant}): plants have {PLAIN}")
 
     @property
     def loop_title(self) -> str:

@@ -18,10 +18,10 @@ from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.linearise import too_many_calls
 from maglev_mj.theory.loop import Bound, Doubt
 from maglev_mj.theory.loop_array import is_linear
-from maglev_mj.theory.poses import SCALE
+from maglev_mj.theory.poses import SCALE, STRIDE
 
-_GRID, _EDGES, _SHIFT = 15, 0.9871, 1e-5
-"""Scan of an axis: positions, fraction of the range of motion covered, and displacement of the last sample [m]."""
+_GRID, _SHIFT = 15, 1e-5
+"""Scan of an axis: positions, and displacement of the last sample [m]."""
 _SHARE = 0.1
 """Force of a rest without a load, as a share of the largest force on the axis."""
 _BRIEF, _SEARCHED, _CLOSE = 2, 40, 1e-2
@@ -227,7 +227,7 @@ class _Scan(NamedTuple):
     ) -> _Scan:
         """Return the scan."""
         far = reach[[axis for _, axis in pairs]]
-        positions = np.linspace(-1.0, 1.0, _GRID) * (_EDGES * far)[:, None]
+        positions = np.linspace(-1.0, 1.0, _GRID) * (STRIDE * far)[:, None]
         shift = _SHIFT * np.repeat(SCALE[[axis for _, axis in pairs]], _GRID)
         each = [pair for pair in pairs for _ in range(_GRID)]
         devices, forces = _scanned(controllers, each, pose, positions.ravel(), shift)
@@ -306,7 +306,7 @@ def _probed(
         x[count:] = [at for _, at in static]
     scale, speed = SCALE[devices.axes], reached_speed(reach)[devices.axes]
     depth = np.maximum(np.where(depth > 0.0, depth, _SHARE * reach[devices.axes]), 10.0 * _TINY * scale)
-    room = _EDGES * reach[devices.axes] - np.abs(x)
+    room = STRIDE * reach[devices.axes] - np.abs(x)
     fall = np.where(deeper != 0.0, np.minimum(speed * period, room), 0.0)
     found = _Probes(devices, x, depth, deeper, np.minimum(_TINY * scale, _SIZES[0] * depth), scale, fall)
     reasons = found.reasons()

@@ -126,6 +126,8 @@ class StableDelays(NamedTuple):
     @property
     def bound(self) -> Bound:
         """Critical delay."""
+        if math.isnan(self.searched_to):
+            return Bound(math.nan)
         first = self.intervals[0] if self.intervals else (1.0, 0.0)
         if first[0] > 0.0:
             return Bound(0.0)
@@ -133,7 +135,9 @@ class StableDelays(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The intervals in words."""
+        """The intervals in words; "-" if they were not computed."""
+        if math.isnan(self.searched_to):
+            return "-"
         later = [(low, high) for low, high in self.intervals if low > 0.0]
         open_end = bool(later) and later[-1][1] >= self.searched_to
         words = [f"from {1e3 * low:.4g} to {1e3 * high:.4g} ms" for low, high in later[: len(later) - open_end]]
@@ -453,11 +457,11 @@ class Loops(Sequence[Loop]):
         return tuple(axis for axis in AXES if axis in names)
 
     def replace(self, **changes: Any) -> Loops:
-        """Return the loops with other fields, such as `delay`; a hand acts on its axes only."""
-        hand = changes.pop("hand", None)
-        held = {} if hand is None else {"hand": hand}
-        items = (replace(one, **changes, **(held if hand is None or holds(hand, one) else {})) for one in self.items)
-        return replace(self, items=tuple(items))
+        """Return the loops with other fields, such as `delay`; a hand acts on its axes only, None is a free flotor."""
+        if "hand" not in changes:
+            return replace(self, items=tuple(replace(one, **changes) for one in self.items))
+        hand = changes.pop("hand")
+        return replace(self, items=tuple(replace(one, **changes).in_hand(hand) for one in self.items), hand=None)
 
     @property
     def released(self) -> tuple[Loop, ...]:

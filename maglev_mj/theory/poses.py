@@ -14,7 +14,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.frames import AXES, Array, Sample, components
 from maglev_mj.theory.linearise import Linearised, linearise
 
-POINTS, _STRIDE = 23, 0.9871
+POINTS, STRIDE = 23, 0.9871
 """Number of poses along each axis, and range covered.
 
 The range is a fraction of the range of motion, chosen so that few poses fall on an edge.
@@ -38,7 +38,7 @@ def poses_of(controllers: Sequence[Controller], start: Array, reach: ArrayLike) 
         first = start + EDGE * SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
         rows = [first, np.zeros(6)]
         for axis, far in enumerate(np.asarray(reach)):
-            rows += [_with(first, axis, value) for value in np.linspace(-1.0, 1.0, POINTS) * far * _STRIDE]
+            rows += [_with(first, axis, value) for value in np.linspace(-1.0, 1.0, POINTS) * far * STRIDE]
         for axis, normal, edge in controller.faces:
             rows += [_with(first, axis, float(edge) - normal * depth * SCALE[axis]) for depth in _DEPTHS]
         result.append(np.array(rows))
@@ -53,7 +53,7 @@ def extremes_of(controller: Controller, start: Array, reach: ArrayLike) -> list[
     positions = np.linspace(-1.0, 1.0, _FINE)
     rows = np.tile(start, (len(AXES), _FINE, 1))
     for axis, far in enumerate(np.asarray(reach)):
-        rows[axis, :, axis] = positions * far * _STRIDE
+        rows[axis, :, axis] = positions * far * STRIDE
     probe, forces = copy(controller), []
     probe.reset()
     try:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control import PassivityController
 from maglev_mj.control.controller import Controller
 from maglev_mj.device import Device, devices, lag_of
-from maglev_mj.errors import KeywordError, ParameterError, TooManyCallsError, choice_message
+from maglev_mj.errors import KeywordError, ParameterError, TooManyCallsError, check_one_of, choice_message
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.keywords import with_period
 from maglev_mj.lazy import loaded
@@ -40,14 +40,18 @@ _UNDECLARED = "a law with walls on the device needs declared gains: define gains
 """Reasons why a loop cannot be judged."""
 
 _FIELDS = tuple(item.name for item in fields(Loop) if item.name not in ("linear", "body", "pose", "reason"))
+_OF_LINEARISED = "delay", "driver_lag", "hand"
+"""Fields of laws linearised at a pose that may change: the other ones are in their responses."""
 _OF_CONTROLLER = "delay", "pose", "inertia", "reach", "device", "driver_lag", "hand", "load", "poses"
 
 
 def loops_of(what: Any = None, **changes: Any) -> Loops:
     """Return the loops of a scene, controller, device or of fields; see `Loop.of`."""
     if isinstance(what, Loops | Loop):
-        around = _fields_of(changes)
-        return (Loops((what,)) if isinstance(what, Loop) else what).replace(**around) if around else _loops(what)
+        found, around = _loops(what), _fields_of(changes)
+        if any(one.linear is not None for one in found):
+            _check_names(around, _OF_LINEARISED)
+        return found.replace(**around) if around else found
     if isinstance(what, Controller):
         _check_names(changes, _OF_CONTROLLER)
         if changes.get("delay") is None:
@@ -75,7 +79,7 @@ def _named(what: Any, changes: dict[str, Any]) -> Any:
     text = str(what)
     if text.endswith(MEASURED_MOTIONS):
         found = loaded("maglev_mj.studies.diagnosis:diagnose")(what, **changes)
-        return Loops((found.loop.loop_in_question,))
+        return found.verdict.loops
     if text.endswith(".toml") or text in devices():
         return Device.load(text)
     return loaded("maglev_mj.scenes.find:get_scene")(text)
@@ -97,6 +101,7 @@ def _check_names(changes: Iterable[str], names: Sequence[str]) -> None:
 
 def _of_numbers(what: Device | None, *, device: Any = None, axis: str = "z", **values: Any) -> Loops:
     """Return the loop of fields, those of a device in place of missing ones."""
+    check_one_of("axis", AXES, axis)
     if isinstance(device, str | PathLike | Device):
         what, device = device if isinstance(device, Device) else Device.load(str(device)), None
     own: dict[str, Any] = {"axis": axis, "device": device}
@@ -107,7 +112,8 @@ def _of_numbers(what: Device | None, *, device: Any = None, axis: str = "z", **v
     missing = [name for name in ("stiffness", "damping", "period", "delay", "inertia") if name not in own | given]
     if missing:
         raise ParameterError(f"{' and '.join(missing)} of the loop must be given, or a device")
-    return Loops((Loop(**own | given),))
+    gains = {name: number(name, (own | given)[name]) for name in ("stiffness", "damping", "inertia")}
+    return Loops((Loop(**own | given | gains),))
 
 
 def of_scene(

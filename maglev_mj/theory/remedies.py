@@ -16,9 +16,9 @@ import numpy as np
 
 from maglev_mj.control import FiniteDifference, LowPass
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, Mask
+from maglev_mj.frames import Array, Mask, unit_of
 from maglev_mj.parameters import SAMPLE_PERIOD, loop_delay, number
-from maglev_mj.spec import MAX_DELAY, MAX_PERIOD, MIN_PERIOD
+from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, MAX_DELAY, MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, highest_of, rates_beside, stiffest_of
 from maglev_mj.theory.loop import Bound, Loop, StableRange
 from maglev_mj.theory.loop_array import bisect
@@ -37,7 +37,6 @@ _BLOCK = 24
 _FEW = 13, 11, 1
 _ROUGH = 1e-3
 _RATIO = 40  # largest ratio of two rates in a range
-_DEVICE_PERIOD, _DEVICE_DELAY = 1e-3, 2e-4
 _DIGITS = 3
 _HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
 _MODEST = 0.05
@@ -53,7 +52,7 @@ class Remedy(NamedTuple):
         change: The change as keywords of `diagnose`.
         critical_stiffness: Critical stiffness with it [N/m, N m/rad].
         ratio: Critical over requested stiffness.
-        noise: Force of one sensor step, relative to the present loop; infinite without damping at present.
+        noise: Force of one sensor step, relative to the present loop; NaN without damping at present.
         cost: One of COSTS.
     """
 
@@ -67,9 +66,13 @@ class Remedy(NamedTuple):
 
 def critical_of(loop: Loop) -> Bound:
     """Return the critical stiffness of the law in question at its damping; of declared gains, or a law with memory."""
-    own = loop.in_question
-    array = own.array()
-    found = float(boundary_of(array, np.asarray(own.damping)))
+    return critical_of_host(loop.in_question)
+
+
+def critical_of_host(loop: Loop) -> Bound:
+    """Return the critical stiffness of the host's law at its damping, beside a law on the device."""
+    array = loop.array()
+    found = float(boundary_of(array, np.asarray(loop.damping)))
     return Bound(found, found >= float(highest_of(array)) * (1.0 - _ROUNDING))
 
 
@@ -207,7 +210,7 @@ class _Search:
         self.loop, self.own, self.turned = loop, loop.in_question, loop.axis.startswith("r")
         self.around, self.gains = self.own.array(), (self.own.stiffness, self.own.damping)
         self.wanted = target * self.own.stiffness
-        self.damper, self.spring = ("N m s/rad", "N m/rad") if self.turned else ("N s/m", "N/m")
+        self.damper, self.spring = unit_of("N s/m", loop.axis), unit_of("N/m", loop.axis)
 
     def name(self, word: str) -> str:
         """Return the keyword of stiffness, damping, period or delay of the law in question."""
@@ -280,8 +283,8 @@ class _Search:
     def by_firmware(self) -> Iterable[Remedy]:
         """Yield the whole wall on the device at its best damping, and a damper on the device that suffices."""
         loop, law = self.loop, self.loop.device or DeviceLaw()
-        times = {"device_period": loop.period / max(round(loop.period / _DEVICE_PERIOD), 1)}
-        times["device_delay"] = _DEVICE_DELAY if loop.delay > _DEVICE_DELAY else loop.delay
+        times = {"device_period": loop.period / max(round(loop.period / DEVICE_PERIOD), 1)}
+        times["device_delay"] = DEVICE_DELAY if loop.delay > DEVICE_DELAY else loop.delay
         if not self.allowed(times):
             return
         where = f"on the device ({1.0 / times['device_period']:.4g} Hz, {_milliseconds(times['device_delay'])})"

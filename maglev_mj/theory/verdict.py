@@ -39,7 +39,7 @@ from maglev_mj.theory.loop import (
     stable_delays,
 )
 from maglev_mj.theory.read import JUMPS, UNKNOWN, of_scene
-from maglev_mj.theory.remedies import Remedy, critical_of, damping_range, rate_range, remedies_of
+from maglev_mj.theory.remedies import Remedy, critical_of, critical_of_host, damping_range, rate_range, remedies_of
 
 _ROUNDING = 1e-9
 """Tolerance of a spectral radius."""
@@ -73,7 +73,7 @@ class _LoopState(NamedTuple):
         state = ", ".join([*self.acting, *inactive]) or "always"
         if not self.spectral_radius:
             return axes, state, "-", "free motion"
-        word = f"{_word(self.spectral_radius < 1.0)}{' (free motion)' * self.free}"
+        word = f"{_word(self.spectral_radius < 1.0 - _ROUNDING)}{' (free motion)' * self.free}"
         return axes, state, f"{self.spectral_radius:.4f}", word
 
 
@@ -552,7 +552,7 @@ def critical_stiffness_of(loops: Loops, loop: Loop) -> _Critical:
         rise = abs(change) / _SLIGHT if abs(change) > _ROUNDING * total else total
     # the stiffness of one law alone changes, so that no crossing is missed
     if loop.linear is None and own and other == replace(loop, stiffness=other.stiffness):
-        found = critical_of(loop)
+        found = critical_of(loop) if grown is None else critical_of_host(loop)
         ratio = 1.0 + (found - own) / rise
         return _Critical(Bound(max(ratio, 0.0), found.beyond), Bound(found + total - own, found.beyond))
     if grown is None:
@@ -581,7 +581,7 @@ def nearest(loops: Loops, axis: str = "z") -> Loop:
     """
     stiff = [loop for loop in loops if loop.linear is None and loop.total[0] > 0.0]
     if not stiff:
-        return max((loop for loop in loops if axis in loop.axes), key=lambda loop: loop.damping)
+        return max([loop for loop in loops if axis in loop.axes] or loops, key=lambda loop: loop.damping)
     groups: dict[Loop, list[Loop]] = {}
     for loop in stiff:
         own = loop.in_question

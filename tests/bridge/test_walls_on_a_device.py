@@ -379,7 +379,7 @@ def test_walls_stand_until_a_command_without_them_arrives() -> None:
     assert plant._hand.measured is not None
     for _ in range(6):  # a stall, shorter than the watchdog's
         plant.read()
-        assert plant._hand.measured is not None and not plant.named.coil
+        assert plant._hand.measured is not None and not plant.failing_coil
     plant.write(Command(LIFT))
     sent = plant.samples.tick
     while plant._hand.measured is not None:

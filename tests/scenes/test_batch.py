@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import find_scene
+from maglev_mj import find_scene, stability
 from maglev_mj.control import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.control.stack import law_kind, stacked
 from maglev_mj.errors import ParameterError
@@ -34,6 +34,13 @@ def batches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def both_ways(cells: Sequence[Any], text: str | None = None) -> tuple[list[Any], list[Any]]:
     """Return the results of cells together, and one by one."""
     return run_scene_cells(cells, text), [run_scene_cells([cell], text)[0] for cell in cells]
+
+
+@pytest.fixture
+def unjudged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the verdict on each cell, which takes longer than its run and has tests of its own."""
+    verdict = stability(Drop())
+    monkeypatch.setattr("maglev_mj.scenes.stability_check.cell_verdicts", lambda scenes: [verdict] * len(scenes))
 
 
 def same(one: Mapping[str, Any], other: Mapping[str, Any], tolerance: float) -> bool:
@@ -156,7 +163,7 @@ class Spring(Scene):
     ],
 )
 def test_laws_of_ones_own_run_together_unless_they_are_not_elementwise(
-    tmp_path: Path, batches: list[int], line: str, sizes: list[int]
+    tmp_path: Path, batches: list[int], unjudged: None, line: str, sizes: list[int]
 ) -> None:
     file = tmp_path / "spring.py"
     file.write_text(OWN % line)
@@ -194,7 +201,7 @@ OWN_FIGURE = """
     ],
 )
 def test_what_a_scene_makes_itself_is_that_of_each_run(
-    tmp_path: Path, batches: list[int], own: str, offsets: list[float | None], sizes: list[int]
+    tmp_path: Path, batches: list[int], unjudged: None, own: str, offsets: list[float | None], sizes: list[int]
 ) -> None:
     # Though first and last cell, which are made alone too, agree in it.
     file = tmp_path / "spring.py"
