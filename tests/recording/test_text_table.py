@@ -693,3 +693,23 @@ def test_diagnose_chooses_by_name_and_says_what_the_table_was_taken_for(
     assert "rig.csv: ; and decimal comma, time in ms, " in Recording.load(tmp_path / "rig.maglev").events[0]
     _, stated, _ = read_oscillation(tmp_path / "rig.maglev")
     assert stated == ({"inertia": None} if rotary else {"mass": 0.3})
+
+
+def test_a_line_for_excel_holds_no_names_and_columns_have_numbers(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    rows = [f"{0.001 * tick:.3f};{1e-3 * np.sin(0.3 * tick):.9f}" for tick in range(200)]
+    file.write_text("\n".join(["sep=;", *rows]) + "\n")
+    stated: dict[str, Any] = {"units": {"time": "s", "length": "m"}, "mass": 0.3}
+    by_text = import_table(file, columns={"time": "1", "z": "2"}, **stated)
+    by_number = import_table(file, columns={"time": 1, "z": 2}, **stated)  # type: ignore[dict-item]
+    assert len(by_text.segments[0]) == 200
+    assert np.array_equal(by_text.segments[0].position, by_number.segments[0].position)
+
+
+def test_a_clock_that_jumps_by_years_is_refused_before_it_fills_the_memory(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    times = 1e-3 * np.arange(300) + np.random.default_rng(2).uniform(0.0, 9e-4, 300)
+    times[150:] += 1e8
+    file.write_text("time,z\n" + "".join(f"{time:.6f},{1e-3 * np.sin(time):.9f}\n" for time in times))
+    with pytest.raises(ParameterError, match="split the file at its gap"):
+        import_table(file, units={"time": "s", "length": "m"}, mass=0.3, rate=1000.0, resample=True)
