@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AxisLaw, device_card, diagnose, gain, judge
+from maglev_mj import device_card, diagnose, judge
 from maglev_mj.control import Hold, Wall
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.cell_verdicts import cell_verdicts
@@ -16,25 +16,9 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.theory.loop import Loop, Loops
 from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.verdict import Verdict, critical_stiffness_of
+from tests.studies.test_verdict_properties import Linearised
 
 NUMBERS: dict[str, Any] = {"stiffness": 6000.0, "damping": 20.0, "period": 5e-3, "delay": 1.5e-3, "inertia": 0.7}
-
-
-class Undeclared(AxisLaw):
-    """Wall that declares no gains."""
-
-    stiffness: float = gain("stiffness", "N/m")
-    damping: float = gain("damping", "N s/m")
-
-    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
-        return -(gains.stiffness * x + gains.damping * v) * (x < 0.0)
-
-
-class Own(Drop):
-    """Drop on it."""
-
-    def laws(self) -> list[Any]:
-        return [Undeclared(axes="z", stiffness=self.stiffness, damping=self.damping)]
 
 
 def test_a_hand_can_be_removed() -> None:
@@ -50,7 +34,7 @@ def test_a_hand_can_be_removed() -> None:
     "name", ["stiffness", "damping", "inertia", "own_damping", "period", "mode", "velocity", "law"]
 )
 def test_a_field_that_a_linearised_law_contains_is_refused(name: str) -> None:
-    (loop, *_) = [one for one in Loop.of(Own(stiffness=5000.0)) if one.linear is not None and one.axis == "z"]
+    (loop, *_) = [one for one in Loop.of(Linearised(stiffness=5000.0)) if one.linear is not None and one.axis == "z"]
     before = judge(loop).spectral_radius
     assert judge(loop, driver_lag=1e-3).spectral_radius != pytest.approx(before, abs=1e-6)
     with pytest.raises(ParameterError, match="delay, driver_lag"):
