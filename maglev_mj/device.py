@@ -536,6 +536,12 @@ def sample_period(**options: Any) -> Any:
     return param("sample period", "s", **own, at_least=MIN_PERIOD, at_most=MAX_PERIOD, **options)
 
 
+def command_delay(**options: Any) -> Any:
+    """Declare the delay of an `OnDevice` from a sample to the effect of its command, by default the device's."""
+    own: Any = {"default": None, "derive": attrgetter("hardware.delay"), "at_least": 0.0}
+    return param("delay from a sample to the effect of its command", "s", **own | options)
+
+
 def lag_of(device: Device) -> float:
     """Return the time constant of a device's drivers that enters its loops [s].
 

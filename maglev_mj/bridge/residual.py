@@ -31,7 +31,7 @@ _REACH, _JUDGED = 5, 10
 _FEWEST = 3
 """Fewest steps of a probe that are judged."""
 _DELAYS = [*np.arange(0.3, 2.01, 0.1), *np.arange(2.25, _REACH + 0.01, 0.25)]
-"""Delays that are told apart, in steps; those that are suspected."""
+"""Delays that a probe distinguishes, in steps; below, those that are suspected."""
 _SUSPECTED = [0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0]
 _FADE = 0.06
 """Time constant of the sums of a suspicion [s]."""

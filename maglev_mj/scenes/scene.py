@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -14,11 +13,11 @@ import numpy as np
 
 from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
-from maglev_mj.device import OnDevice, sample_period
+from maglev_mj.device import OnDevice, command_delay, sample_period
 from maglev_mj.errors import ParameterError, check_instance, named, one_line
 from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.keywords import checked, rate_of
-from maglev_mj.parameters import Turn, axis_indices, param, store
+from maglev_mj.parameters import Turn, axis_indices, store
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.hand import GuidedHand, HandForce, SpringHand, Trajectory
 from maglev_mj.plants.model import Body, body_of
@@ -137,15 +136,7 @@ class Scene(OnDevice):
 
     period: float = sample_period(live=RATE)
     rate: float = rate_of("period")
-    delay: float = param(
-        "delay from a sample to the effect of its command",
-        "s",
-        default=None,
-        derive=attrgetter("hardware.delay"),
-        at_least=0.0,
-        at_most=MAX_DELAY,
-        live=DELAY,
-    )
+    delay: float = command_delay(at_most=MAX_DELAY, live=DELAY)
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         for name, value in vars(cls).items():

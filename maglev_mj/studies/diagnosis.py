@@ -72,18 +72,9 @@ class DiagnosedLoop(LoopParameters):
         vars(copy).update(vars(self) | changes)
         return copy
 
-    @property
-    def on_host(self) -> bool:
-        """False if the law on the device is the stiffer one, so that gains, rate and delay in question are its own."""
-        return self.stiffness >= self.device_stiffness
-
-    def name(self, word: str) -> str:
-        """Return the name of stiffness, damping, period or delay of the law in question."""
-        return word if self.on_host else f"device_{word}"
-
     def value(self, word: str) -> float:
         """Return one of these."""
-        return float(getattr(self, self.name(word)))
+        return float(getattr(self, self.whole.name(word)))
 
     @property
     def gains(self) -> tuple[float, float]:
@@ -247,7 +238,7 @@ class Diagnosis(NoTruthValue, Result):
         """Gains, rate, delay and body in words."""
         loop, (stiffness, damping) = self.loop, self.loop.gains
         rate, delay = 1.0 / loop.value("period"), 1e3 * loop.value("delay")
-        where = loop.described if loop.on_host else " on the device"
+        where = loop.described if loop.whole.on_host else " on the device"
         return (
             f"{stiffness:g} {self.unit('N/m')}, {damping:g} {self.unit('N s/m')}, {rate:.4g} Hz, delay {delay:.4g} ms, "
             f"{loop.body:g} {self.unit('kg')}{where}"
@@ -525,13 +516,19 @@ def _explained(loop: DiagnosedLoop, seen: Oscillation, given: set[str], assumpti
     """Return the loop that explains an oscillation, the oscillation, and how, in words."""
     from maglev_mj.studies.recorded_loop import explain  # slow
 
-    names = {"inertia": "inertia" if loop.rotary else "mass", "delay": loop.name("delay"), "own_damping": "own_damping"}
+    names = {
+        "inertia": "inertia" if loop.rotary else "mass",
+        "delay": loop.whole.name("delay"),
+        "own_damping": "own_damping",
+    }
     stated = {name for name, word in names.items() if word in given}
     axis = AXES[3] if loop.rotary else "z"
     found = explain(seen, replace(loop.loop_in_question, axis=axis), stated, tuple(assumptions))
     assumptions[:] = found.assumptions
     fitted = {word: getattr(found.loop, name) for name, word in names.items() if name not in stated}
-    how = found.remarks if loop.on_host else tuple(text.replace("delay", "device delay") for text in found.remarks)
+    how = (
+        found.remarks if loop.whole.on_host else tuple(text.replace("delay", "device delay") for text in found.remarks)
+    )
     return loop.trial(**fitted), found.oscillation, how
 
 

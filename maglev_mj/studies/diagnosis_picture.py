@@ -57,8 +57,8 @@ def _region(panel: Any, result: Diagnosis) -> None:
     colour = on_white(_colour(result.ratio, loop.target))
     panel.plot(damper, stiffness, "o", color=colour, markersize=8, label="present gains")
     for index, one in enumerate(result.remedies, 1):
-        to = tuple(one.change.get(loop.name(word), loop.value(word)) for word in ("damping", "stiffness"))
-        if set(one.change) <= {loop.name("damping"), loop.name("stiffness")}:
+        to = tuple(one.change.get(loop.whole.name(word), loop.value(word)) for word in ("damping", "stiffness"))
+        if set(one.change) <= {*map(loop.whole.name, ("damping", "stiffness"))}:
             style = {"arrowstyle": "->", "color": on_white(GOOD), "linewidth": 1.6}
             panel.annotate("", to, (damper, stiffness), arrowprops=style)
             panel.plot([], [], color=on_white(GOOD), label=f"remedy {index}")

@@ -29,7 +29,7 @@ _STATED = 64
 """Length of the impulse response of declared gains [samples]."""
 _INTEGRATES, _DEFECTIVE = 1e-6, 1e8
 """Distance of an integrator's pole from 1, and condition number of eigenvectors that do not separate poles."""
-FREE, _PAIR = 1e-6, 1e-8
+STILL, _PAIR = 1e-6, 1e-8
 """Tolerances of gains relative to their responses, and of the mean of a double root at 1."""
 
 
@@ -315,7 +315,7 @@ class Loop:
             return ()
         answers = self.linear.near.scaled(self.body)[:, :, list(self.linear.axes)]
         sizes = np.abs(answers).max(axis=(0, 2))
-        return tuple(axis for axis, size in zip(AXES, sizes) if axis not in self.axes and size > FREE * sizes.max())
+        return tuple(axis for axis, size in zip(AXES, sizes) if axis not in self.axes and size > STILL * sizes.max())
 
     @property
     def total(self) -> tuple[float, float]:
@@ -327,6 +327,10 @@ class Loop:
     def on_host(self) -> bool:
         """False if the law on the device is the stiffer one of declared gains."""
         return self.device is None or self.stiffness >= self.device.stiffness
+
+    def name(self, word: str) -> str:
+        """Return the keyword of `diagnose` for stiffness, damping, period or delay of the law in question."""
+        return word if self.on_host else f"device_{word}"
 
     @property
     def in_question(self) -> Loop:

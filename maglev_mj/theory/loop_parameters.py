@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from operator import attrgetter
 from typing import Any
 
 from maglev_mj.control import LowPass
-from maglev_mj.device import OnDevice, lag_of, sample_period
+from maglev_mj.device import OnDevice, command_delay, lag_of, sample_period
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, unit_of
 from maglev_mj.keywords import checked, rate_of
@@ -42,13 +41,7 @@ class LoopParameters(OnDevice):
 
     period: float = sample_period()
     rate: float = rate_of("period")
-    delay: float = param(
-        "delay from a sample to the effect of its command",
-        "s",
-        default=None,
-        derive=attrgetter("hardware.delay"),
-        at_least=0.0,
-    )
+    delay: float = command_delay()
     mass: float | None = param(
         "moving mass with the handle",
         "kg",

@@ -24,7 +24,7 @@ from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
 from maglev_mj.theory.doubts import doubts
 from maglev_mj.theory.linearise import Linearised, is_ours, linearise, realise
-from maglev_mj.theory.loop import FREE, AtPose, Doubt, Loop, Loops, memory_of
+from maglev_mj.theory.loop import STILL, AtPose, Doubt, Loop, Loops, memory_of
 from maglev_mj.theory.loop_array import is_linear
 from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, extremes_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
@@ -457,9 +457,9 @@ def _at_pose(near: Linearised, axes: tuple[int, ...], own: Array, previous: list
     system = realise(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
     moments = (own.sum(axis=0), np.tensordot(np.arange(len(own)), own, 1)) if system is None else system.moments()
     sizes = np.linalg.svd(np.nan_to_num(moments[0], neginf=1.0), compute_uv=False)
-    still = int((sizes <= FREE * max(np.abs(own).sum(axis=0).max(), FREE)).sum())
+    still = int((sizes <= STILL * max(np.abs(own).sum(axis=0).max(), STILL)).sum())
     static = np.linalg.eigvals(-moments[0]).real if np.isfinite(moments[0]).all() else np.zeros(1)
-    away = bool(static.min() < -FREE * np.abs(own).max())
+    away = bool(static.min() < -STILL * np.abs(own).max())
     previous.append(AtPose(near, axes, own, settles, system, still, moments, away))
     return previous[-1]
 

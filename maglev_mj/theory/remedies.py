@@ -82,7 +82,7 @@ def damping_range(loop: Loop) -> StableRange | None:
     around = own.array()
     values = np.geomspace(1e-4, 8.0, _POINTS[0]) * own.inertia / own.period * around.narrowed
     found = _nearest(partial(around.stable, own.stiffness), np.append(0.0, values), own.damping)
-    # below 0 there is none
+    # a damping is not negative: 0 is no end of the search
     return StableRange(Bound(0.0), found.upper) if found is not None and found.lower.beyond else found
 
 
@@ -190,7 +190,7 @@ def remedies_of(
     better = [one for one in tried if one.ratio > enough]
     if most and not any(one.ratio >= target for one in better):
         softer, at = _rounded(most / target), _rounded(at)
-        change = {found.name("stiffness"): softer, found.name("damping"): at}
+        change = {found.loop.name("stiffness"): softer, found.loop.name("damping"): at}
         if found.allowed(change):
             words = f"stiffness {softer:g} {found.spring} at {at:g} {found.damper}"
             better.append(found.remedy(words, "feel", **change))
@@ -198,7 +198,7 @@ def remedies_of(
     better.sort(key=lambda one: (one.ratio < reached, COSTS.index(one.cost) * (one.ratio >= reached), -one.ratio))
     useless = [f"{one.words}, ratio {short(one.ratio)}" for one in tried if one not in better]
     half = b + 0.5 * k * loop.in_question.period
-    if (ratio := critical_of(found.changed({found.name("damping"): half})) / k) < enough:
+    if (ratio := critical_of(found.changed({found.loop.name("damping"): half})) / k) < enough:
         useless.append(f"half-sample prediction, as {half - b:.3g} {found.damper} more: ratio {ratio:.2g}")
     return tuple(better), tuple(useless)
 
@@ -211,10 +211,6 @@ class _Search:
         self.around, self.gains = self.own.array(), (self.own.stiffness, self.own.damping)
         self.wanted = target * self.own.stiffness
         self.damper, self.spring = unit_of("N s/m", loop.axis), unit_of("N/m", loop.axis)
-
-    def name(self, word: str) -> str:
-        """Return the keyword of stiffness, damping, period or delay of the law in question."""
-        return word if self.loop.on_host else f"device_{word}"
 
     def changed(self, change: Mapping[str, Any]) -> Loop:
         """Return the loop with a change as keywords of `diagnose`."""
@@ -260,24 +256,24 @@ class _Search:
             best = _rounded(_sufficient(stable, critical, self.wanted, best) or 0.0, up=True)
         else:
             best = _rounded(best)
-        yield self.remedy(f"damping {best:g} {self.damper}", "gains", **{self.name("damping"): best})
+        yield self.remedy(f"damping {best:g} {self.damper}", "gains", **{self.loop.name("damping"): best})
 
     def by_timing(self) -> Iterable[Remedy]:
         """Yield a shorter delay and a higher rate, at their best damping."""
         period, delay = self.own.period, self.own.delay
-        faster, sooner = {self.name("period"): 0.5 * period}, {self.name("delay"): 0.5 * delay}
+        faster, sooner = {self.loop.name("period"): 0.5 * period}, {self.loop.name("delay"): 0.5 * delay}
         rate = f"{'' if self.loop.on_host else 'device '}rate {2.0 / period:.4g} Hz"
         cases = {rate: faster}
         if delay:
             cases = {
                 f"{rate}, delay {_milliseconds(0.5 * delay)}": faster | sooner,
                 f"delay {_milliseconds(0.5 * delay)}": sooner,
-                f"{rate}, same delay": faster | {self.name("delay"): delay},
+                f"{rate}, same delay": faster | {self.loop.name("delay"): delay},
             }
         for words, change in cases.items():
             if self.allowed(change):
                 damping = self.best_damping(change)
-                change = change | {self.name("damping"): damping}
+                change = change | {self.loop.name("damping"): damping}
                 yield self.remedy(f"{words}, damping {damping:g} {self.damper}", "timing", **change)
 
     def by_firmware(self) -> Iterable[Remedy]:

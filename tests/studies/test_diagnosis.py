@@ -142,7 +142,7 @@ def test_the_first_remedy_of_a_random_loop_ends_its_shaking(index: int) -> None:
 
 def settles(loop: DiagnosedLoop) -> bool | None:
     """Return True if a wall settles in the exact plant; None for a law on the device or own damping: it has none."""
-    if not loop.plain and (loop.on_host or loop.own_damping or loop.damping):
+    if not loop.plain and (loop.whole.on_host or loop.own_damping or loop.damping):
         return None
     names = "stiffness", "damping", "period", "delay"
     values: Any = {name: loop.value(name) for name in names}

@@ -204,9 +204,9 @@ def test_of_two_unstable_walls_the_less_stable_one_is_diagnosed() -> None:
 
 def test_an_axis_that_is_asked_for_is_diagnosed() -> None:
     scene = Drop(wall_on="device")
-    assert diagnose(scene).loop.on_host  # the hold is nearer to its boundary
+    assert diagnose(scene).loop.whole.on_host  # the hold is nearer to its boundary
     wall = diagnose(scene, on_axis="z")
-    assert not wall.loop.on_host and wall.loop.device_stiffness == scene.stiffness
+    assert not wall.loop.whole.on_host and wall.loop.device_stiffness == scene.stiffness
     assert "axis x of drop" in " ".join(diagnose("drop", stiffness=2e4, on_axis="x").assumptions)
     for wrong, says in (({"on_axis": "w"}, "on_axis must be one of"), ({"on_axis": "z", "scene": None}, "of a scene")):
         with pytest.raises(ParameterError, match=says):
