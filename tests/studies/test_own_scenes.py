@@ -202,13 +202,13 @@ def test_a_large_grid_is_refused_at_its_corners_at_once_and_inside_by_the_worker
     )
     with pytest.raises(ValueError, match="stiffness must be another"):  # in the middle of a small one
         Grid(find_scene(str(file))(), {"stiffness": [1300.0, 1310.0, 1320.0], "damping": [56.0, 57.0, 58.0]})
-    grid = {"stiffness": [1000.0 + 10.0 * k for k in range(60)], "damping": [40.0 + k for k in range(60)]}
+    grid = {"stiffness": [1000.0 + 10.0 * k for k in range(40)], "damping": [40.0 + k for k in range(30)]}
     record = tmp_path / "record"
     with pytest.raises(ValueError, match="stiffness must be another"):
         sweep(find_scene(str(file)), grid, plant="exact", record=record)
     kept = Record(record)
     kept.begin(Grid(find_scene(str(file))(), grid, plant="exact"))
-    assert 0 < kept.done.sum() < 3600
+    assert 0 < kept.done.sum() < 1200
 
 
 @pytest.mark.parametrize(
