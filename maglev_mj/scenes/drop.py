@@ -43,8 +43,8 @@ class Drop(WallScene):
         super().check()
         if not self.height < self.hardware.escape:
             number("height", self.height, below=self.hardware.escape, unit="m")
-        if self.carry and self.force_limit is None:
-            raise ParameterError("carry needs a force_limit, which clips the pulse")
+        if self.carry and not self.force_limit:
+            raise ParameterError("carry needs a force_limit above 0, which clips the pulse")
 
     def start(self) -> Start:
         """Return a flotor at rest above the wall."""

@@ -73,7 +73,7 @@ class Press(WallScene):
         super().check()
         if not self.height < self.hardware.escape:
             number("height", self.height, below=self.hardware.escape, unit="m")
-        if self.force_limit is not None and not self.press < self.force_limit:
+        if self.force_limit and not self.press < self.force_limit:
             raise ParameterError(
                 f"press must be below the force_limit of {self.force_limit:g} N, or it penetrates the wall "
                 f"(got {self.press:g})"

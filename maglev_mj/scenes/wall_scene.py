@@ -127,13 +127,13 @@ class WallScene(Scene):
     mass: float = param(
         "moving mass", "kg", default=None, derive=attrgetter("hardware.mass"), at_least=1e-3, at_most=1e3
     )
-    force_limit: float | None = param(
-        "force limit along z",
+    force_limit: float = param(
+        "force limit along z; 0 for none",
         "N",
         default=None,
-        above=0.0,
+        derive=lambda scene: float(scene.hardware.force_limit[2]),
+        at_least=0.0,
         at_most=1e6,
-        optional=True,
     )
     quantize: float = param(
         "resolution of the position sensor; 0 for an ideal sensor", "m", default=0.0, at_least=0.0, at_most=1.0
@@ -229,6 +229,6 @@ class WallScene(Scene):
         """See `Scene`."""
         return {
             "mass": self.mass,
-            "wrench_limit": None if self.force_limit is None else along("z", self.force_limit, math.inf),
+            "wrench_limit": along("z", self.force_limit, math.inf) if self.force_limit else None,
             "sensor": stepped("z", self.quantize),
         }

@@ -49,9 +49,7 @@ class Contact(Parameters):
     pulse: bool = param("braking pulse on entering the wall, sized to stop the lightest flotor", default=False)
     pulse_width: float = param("pulse duration", "s", default=0.003, above=0.0, at_most=1.0)
     quantize: float = WallScene.like("quantize", default=Spec.translation_resolution.value)
-    force_limit: float | None = WallScene.like(
-        "force_limit", help="force limit along z, or none", default=Spec.largest_vertical_force.value
-    )
+    force_limit: float = WallScene.like("force_limit", default=Spec.largest_vertical_force.value, derive=None)
     speed: float = param("approach speed", "m/s", default=0.2, above=0.0, at_most=10.0)
 
     def pulse_of(self, wall: DesignedWall) -> float:
@@ -139,7 +137,7 @@ class DesignResult(Result):
         force, damping, softest = needs.unit("N/m"), needs.unit("N s/m"), needs.describe(wall.softest)
         outside = self.depth > needs.hardware.reach[2]
         far = "outside the range of motion" if outside else "largest over mass, delay, hands, phases"
-        limit = "at the force limit" if contact.force_limit is not None and self.peak >= contact.force_limit else ""
+        limit = "at the force limit" if contact.force_limit and self.peak >= contact.force_limit else ""
         rows: list[tuple[str, float, str, str]] = [
             ("stiffness", wall.stiffness, force, ""),
             ("damping", wall.damping, damping, ""),
@@ -380,7 +378,7 @@ def _plants(
                 driver_lag=needs.lag > 0.0,
                 driver_time_constant=needs.lag or None,
                 sensor=stepped("z", contact.quantize),
-                wrench_limit=contact.force_limit,
+                wrench_limit=contact.force_limit or None,
                 escape=_ANYWHERE,
                 record=record,
             ),

@@ -68,7 +68,7 @@ class DropMapParameters(StabilityParameters):
     )
     pulse: float = WallScene.like("pulse", default=0.0, live=False)
     pulse_width: float = param("pulse duration", "s", default=0.003, above=0.0, at_most=1.0)
-    force_limit: float | None = WallScene.like("force_limit", help="force limit along z, or none")
+    force_limit: float = WallScene.like("force_limit", default=0.0, derive=None)
     quantize: float = WallScene.like("quantize")
 
     def check(self) -> None:

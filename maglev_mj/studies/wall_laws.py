@@ -158,7 +158,7 @@ def laws_of(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> list[L
         ParameterError: If the maker needs a number that the scene does not have.
     """
     numbers = scene.as_json() | {"axes": scene.axis, "lower": 0.0, "inertia": scene.mass, "wall": wall}
-    numbers["force_limit"] = math.inf if scene.force_limit is None else scene.force_limit
+    numbers["force_limit"] = scene.force_limit or math.inf
     takes, fixed = signature(maker).parameters, getattr(maker, "keywords", {})
     for name, one in takes.items():
         if one.default is Parameter.empty and name not in numbers:

@@ -178,7 +178,7 @@ def test_the_hardness_is_that_of_the_fastest_contact_alone() -> None:
 
 
 def test_where_a_drop_rests_is_found_in_its_samples() -> None:
-    drop = Drop()
+    drop = Drop(duration=0.5)
     segment = recorded(drop, phase=0.3)
     (found,), (told,) = (analysed(segment, rest=rest).recorded.figures.faces for rest in (None, drop.rest))
     assert found.rest == pytest.approx(drop.rest, abs=1e-8)

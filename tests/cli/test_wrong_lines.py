@@ -64,7 +64,7 @@ drop --phase 1                                      | phase must be at least 0 a
 drop --pulse-width 0                                | pulse_width must be
 fidelity drop --share 0                             | share must be
 drop --phases many                                  | argument --phases: must be an integer (got 'many')
-drop --carry                                        | carry needs a force_limit
+drop --carry --force-limit 0                         | carry needs a force_limit above 0
 press --hand none | hand must have a stiffness above 0, in order to press (got 'none')
 press --hand fist | hand must be one of none, arm, stylus, fingertip, or mass,damping,stiffness
 press --press 60 --force-limit 60                   | press must be below the force_limit of 60 N
@@ -76,7 +76,7 @@ render box --out a.png --fps 0                      | fps must be
 fidelity drop --tolerance 0                         | tolerance must be above 0 (got 0
 fidelity drop --boundary-tolerance 0                | boundary must be above 0 (got 0
 stability --grid 1                                  | grid must be
-stability --grid 3 --force-limit 0 | force_limit must be above 0 and at most 1e6 N (got 0
+stability --grid 3 --force-limit -1 | force_limit must be between 0 and 1e6 N (got -1
 stability --grid 3 --quantize 2 | quantize must be between 0 and 1 m (got 2
 drop --phases 0                                     | phases must be at least 1 and at most 10000 (got 0
 drop --rate 0                                       | argument --rate: must be a finite number above 0 (got '0')

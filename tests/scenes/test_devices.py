@@ -68,7 +68,7 @@ def test_verdict_by_a_loop_written_out(stiffness: float, radius: float) -> None:
 
 
 def test_warnings_and_headers_have_the_numbers_of_the_device() -> None:
-    scene = Drop(device="stage", stiffness=1000.0)
+    scene = Drop(device="stage", stiffness=1000.0, force_limit=0.0)
     text = str(Variants({"drop": run(scene, plant="exact")}).table())
     for words in ("device stage", "mass 0.3 kg", "1000 Hz, delay 0.9 ms", "the device's 33 N limit", "range of 2 mm"):
         assert words in " ".join(text.split()), words

@@ -245,7 +245,7 @@ def test_series_are_on_a_grid_up_to_the_end() -> None:
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 def test_a_diverging_run_keeps_what_it_was_up_to_there(plant: str) -> None:
-    drop = Drop(delay=0.005, duration=3.0)
+    drop = Drop(force_limit=0.0, delay=0.005, duration=3.0)
     with pytest.raises(DivergenceError, match="diverged") as caught:
         run(drop, plant=plant, phase=0.3)
     partial = caught.value.partial
@@ -271,7 +271,7 @@ def test_a_divergence_names_its_variant(runs: dict[str, Any], monkeypatch: pytes
 
 def test_a_diverging_batch_keeps_nothing_and_its_samples_are_those_before() -> None:
     with pytest.raises(DivergenceError, match="device") as caught:
-        run(Drop(delay=0.005, duration=3.0), plant="exact", phase=PHASES)
+        run(Drop(force_limit=0.0, delay=0.005, duration=3.0), plant="exact", phase=PHASES)
     assert caught.value.partial is None
     with pytest.raises(DivergenceError) as caught:
         run(StickSlip(spring=30000.0, duration=2.0), plant="exact")

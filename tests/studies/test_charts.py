@@ -189,7 +189,7 @@ def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
 
 def test_missing_values_of_a_sweep_are_named() -> None:
     stiff = {"stiffness": [4000.0, 6000.0, 20000.0]}
-    figure = sweep(Drop(), {**stiff, "damping": [80.0]}, plant="exact").plot()
+    figure = sweep(Drop(force_limit=0.0), {**stiff, "damping": [80.0]}, plant="exact").plot()
     named = {panel.get_title(loc="left"): [text.get_text() for text in panel.texts] for panel in figure.axes}
     assert named["settling time (ms)"] == ["does not settle"] and not named["peak force (N)"]
     even = {"stiffness": [4000.0, 10000.0, 16000.0, 22000.0], "damping": [20.0, 60.0, 100.0, 140.0]}
