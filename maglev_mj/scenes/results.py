@@ -50,7 +50,7 @@ class Figure:
         >>> from maglev_mj.scenes.results import Figure
         >>> lowest = Figure("lowest", lambda result: result.motion(result.times())[0].min(), "m")
         >>> round(float(lowest.function(run(find_scene("drop")(duration=0.1), plant="exact"))), 4)  # [m]
-        -0.0025
+        -0.003
     """
 
     name: str
@@ -133,7 +133,7 @@ def figure(
         ... def lowest(result):
         ...     return result.motion(result.times())[0].min()
         >>> round(float(lowest.function(run(find_scene("drop")(duration=0.1), plant="exact"))), 4)  # [m]
-        -0.0025
+        -0.003
     """
 
     def make(function: Callable[[RunResult], Any]) -> Figure:
@@ -161,7 +161,7 @@ class RunResult(Result):
         >>> result = run(find_scene("drop")(duration=0.1), plant="exact")
         >>> position, velocity, force = result.motion(result.times())
         >>> round(float(position.min()), 4), round(float(force.max()), 1)  # [m], [N]
-        (-0.0025, 95.6)
+        (-0.003, 60.0)
     """
 
     scene: Any
@@ -295,7 +295,7 @@ class Phases(Result):
         >>> from maglev_mj import find_scene, run_phases
         >>> phases = run_phases(find_scene("drop")(duration=0.1), 8, plant="exact")
         >>> round(float(phases.percentile(50.0)["penetration"]), 5)  # [m]
-        0.00176
+        0.00213
     """
 
     scene: Any

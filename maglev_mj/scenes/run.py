@@ -63,7 +63,7 @@ def run(
         >>> from maglev_mj import find_scene, run
         >>> result = run(find_scene("drop")(height=0.002), plant="exact")
         >>> round(float(result.figures["penetration"]), 5)  # [m]
-        0.00184
+        0.0019
     """
     scene = get_scene(scene)
     plant = checked_plant(scene, plant)

@@ -63,7 +63,7 @@ _MAKERS: dict[str, Callable[..., SampledPlant]] = {EXACT: ExactPlant, ENGINE: pa
 
 def parts(piece: Piece) -> tuple[SampledPlant, Controller, int]:
     """Return plant, controller and tick count of a drop."""
-    scene = Drop()
+    scene = Drop(force_limit=0.0)
     timing = replace(scene.timing(), jitter=piece.jitter)
     options = dict(piece.options)
     held = {"hand": options.pop("hand")} if "hand" in options else {}  # a scene's own hand is one that pushes
@@ -101,7 +101,7 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
     costs, changes = found["cost over plain"], found["change (µm)"]
     names = sorted(costs, key=lambda name: -costs[name])
     head = f"Most expensive option: {names[0]}, {costs[names[0]]:.0f} times the cost of the plain loop"
-    scene = Drop()
+    scene = Drop(force_limit=0.0)
     detail = (
         f"drop, {1.0 / scene.period:g} Hz, delay {1e3 * scene.delay:g} ms; "
         "each option alone, beside the plain loop of its plant"

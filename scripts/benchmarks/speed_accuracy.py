@@ -336,7 +336,7 @@ def measure(quick: bool, scenes: Sequence[str] = BENCHED) -> dict[str, Any]:
         scenes: Names from TITLES.
     """
     methods = {name: our_methods(name, preset_of(name).scene, quick) for name in scenes}
-    drop = PeersDrop()
+    drop = PeersDrop(force_limit=0.0)
     peers, missing = peer_methods(drop, Task(), quick)
     everyone = our_methods("drop", drop, quick) + peers
     for some in (*methods.values(), everyone):

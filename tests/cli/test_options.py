@@ -91,11 +91,14 @@ from maglev_mj.control import Hold, Wall
 laws, calls = {Wall.__call__.__code__, Hold.__call__.__code__}, []
 inlined = {"<listcomp>", "<dictcomp>", "<setcomp>"}  # by later versions of Python
 
+def name(frame):
+    return str(frame.f_globals.get("__name__"))
+
 def count(frame, event, _):
     code = frame.f_code
     if code in laws:
         sys.setprofile(None)
-    elif event == "call" and frame.f_globals.get("__name__", "").startswith("maglev_mj.") and code.co_name not in inlined:
+    elif event == "call" and code.co_name not in inlined and name(frame).startswith("maglev_mj."):
         calls.append(code.co_qualname)
 
 for _ in range(2):  # the second time with all modules loaded
