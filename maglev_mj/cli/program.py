@@ -49,8 +49,8 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "press": Command("hand impact and press on a wall (figure 6)", "--hand stylus --hits 2 --json -", "run"),
         "stick-slip": Command("pull against rendered friction (figure 8)", "--law lugre --record run.maglev", "run"),
         "run": Command("any scene, built-in or from your own file", "twist --plant exact --json run.json"),
-        "diagnose": Command("why a wall shakes, and what helps most", "drop --stiffness 20000 --out figures"),
-        "stability": Command("stability of a wall (figure 2) or of a scene", "--hand arm --delay 0.002 --grid 20"),
+        "diagnose": Command("why any wall or axis shakes, and what helps most", "drop --stiffness 20000 --out figures"),
+        "stability": Command("stability of walls (figure 2) or of a scene", "--hand arm --delay 0.002 --grid 20"),
         "design": Command("stiffest wall for uncertain mass, delay and hand", "--mass 0.56:0.84 --hand arm,stylus"),
         "compare": Command(
             "comparison of wall laws, published and your own", "drop --law pd --law pulse --out figures"
@@ -298,9 +298,12 @@ def _typed(words: Sequence[str]) -> Parser | None:
     return parser
 
 
+_ANY_AXIS = "For any shaking axis, of any device: `maglev-mj diagnose`."
+
+
 def program_parser() -> Parser:
     """Return the parser of the program, whose help lists all commands."""
-    parser = Parser(prog="maglev-mj", description=f"{str(maglev_mj.__doc__).partition(':')[0]}.")
+    parser = Parser(prog="maglev-mj", description=f"{str(maglev_mj.__doc__).partition(':')[0]}. {_ANY_AXIS}")
     parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     parser.epilog = (
         "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] sets --period [s]. "

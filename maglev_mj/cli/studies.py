@@ -49,6 +49,7 @@ from maglev_mj.studies.cells import StudyInterrupted, Workers, WorkersError, das
 from maglev_mj.studies.compare import compare as compare_laws
 from maglev_mj.studies.compare import sweep_laws
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
+from maglev_mj.studies.diagnosis import diagnose
 from maglev_mj.studies.drop_map import PART, DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import (
     COMPARED,
@@ -288,8 +289,12 @@ def stability_map(
 ) -> int:
     """Map the stability of a wall by theory and simulation (figure 2), or judge a scene.
 
-    The exit status is 0 for an unstable wall too; `stable` in the JSON of a scene is the verdict.
+    With one stiffness and one damping it prints what `diagnose` says of that wall. The exit status is 0 for an unstable
+    wall too; `stable` in the JSON of a scene or of one wall is the verdict.
     """
+    if isinstance(region, StabilityParameters) and region.plant == "none" and (wall := region.wall):
+        write_result(json, diagnose(**wall), pictures, "diagnosis")
+        return 0
     if pictures is not None:
         for name in ("damping", "stiffness"):
             if (limits := getattr(region, name)) is not None and limits[0] == limits[1]:
@@ -318,7 +323,8 @@ _JudgedScene: TypeAlias = Annotated[Scene, Shared(_add_stability_scene, chosen_s
 def stability(*, scene: _JudgedScene, json: Json = None, pictures: Picture) -> int:
     """Map the stability of a wall by theory and simulation (figure 2), or judge a scene.
 
-    The exit status is 0 for an unstable wall too; `stable` in the JSON of a scene is the verdict.
+    With one stiffness and one damping it prints what `diagnose` says of that wall. The exit status is 0 for an unstable
+    wall too; `stable` in the JSON of a scene or of one wall is the verdict.
     """
     with Progress("stability"):
         verdict = judge(scene)

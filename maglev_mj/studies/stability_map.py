@@ -308,6 +308,15 @@ class StabilityParameters(LoopParameters):
             raise ParameterError(f"{what} cannot be simulated (plant {self.plant}): plants have {PLAIN}")
 
     @property
+    def wall(self) -> dict[str, Any]:
+        """Arguments of `diagnose` for the one wall of both ranges; empty for a grid."""
+        gains = {name: getattr(self, name) for name in _GAINS}
+        if not all(ends and ends[0] == ends[1] for ends in gains.values()):
+            return {}
+        loop = {item.name: getattr(self, item.name) for item in LoopParameters.parameters()}
+        return loop | {name: ends[0] for name, ends in gains.items()}
+
+    @property
     def loop_title(self) -> str:
         """Rate, delay, mass and hand in a few words."""
         hand = "no hand" if self.hand == "none" else f"hand {self.hand}"
@@ -505,7 +514,7 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
 
     Dampings [N s/m], (B,), stiffnesses [N/m], (K,), and the stiffest wall by theory.
     """
-    if all(ends and ends[0] == ends[1] for ends in (p.damping, p.stiffness)):
+    if p.wall:
         raise ParameterError("damping or stiffness must be a range (got one wall): for one, maglev-mj diagnose")
     best = stiffest_of(p.loop().array())
     # no stable wall: fall back to mass / period

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import time
@@ -136,6 +137,23 @@ def test_a_hand_is_that_of_the_loop_in_every_front_end(hand: str) -> None:
     held = [loop for loop in Loop.of(scene, hand=hand) if loop.hand is not None and loop.axis == "z" and loop.state]
     assert judge(held[0]).spectral_radius == pytest.approx(diagnose(scene, hand=hand).spectral_radius, abs=1e-12)
     assert judge(held[0]).critical_stiffness == pytest.approx(diagnose(scene, hand=hand).critical_stiffness, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", [*range(5), *further(*range(5, 40))])
+def test_one_wall_of_stability_is_answered_as_diagnose_answers_it(seed: int, tmp_path: Path) -> None:
+    random = np.random.default_rng([67, seed])
+    period, rotary = 10.0 ** random.uniform(-3.3, -2.0), random.random() < 0.3
+    body = 10.0 ** random.uniform(-3.0, -1.0) if rotary else random.uniform(0.05, 2.0)
+    loop = {"period": period, "delay": period * random.uniform(0.0, 3.0), "inertia" if rotary else "mass": body}
+    most = body / period
+    loop |= {"stiffness": random.uniform(0.01, 0.5) * most / period, "damping": random.uniform(0.0, 0.4) * most}
+    words = [word for name, value in loop.items() for word in (f"--{name}", repr(float(value)))]
+    words += ["--hand", str(random.choice(["none", "arm", "stylus"]))] if not rotary else []
+    answers = []
+    for command in ("stability", "diagnose"):
+        assert main([command, *words, "--json", str(tmp_path / command)]) == 0
+        answers.append(json.loads((tmp_path / command).read_text("utf-8")))
+    assert answers[0] == answers[1]
 
 
 def test_a_recording_is_judged_as_the_loop_that_it_is_diagnosed_as(tmp_path: Path) -> None:
