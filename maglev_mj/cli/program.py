@@ -298,12 +298,12 @@ def _typed(words: Sequence[str]) -> Parser | None:
     return parser
 
 
-_ANY_AXIS = "For any shaking axis, of any device: `maglev-mj diagnose`."
+_FIRST = "Virtual levitated haptic joystick; diagnose is for any axis that shakes."
 
 
 def program_parser() -> Parser:
     """Return the parser of the program, whose help lists all commands."""
-    parser = Parser(prog="maglev-mj", description=f"{str(maglev_mj.__doc__).partition(':')[0]}. {_ANY_AXIS}")
+    parser = Parser(prog="maglev-mj", description=_FIRST)
     parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     parser.epilog = (
         "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] sets --period [s]. "
