@@ -1,7 +1,7 @@
 """Make the pictures of the documentation, from the product as it is.
 
     python scripts/figures/pictures.py [NAME ...]     # all but those of benchmarks and long studies, or those named
-    python scripts/figures/pictures.py --check        # list renders and pages that are older than model and views
+    python scripts/figures/pictures.py --check        # list renders and pages that are older than what they show
 
 Pages need Debian's chromium and the package playwright. `--all` includes the studies, which take hours; the pictures
 of benchmarks, speed_*.png, are those of `make bench`.
@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
-from io import BytesIO, StringIO
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -42,24 +42,29 @@ IMAGES = ROOT / "docs/images"
 MADE = IMAGES / "made.json"
 """Digest of the inputs of each render and page at the time it was made."""
 
-INPUTS = "model/**/*.xml", "maglev_mj/views/**/*.py", "maglev_mj/views/**/*.html", "maglev_mj/plants/shapes.py"
-"""What renders and pages show; also the colours."""
+_LIVE = [f"maglev_mj/views/{files}" for files in ("*.py", "page/*.py", "page/*.html", "window/*.py")]
+INPUTS = {
+    "views": ["model/**/*.xml", *_LIVE, "maglev_mj/plants/shapes.py"],
+    "pages": [f"maglev_mj/views/pages/*.{suffix}" for suffix in ("html", "css", "js")],
+}
+"""What pictures show: model and live views, or pages of a browser alone; also the colours."""
 
 _PATIENCE = 60.0
 
 
-def digest() -> str:
-    """Return the digest of model and views."""
-    files = sorted({path for pattern in INPUTS for path in ROOT.glob(pattern)})
+def digest(shows: str) -> str:
+    """Return the digest of what pictures show; a key of `INPUTS`."""
+    files = sorted({path for pattern in INPUTS[shows] for path in ROOT.glob(pattern)})
     files.append(ROOT / "maglev_mj/colours.py")
     parts = (path.read_bytes().replace(b"\r\n", b"\n") for path in files)
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
 
 def outdated() -> list[str]:
-    """Return the names of renders and pages that were made of other model or views."""
+    """Return the names of renders and pages that were made of other model, views or pages."""
     made = json.loads(MADE.read_text("utf-8")) if MADE.exists() else {}
-    return [name for name, picture in PICTURES.items() if picture.shows_views and made.get(name) != digest()]
+    now = {shows: digest(shows) for shows in INPUTS}
+    return [name for name, picture in PICTURES.items() if picture.shows and made.get(name) != now[picture.shows]]
 
 
 @dataclass(frozen=True)
@@ -68,12 +73,12 @@ class Picture:
 
     Attributes:
         make: Called with the path of the file to write.
-        shows_views: True if it shows model or views.
+        shows: What it shows, a key of `INPUTS`; empty for a chart.
         long: True if it takes more than a minute.
     """
 
     make: Callable[[Path], object]
-    shows_views: bool = True
+    shows: str = "views"
     long: bool = False
 
 
@@ -130,10 +135,9 @@ def shown(
     with redirect_stdout(StringIO()):  # viser's greeting
         server = PageServer(endpoint, listener)
     page = Page(server, session)
-    program = shutil.which("chromium") or shutil.which("google-chrome")
     flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=flags)
+        browser = playwright.chromium.launch(executable_path=_browser(), args=flags)
         view = browser.new_page(viewport={"width": width, "height": height})
         view.goto(endpoint.url)
         view.wait_for_selector("canvas", timeout=1e3 * _PATIENCE)
@@ -157,6 +161,10 @@ def shown(
         yield view, run
         browser.close()
     server.stop()
+
+
+def _browser() -> str | None:
+    return shutil.which("chromium") or shutil.which("google-chrome")
 
 
 def _live(**parameters: Any) -> Session:
@@ -187,23 +195,23 @@ def page_buzz(path: Path) -> None:
         path.write_bytes(picture)
 
 
-def joystick(path: Path, *, period: float = 1.0 / 12.0, size: tuple[int, int] = (640, 400)) -> None:
-    """Write a clip of the handle, close, pulled against three walls in turn."""
-    from PIL import Image
+def wall(path: Path) -> None:
+    """Write the page of a wall that buzzes, while a hand presses the handle into it."""
+    from playwright.sync_api import sync_playwright
 
-    along, down, across = [15, 0, 0], [0, 0, -12], [-10, -10, 6]
-    targets = 1e-3 * np.array([[0] * 3, along, along, [0] * 3, down, down, [0] * 3, across, across, [0] * 3])
-    session, frames = _live(), list[Any]()
-    with shown(session, 1280, 720, "knob") as (view, run):
-        box = view.locator("canvas").last.bounding_box()
-        left, top = box["x"] + 0.5 * (box["width"] - size[0]), box["y"] + 0.5 * (box["height"] - size[1])
-        for moment in np.arange(0.0, 0.45 * (len(targets) - 1), period):
-            place = [float(np.interp(moment / 0.45, range(len(targets)), column)) for column in targets.T]
-            session.hand.target = [*place, 0.0, 0.0, 0.0] if any(place) else None
-            picture = Image.open(BytesIO(run(period))).convert("RGB")
-            frames.append(picture.crop((int(left), int(top), int(left) + size[0], int(top) + size[1])))
-    few = [frame.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE) for frame in frames]
-    few[0].save(path, save_all=True, append_images=few[1:], duration=1e3 * period, loop=0)
+    from maglev_mj.views.pages import one_file
+
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        page = Path(folder, "wall.html")
+        page.write_text(one_file("wall"), "utf-8")
+        browser = playwright.chromium.launch(executable_path=_browser(), args=["--no-sandbox"])
+        size = {"width": 830, "height": 900}
+        view = browser.new_page(viewport=size, device_scale_factor=2, reduced_motion="reduce")  # which shows a still
+        view.goto(page.as_uri())
+        view.wait_for_timeout(500)
+        grid = view.locator(".grid").bounding_box()
+        view.screenshot(path=path, clip={"x": 0, "y": 0, "width": 830, "height": grid["y"] + grid["height"] + 12})
+        browser.close()
 
 
 _WALLS: Mapping[str, dict[str, Any]] = {
@@ -251,11 +259,11 @@ _DESIGN = "design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,finge
 
 
 def _chart(*command: str, long: bool = False) -> Picture:
-    return Picture(lambda path: chart(path, *command), shows_views=False, long=long)
+    return Picture(lambda path: chart(path, *command), shows="", long=long)
 
 
 def _analysis(*command: str, **options: Any) -> Picture:
-    return Picture(lambda path: analysed(path, *command, **options), shows_views=False)
+    return Picture(lambda path: analysed(path, *command, **options), shows="")
 
 
 PICTURES: Mapping[str, Picture] = {
@@ -264,7 +272,7 @@ PICTURES: Mapping[str, Picture] = {
     "device.png": Picture(
         lambda path: subprocess.run([sys.executable, ROOT / "scripts/figures/render_device.py", path], check=True)
     ),
-    "joystick.gif": Picture(joystick),
+    "wall.png": Picture(wall, shows="pages"),
     "page_home.png": Picture(page_home),
     "page_buzz.png": Picture(page_buzz),
     **{
@@ -280,7 +288,7 @@ PICTURES: Mapping[str, Picture] = {
     "diagnosis.png": _chart(*"diagnose --stiffness 500 --damping 1 --rate 200 --delay 0.005 --mass 0.15".split()),
     "compare_drop.png": _chart("compare", "drop", *_LAWS),
     "compare_drop_phases.png": _chart(*"compare drop --pulse 0 --law pd --law device.py".split()),
-    "device_walls.png": Picture(device_walls, shows_views=False),
+    "device_walls.png": Picture(device_walls, shows=""),
     "design.png": _chart(*_DESIGN),
     "gallery.png": _chart("scripts/examples/gallery.py"),
     **{
@@ -311,8 +319,8 @@ def main() -> int:
     for name in names:
         print(name, flush=True)
         PICTURES[name].make(IMAGES / name)
-        if PICTURES[name].shows_views:
-            made[name] = digest()
+        if shows := PICTURES[name].shows:
+            made[name] = digest(shows)
             MADE.write_text(json.dumps(made, indent=1, sort_keys=True) + "\n", "utf-8")
     return 0
 

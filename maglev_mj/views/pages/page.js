@@ -154,7 +154,7 @@ function clipped(g, { left, top, width, height }, draw) {
 }
 
 // 3. Numbers in the text: drag them, or use the arrow keys. With `log` one pixel is 1 %.
-const grouped = (value, digits = 0) => value.toFixed(digits).replace(/\B(?=(\d{3})+(?!\d))/g, "\u2009");
+const grouped = (value, digits = 0) => value.toFixed(digits).replace(/\B(?=(\d{3})+(?!\d))/g, "\u202f");
 const greatest = ({ most }) => typeof most === "function" ? most() : most;
 
 function numbers(state, limits, change) {
