@@ -23,7 +23,8 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
-    "repository_links",  # files outside docs
+    "browser_pages",  # pages that run in the browser
+    "repository_links",  # other files outside docs
     "public_names",  # the reference of public names
     "command_pages",  # the reference of commands
 ]

@@ -65,6 +65,7 @@ NEEDS = {
     "screen": Need("a virtual screen", lambda: bool(shutil.which("Xvfb") and find_library("GL")), "xvfb libgl1"),
     "xdotool": Need("xdotool", lambda: shutil.which("xdotool") is not None, "xdotool"),
     "browser": Need("Chromium", lambda: any(map(shutil.which, BROWSERS)), "chromium"),
+    "node": Need("Node.js", lambda: shutil.which("node") is not None, "nodejs"),
     "compiler": Need("a C compiler", lambda: COMPILER is not None, "gcc libc6-dev"),
     "sanitizers": Need("a C compiler's sanitizers", _has_sanitizers, "gcc libc6-dev"),
     "cross": Need("a compiler for boards", lambda: bool(shutil.which("arm-none-eabi-gcc")), "gcc-arm-none-eabi"),

@@ -15,7 +15,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 LESSONS = _PACKAGE / "lessons" if (_PACKAGE / "lessons").is_dir() else _PACKAGE.parent / "docs" / "lessons"
 """Folder of the notebooks: in the installed package, or docs/lessons in a clone."""
 
-_PAGES = "https://github.com/maglev-mj/maglev_mj/blob/main/docs/"
+_REPOSITORY = "https://github.com/maglev-mj/maglev_mj/blob/main/"
 _SOLUTION = re.compile(r"\n*<details>.*?</details>|## What to remember\n.*?\n(?=More:)", re.DOTALL)
 
 
@@ -30,7 +30,8 @@ def lessons(
     if existing := [path.name for path in notebooks if (out / path.name).exists()]:
         raise ParameterError(f"{out / existing[0]} already exists and may contain your work; choose another folder")
     for path in notebooks:
-        notebook = json.loads(path.read_text(encoding="utf-8").replace("](../", f"]({_PAGES}"))
+        text = path.read_text(encoding="utf-8").replace("](../../", f"]({_REPOSITORY}")
+        notebook = json.loads(text.replace("](../", f"]({_REPOSITORY}docs/"))
         content = without_solutions(notebook) if students else notebook
         write_text(out / path.name, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
     print(f"  wrote {len(notebooks)} notebooks to {out}; next: jupyter lab {out}")

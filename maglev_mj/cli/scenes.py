@@ -187,7 +187,9 @@ def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, o
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.session import Session
     from maglev_mj.session.tour import Tour
+    from maglev_mj.views.pages import FOLDER
 
+    print(f"A first wall without Python: open {FOLDER / 'wall.html'}", flush=True)
     front, hand = page.open() or window(out), SpringHand.of_mouse()
     out.mkdir(parents=True, exist_ok=True)
     with input_hand.open(hand) as devices:

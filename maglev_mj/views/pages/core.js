@@ -218,11 +218,14 @@ function largestDamping(loop) {
   return Math.min(...crossings(loop, point => point.stiffness).map(point => point.damping).concat(line).filter(B => B > 0));
 }
 
-// Critical stiffness: all softer walls are stable; 0 if none is.
-function criticalStiffness(damping, loop, most = largestDamping(loop)) {
+// Critical stiffness: all softer walls are stable; 0 if none is. With a hand, a softer wall is asked for its spectral radius: a
+// long delay lets the hand's spring swing up by itself.
+function criticalStiffness(damping, loop, most = loop.hand ? Infinity : largestDamping(loop)) {
   if (damping <= 0 || damping >= most) return 0;
   const line = alternating(loop) - 2 * damping / loop.period;
-  return Math.min(...crossings(loop, point => point.damping - damping).map(point => point.stiffness).concat(line).filter(K => K > 0));
+  const all = crossings(loop, point => point.damping - damping).map(point => point.stiffness).concat(line).filter(K => K > 0 && K < Infinity);
+  if (!all.length || (loop.hand && spectralRadius({ stiffness: Math.min(...all) / 2, damping }, loop) >= 1)) return 0;
+  return Math.min(...all);
 }
 
 // Spectral radius of one period, by squaring its matrix: stable below 1.
