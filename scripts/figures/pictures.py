@@ -205,12 +205,12 @@ def wall(path: Path) -> None:
         page = Path(folder, "wall.html")
         page.write_text(one_file("wall"), "utf-8")
         browser = playwright.chromium.launch(executable_path=_browser(), args=["--no-sandbox"])
-        size = {"width": 830, "height": 900}
-        view = browser.new_page(viewport=size, device_scale_factor=2, reduced_motion="reduce")  # which shows a still
+        # with reduced motion it shows a still
+        view = browser.new_page(viewport={"width": 830, "height": 900}, device_scale_factor=2, reduced_motion="reduce")
         view.goto(page.as_uri())
         view.wait_for_timeout(500)
-        grid = view.locator(".grid").bounding_box()
-        view.screenshot(path=path, clip={"x": 0, "y": 0, "width": 830, "height": grid["y"] + grid["height"] + 12})
+        end = view.evaluate("document.querySelector('.grid').getBoundingClientRect().bottom")
+        view.screenshot(path=path, clip={"x": 0, "y": 0, "width": 830, "height": end + 12})
         browser.close()
 
 

@@ -22,14 +22,13 @@ FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-
 
 
 @contextmanager
-def chromium(*flags: str) -> Iterator[Any]:
-    """Yield a Chromium that is started with `FLAGS` and more flags."""
+def chromium(*flags: str, draws_3d: bool = True) -> Iterator[Any]:
+    """Yield a Chromium that is started with more flags, and with `FLAGS` if it draws in three dimensions."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=_CHROMIUM, args=[*FLAGS, "--disable-gpu-sandbox", "--ignore-gpu-blocklist", *flags]
-        )
+        own = [*FLAGS, "--disable-gpu-sandbox", "--ignore-gpu-blocklist"] if draws_3d else ["--no-sandbox"]
+        browser = playwright.chromium.launch(executable_path=_CHROMIUM, args=[*own, *flags])
         yield browser
         browser.close()
 

@@ -41,7 +41,7 @@ def new_seed() -> int:
 def random_timing(random: np.random.Generator) -> Case:
     """Return a loop of 50 to 2000 Hz with a delay of 0 to 10 periods: whole, below one, or any."""
     period = math.exp(random.uniform(math.log(5e-4), math.log(2e-2)))
-    periods = random.choice([random.integers(0, 11), random.uniform(0.0, 1.0), random.uniform(0.0, 10.0)])
+    periods = (float(random.integers(0, 11)), random.uniform(0.0, 1.0), random.uniform(0.0, 10.0))[random.integers(3)]
     return {"period": period, "delay": float(periods) * period, "mass": float(random.uniform(0.2, 2.0))}
 
 
@@ -108,7 +108,9 @@ def test_the_pages_move_as_the_exact_plant_does() -> None:
     assert first.max() < 1e-9, (seed, loops[first.argmax()])
     assert last.max() < 1e-9, (seed, [case for case, one in zip(loops, settles) if one][last.argmax()])
     assert 0.2 < settles.mean() < 0.9 and np.median(np.ptp(expected, axis=1)) > 1e-4, seed
-    print(f"seed {seed}: {COUNT} loops within {first.max():.1e}, at rest within {last.max():.1e} of the largest position")
+    print(
+        f"seed {seed}: {COUNT} loops within {first.max():.1e}, at rest within {last.max():.1e} of the largest position"
+    )
 
 
 @pytest.mark.needs("node")
@@ -139,7 +141,9 @@ def test_a_metal_stop_is_never_passed_nor_missed_and_every_motion_ends() -> None
         hand = {"stiffness": float(random.choice([0.0, 50.0, 400.0, 2000.0])), "target": random.uniform(-0.02, 0.02)}
         force = float(random.choice([0.0, *(random.choice([-1.0, 1.0]) * 10.0 ** random.uniform(-9.0, 4.0, 3))]))
         x = float(random.choice([-stop, stop, stop * (1.0 - 1e-15), 0.0, *random.uniform(-stop, stop, 3)]))
-        v = float(random.choice([0.0, 1e-18, -1e-18, 1e-9, *random.uniform(-1.0, 1.0, 3) * 10.0 ** random.uniform(-6, 2)]))
+        v = float(
+            random.choice([0.0, 1e-18, -1e-18, 1e-9, *random.uniform(-1.0, 1.0, 3) * 10.0 ** random.uniform(-6, 2)])
+        )
         glides.append({"force": force, "hand": hand, "x": x, "v": v, "time": 10.0 ** random.uniform(-5.0, -1.7)})
     answered = answers(glides=glides)
     for case, end in zip(glides, answered["glides"], strict=True):
@@ -153,7 +157,7 @@ def test_a_metal_stop_is_never_passed_nor_missed_and_every_motion_ends() -> None
 
 @pytest.mark.needs("node")
 def test_friction_lets_go_twice_where_its_page_says_so() -> None:
-    """Of a weak friction or in a fast loop: the sample after breakaway sees a speed below v_min, and equation (13) sticks."""
+    """Of a weak friction or in a fast loop: the sample after breakaway sees a speed below v_min, and it sticks."""
     cases = [{"rate": 200, "breakaway": 2.0}, {"rate": 1000, "breakaway": 3.0}, {"rate": 200, "breakaway": 3.0}]
     for case, changes in zip(cases, answers(pulls=cases)["pulls"], strict=True):
         assert [stuck for _, stuck in changes[:3]] == [False, True, False]  # lets go, sticks, lets go

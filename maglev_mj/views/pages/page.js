@@ -225,20 +225,24 @@ function recall(state, limits, change = () => {}) {
 
 // 5. Pointers. A finger that does not start at `near(x, y)` scrolls the page instead.
 function drags(element, { near = () => true, down, move, up }) {
-  const box = () => element.getBoundingClientRect();
+  let dragged = false;                                         // a finger is captured even where it scrolls
   element.addEventListener("touchstart", event => {
-    const { clientX, clientY } = event.touches[0];
-    if (near(clientX - box().left, clientY - box().top) && !element.classList.contains("level")) event.preventDefault();
+    const { left, top } = element.getBoundingClientRect(), { clientX, clientY } = event.touches[0];
+    if (near(clientX - left, clientY - top) && !element.classList.contains("level")) event.preventDefault();
   }, { passive: false });
   element.addEventListener("pointerdown", event => {
     if (event.button || (event.pointerType === "touch" && !near(event.offsetX, event.offsetY))) return;
     element.setPointerCapture(event.pointerId);
+    dragged = true;
     down(event.offsetX, event.offsetY);
   });
   element.addEventListener("pointermove", event => {
-    if (element.hasPointerCapture(event.pointerId)) move(event.offsetX, event.offsetY);
+    if (dragged) move(event.offsetX, event.offsetY);
   });
-  element.addEventListener("lostpointercapture", up);
+  element.addEventListener("lostpointercapture", () => {
+    if (dragged) up();
+    dragged = false;
+  });
 }
 
 // The hand: a pointer or the arrow keys pull to the side; before anybody does, a ghost plays.
