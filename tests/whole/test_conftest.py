@@ -60,7 +60,7 @@ def test_study_burns(): burn()
 @pytest.mark.machine
 def test_machine_burns(): burn()
 """
-ALL_PACKAGES = "libosmesa6 xvfb libgl1 xdotool chromium gcc libc6-dev gcc-arm-none-eabi qemu-system-arm"
+ALL_PACKAGES = "libosmesa6 xvfb libgl1 xdotool chromium nodejs gcc libc6-dev gcc-arm-none-eabi qemu-system-arm"
 SUITE, MACHINE = ("-m", "not study and not machine"), ("-m", "machine and not study")
 
 
