@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import Controller, ExactPlant, Hand, StickSlip, Timing, Wall, colours, drive, largest_stable_stiffness
+from maglev_mj.cli import main
 from maglev_mj.theory import spectral_radius
 from maglev_mj.views.pages import FOLDER, NAMES, one_file
 
@@ -192,3 +193,13 @@ def test_each_file_is_small_and_a_page_in_one_file_needs_no_other() -> None:
             if path.suffix != ".html":  # each once, whole
                 assert text.count(path.read_text("utf-8")) == 1, path.name
                 assert "</script" not in path.read_text("utf-8")
+
+
+def test_the_tour_names_the_page_that_needs_no_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("maglev_mj.cli.peripherals.PageOptions.open", lambda self: id)
+    monkeypatch.setattr("maglev_mj.cli.scenes._show", lambda *_: None)
+    assert main(["tour", "--web", "--out", str(tmp_path)]) == 0
+    path = capsys.readouterr().out.strip().partition("without Python: open ")[2]
+    assert Path(path).read_text("utf-8").startswith("<!doctype html>")

@@ -148,6 +148,8 @@ def test_a_wall_is_pulled_dragged_on_its_map_and_judged(browser: Any, width: int
         until(page, "() => pull.target === null && loop.x < EDGE")
         page.get_by_role("button", name="Softer: still").click()
         assert verdict(page).startswith("Holds still: 59 %")
+        page.evaluate("state.stiffness = 10000; changed()")  # between the boundaries with the hand's spring and without
+        assert verdict(page).startswith("Holds still alone, buzzes in the hand: 98 %") and "9\u202f922" in verdict(page)
         page.get_by_role("button", name="Twice as fast: still").click()
         assert verdict(page).startswith("Holds still") and "Dashed" in page.locator("#dashed").inner_text()
         # the dot of the map is the wall
