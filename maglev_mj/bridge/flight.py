@@ -37,7 +37,7 @@ from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingError, RecordingFile
 from maglev_mj.recording.sample import Setup
 from maglev_mj.scenes import Scene
-from maglev_mj.session import REPLACED, STEP_FORCE, ChangeRequest, Publisher, SampledMotion, Snapshot
+from maglev_mj.session import REPLACED, STEP_FORCE, ChangeRequest, DeviceStatus, Publisher, SampledMotion, Snapshot
 from maglev_mj.terminal import wrapped
 
 _ANSWERS = 100  # of the median delay: single late answers do not destabilise a loop
@@ -84,6 +84,7 @@ class Flight:
         step_force: Largest force step caused by new settings [N]; see `check_step`.
         critical_delay: Critical delay of the scene [s]; see `preflight` and `delay_limit`.
         rendered: Wall stiffness of the scene as text, for the recording; see `Preflight`.
+        device: Status of the device before the flight, for viewers; None for none.
         check: `check_change` in a separate process, started before the thread becomes real-time; None to accept new
             settings unchecked; another mass found in takeoff then ends the flight.
 
@@ -107,11 +108,12 @@ class Flight:
         step_force: float = STEP_FORCE,
         critical_delay: float = math.inf,
         rendered: str = "",
+        device: DeviceStatus | None = None,
         check: SideAnswers | None = None,
     ) -> None:
         if scene.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s (got {scene.period:g})")
-        self._plant, self._scene, self._file = plant, scene, file
+        self._plant, self._scene, self._file, self._device = plant, scene, file, device
         self._publishers, self._since = session.Publishers(publishers), 0
         self._motion, self._note = SampledMotion(), _NOTE
         self.switch, self.timing = switch or StopSwitch(), LoopTiming()
@@ -329,7 +331,8 @@ class Flight:
                 self._started.reply(sample.tick)
                 self._started = None
             force, pose = np.array(self._laws), np.array(sample.position)
-            self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
+            pulse, width = (ZERO, 0.0) if applied.extra is None else (applied.extra, applied.pulse_width)
+            self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench, pulse, width)
             self._publishers.show(lambda: self._snapshot(pose, force))
             self._listen(sample)
 
@@ -391,6 +394,7 @@ class Flight:
         assert self._request is not None
         self._started, self._request = ChangeRequest(scene, self._request.reply), None
         self._scene, self._controller, self._note = scene, controller, note or _NOTE  # of the next segment
+        self._device = self._device and self._device._replace(requested=math.nan)  # the stiffness just set is the wish
         self._setup, self._delay_guard.limit = setup, limit
 
     def _snapshot(self, pose: Array, force: Array) -> Snapshot:
@@ -415,5 +419,6 @@ class Flight:
             missed=samples.lost + samples.skipped,
             actions=self._actions,
             state="flying",
+            device=self._device and self._device._replace(phase="in flight", warmth=max(plant.temperatures)),
             notes=[self._note],
         )

@@ -50,7 +50,7 @@ from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICE_PARAMETERS, UNKNOWN, Snapshot, device_actions
+from maglev_mj.session import DEVICE_PARAMETERS, UNKNOWN, DeviceStatus, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
 from maglev_mj.theory.loop import Bound
 from maglev_mj.theory.read import scene_lag
@@ -193,7 +193,7 @@ def bridge(
         anyway = _may_fly(plant, address, result, anyway)
         if result.reduction:
             print("\n".join(wrapped(result.reduction)), flush=True)
-        return _fly(plant, _Flown(result, anyway, seconds, record, realtime), front, page.web)
+        return _fly(plant, _Flown(address, result, anyway, seconds, record, realtime), front, page.web)
 
 
 def _check(modes: Mapping[str, bool], mass: bool, flying: Sequence[str]) -> None:
@@ -265,6 +265,7 @@ def _may_fly(plant: RemotePlant, address: str, result: Preflight, anyway: bool) 
 class _Flown(NamedTuple):
     """Options of a flight."""
 
+    address: str
     result: Preflight
     anyway: bool
     seconds: float | None
@@ -282,8 +283,11 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
     with ExitStack() as last:
         last.enter_context(switch.signals())
         viewer = None
+        requested = result.requested if result.reduction and result.requested is not None else math.nan
+        device = DeviceStatus(flown.address, "before takeoff", requested=requested)
         if front is not None:
-            blank = Snapshot(scene=scene, actions=device_actions(type(scene)))
+            idle = "before takeoff: nothing is rendered"
+            blank = Snapshot(scene=scene, actions=device_actions(type(scene)), idle=idle, device=device)
             viewer = RemoteViewer(blank, front, watch=watch)
             last.callback(viewer.close)
         file = None if flown.record is None else open_recording(flown.record)
@@ -301,6 +305,7 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
             warn=_warn,
             rendered=result.rendered,
             critical_delay=result.report.anyway if result.problem else result.critical_delay,
+            device=device,
             check=check,
         )
         if viewer is not None:

@@ -144,7 +144,7 @@ def twin(
         server = TwinServer(twin, _server(listen, key))
         last.callback(server.close)
         print(_greeting(listen, server), flush=True)
-        shown = None if viewer is None else _shown(viewer, blank, server)
+        shown = None if viewer is None else _shown(viewer, blank, server, listen)
         last.enter_context(engine_warnings_silenced())
         for complaint in last.enter_context(realtime_policy(realtime)):
             print(f"  not in real time: {complaint}", flush=True)
@@ -184,13 +184,14 @@ def _serve_arm(
 
 def _blank(look: type[Scene], parameters: TwinParameters) -> Snapshot:
     """Return a view of a twin before its first sample."""
+    from maglev_mj.bridge.wire import State
     from maglev_mj.session import EMERGENCY_STOP, Snapshot
 
     # the host chooses what is rendered
     off: dict[str, Any] = {row.name: False for row in look.parameters() if row.kind is bool and row.live}
     device = parameters.calibration.base.reference
     scene = look(**off, device=device, period=parameters.period, delay=parameters.delay)
-    return Snapshot(scene=scene, actions=(EMERGENCY_STOP,))
+    return Snapshot(scene=scene, actions=(EMERGENCY_STOP,), idle=_IDLE[State.INACTIVE])
 
 
 def foam(stiffness: float, mass: float) -> SpringHand:
@@ -253,12 +254,16 @@ def _greeting(listen: str, server: TwinServer) -> str:
     return f"  twin listening at {address}, {1.0 / parameters.period:g} Hz, {pace}; Ctrl-C ends it"
 
 
-def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callable[[], None]:
+_IDLE = "inactive: nothing is rendered", "active: the host renders", "fault: nothing is rendered"
+"""Words for what is rendered, by state of the device; the twin does not know the host's laws."""
+
+
+def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer, address: str) -> Callable[[], None]:
     """Return a function that publishes a twin's sample to the window; closing it stops the twin."""
     import numpy as np
 
     from maglev_mj.bridge.wire import State, fault_names
-    from maglev_mj.session import Publishers, SampledMotion
+    from maglev_mj.session import DeviceStatus, Publishers, SampledMotion
 
     twin, plant = server.twin, server.twin.plant
     coils, load = twin.truth.coils, twin.truth.body.load
@@ -283,9 +288,11 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
                 history=motion.history.rows,
                 work=motion.work,
                 state="stopped" if twin.firmware.state == State.FAULT else "running",
+                idle=_IDLE[twin.firmware.state],
+                device=DeviceStatus(address, twin.firmware.state.name.lower(), simulated=True),
+                hand_limit=viewer.hand.force_limit,
                 reason=faults,
                 remedy="clear it with: maglev-mj bridge ADDRESS --reset",
-                notes=[", ".join(filter(None, ("a device", twin.firmware.state.name.lower(), faults)))],
             )
         )
         publishers.wanted()  # read the mouse; settings belong to the host

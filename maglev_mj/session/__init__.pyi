@@ -24,6 +24,7 @@ from maglev_mj.session.session import device_controller as device_controller
 from maglev_mj.session.snapshot import REPLACED as REPLACED
 from maglev_mj.session.snapshot import SHOWN as SHOWN
 from maglev_mj.session.snapshot import ChangeRequest as ChangeRequest
+from maglev_mj.session.snapshot import DeviceStatus as DeviceStatus
 from maglev_mj.session.snapshot import History as History
 from maglev_mj.session.snapshot import Publisher as Publisher
 from maglev_mj.session.snapshot import Publishers as Publishers

@@ -511,7 +511,7 @@ class Replay:
         self._time, self._row = time, int(np.searchsorted(self._times, time + _ROUNDING, side="right")) - 1
 
     def _history(self) -> Array:
-        """Return the samples of the last two seconds, across segments, (N, 25)."""
+        """Return the samples of the last two seconds, across segments, (N, 32)."""
         end, firsts = self._row + 1, self._firsts
         first = int(np.searchsorted(self._times, self._times[self._row] - SHOWN))
         rows = []
@@ -550,14 +550,15 @@ class _PlayedSegment:
         return self._anchors[index] if index < len(self._anchors) else None
 
     def history(self, low: int, high: int) -> Array:
-        """Return pose, twist, wrench of the device and wrench of the hand of a range of samples, (N, 24)."""
+        """Return the columns of a history after the time, of a range of samples, (N, 31)."""
         segment, before = self.segment, max(low - 1, 0)
         pose, time = segment.position[before:high], self.time[before:high]
         speed = np.diff(pose, axis=0) / np.diff(time)[:, None]
         if low == 0:  # repeat the second sample's speed: the first has no predecessor
             speed = np.concatenate([speed[:1] if len(speed) else np.zeros((1, 6)), speed])
         force = segment.applied[low:high] - self.carried
-        return np.column_stack([pose[low - before :], speed, force, segment.hand[low:high]])
+        pulse, width = segment.applied_pulse[low:high], segment.applied_pulse_width[low:high]
+        return np.column_stack([pose[low - before :], speed, force, segment.hand[low:high], pulse, width])
 
 
 @cache

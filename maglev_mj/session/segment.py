@@ -23,7 +23,7 @@ from maglev_mj.recording.sample import Setup
 from maglev_mj.recording.setup import attach_model, attach_source
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of, source_of
-from maglev_mj.session.snapshot import SHOWN, History
+from maglev_mj.session.snapshot import HAND, SHOWN, History
 
 MAX_REWIND = 60.0
 """Longest rewind [s]."""
@@ -174,8 +174,9 @@ class LiveSegment:
         effort = plant.hand_wrench
         self.energy.add(self.pose, effort, plant.work)
         self.force = applied.force
-        self.pulsed = applied.extra is not None and any(applied.extra)
-        self._keep(self.time, self.pose, self.twist, self.rendered, effort)
+        extra, width = (ZERO, 0.0) if applied.extra is None else (applied.extra, applied.pulse_width)
+        self.pulsed = any(extra)
+        self._keep(self.time, self.pose, self.twist, self.rendered, effort, extra, width)
 
 
 def live_plant(scene: Scene, hand_force: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
@@ -212,7 +213,7 @@ class RepeatedHand:
     """
 
     def __init__(self, rows: Array, end: float, clock: Callable[[], float], after: HandForce) -> None:
-        self._times, self._efforts = rows[:, 0].tolist(), rows[:, 19:]
+        self._times, self._efforts = rows[:, 0].tolist(), rows[:, HAND]
         self._end, self._clock, self._after, self.hand = end, clock, after, getattr(after, "hand", None)
 
     def __call__(self, tick: int, time: Component, state: State) -> Six:
@@ -268,7 +269,7 @@ class RewindBuffer:
         since, segment, state = [saved for saved in self._states if saved[0] <= time + _ROUNDING][-1]
         begin, end = np.searchsorted(self._original[:, 0], (since - _ROUNDING, time - _ROUNDING))
         self.history.replace(self._original[:begin])  # the replay adds the remaining samples
-        segment.restore(state, self._original[begin:end, 19:].tolist())
+        segment.restore(state, self._original[begin:end, HAND].tolist())
         return segment
 
     def leave(self, now: float) -> tuple[Array, float]:

@@ -374,6 +374,7 @@ class Session:
             pose=segment.pose,
             force=segment.rendered,
             hand=np.array(segment.plant.hand_wrench),
+            hand_limit=getattr(self._acting, "force_limit", np.inf),
             stops=segment.plant.stop_wrench,
             target=None if isinstance(target, Trajectory) else target,
             hand_stiffness=self.hand.stiffness,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from maglev_mj.frames import Array
+from maglev_mj.frames import ZERO, Array
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.trace import HandWork
 from maglev_mj.scenes import Scene
@@ -19,8 +19,13 @@ from maglev_mj.session.pacing import FrameClock
 SHOWN = 2.0
 """Time span of a history [s]."""
 
-_COLUMNS, _MIN_ROWS, _MAX_ROWS = 25, 512, 250_000
-_NAN = float("nan")
+POSE, TWIST, DEVICE, HAND, PULSE, WIDTH = *(slice(first, first + 6) for first in range(1, 31, 6)), 31
+"""Columns of a history after the time: pose [m, rad], twist, wrench of the device that is held, wrench of the hand,
+wrench added by a pulse [N, N m], six each, and duration of the pulse [s]."""
+
+COLUMNS = 32
+_MIN_ROWS, _MAX_ROWS = 512, 250_000
+_NAN, _INFINITE = float("nan"), float("inf")
 
 _Six: TypeAlias = Sequence[float] | Array
 
@@ -58,6 +63,24 @@ class TourLine(NamedTuple):
         return text, task
 
 
+class DeviceStatus(NamedTuple):
+    """Status of a device behind a session.
+
+    Attributes:
+        address: Address of the device.
+        phase: Phase, such as "in flight".
+        warmth: Temperature rise of the hottest coil, as a fraction of its limit; NaN if unknown.
+        requested: Wall stiffness before a reduction to a stable one [N/m]; NaN if it was not reduced.
+        simulated: True for a twin.
+    """
+
+    address: str
+    phase: str
+    warmth: float = _NAN
+    requested: float = _NAN
+    simulated: bool = False
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Snapshot:
     """State of a scene at one instant.
@@ -72,9 +95,10 @@ class Snapshot:
         tick: Number of ticks so far.
         time: Session time [s].
         pose: Pose of the flotor [m, rad], (6,).
-        force: Held wrench of the device, limited, without pulses and weight compensation [N, N m], (6,).
+        force: Held wrench of the device, limited, without weight compensation [N, N m], (6,); pulses are in `history`.
         hand: Wrench of the hand [N, N m], (6,); zeros if not measured.
         hand_estimated: True if `hand` is an estimate, as on a device.
+        hand_limit: Force limit of the hand [N]; infinite if unknown.
         stops: Wrench of the metal stops [N, N m], (6,); zeros if not measured.
         target: Target pose of the hand's spring [m, rad]; None if released or following a path.
         hand_stiffness: Stiffness of that spring [N/m].
@@ -82,7 +106,7 @@ class Snapshot:
         faces: Planes of all walls: index into AXES, normal, edge.
         anchors: Stick positions [m, rad], (6,), NaN on axes that do not stick; None without friction.
         beside: Centres [m] and quaternions of the scene's shapes beside the device, (N, 7).
-        history: Latest samples, (N, 25): time, then pose, twist, wrench of the device and of the hand, six each.
+        history: Latest samples, (N, 32): time, and the columns POSE, TWIST, DEVICE, HAND, PULSE, WIDTH of this module.
         work: Work of the hand [J]; NaN if unknown.
         taken: Energy absorbed by the control laws [J]; NaN if unknown.
         rewound: Time shown before the newest sample [s]; None if rewinding is not available.
@@ -96,6 +120,8 @@ class Snapshot:
         marks: Times of a recording's events [s].
         actions: Names of the actions for `act`.
         state: "running", "paused", "stopped" or "flying".
+        idle: Why the scene's laws do not act, such as "inactive: nothing is rendered"; empty while they act.
+        device: Status of the device; None for a simulation.
         reason: Reason of the stop, or empty.
         remedy: How to restart after a stop if no action does, or empty.
         notes: Messages for the user.
@@ -112,6 +138,7 @@ class Snapshot:
     force: Array = field(default_factory=_zeros)
     hand: Array = field(default_factory=_zeros)
     hand_estimated: bool = False
+    hand_limit: float = _INFINITE
     stops: Array = field(default_factory=_zeros)
     target: Sequence[float] | None = None
     hand_stiffness: float = SpringHand.stiffness
@@ -119,7 +146,7 @@ class Snapshot:
     faces: Sequence[tuple[int, float, float]] = ()
     anchors: Array | None = None
     beside: Array = field(default_factory=lambda: np.empty((0, 7)))
-    history: Array = field(default_factory=lambda: np.empty((0, _COLUMNS)))
+    history: Array = field(default_factory=lambda: np.empty((0, COLUMNS)))
     work: float = 0.0
     taken: float = _NAN
     rewound: float | None = None
@@ -133,6 +160,8 @@ class Snapshot:
     marks: Sequence[float] = ()
     actions: Sequence[str] = ()
     state: str = "running"
+    idle: str = ""
+    device: DeviceStatus | None = None
     reason: str = ""
     remedy: str = ""
     notes: Sequence[str] = ()
@@ -187,14 +216,17 @@ class History:
 
     def clear(self) -> None:
         """Discard all samples."""
-        self._rows, self._end = np.empty((_MIN_ROWS, _COLUMNS)), 0
+        self._rows, self._end = np.empty((_MIN_ROWS, COLUMNS)), 0
 
-    def add(self, time: float, pose: _Six, twist: _Six, force: _Six, hand: _Six) -> None:
-        """Add a sample: time, and pose, twist, wrench of the device and of the hand, six components each."""
+    def add(
+        self, time: float, pose: _Six, twist: _Six, force: _Six, hand: _Six, pulse: _Six = ZERO, width: float = 0.0
+    ) -> None:
+        """Add a sample: time, the columns POSE to PULSE, six components each, and WIDTH."""
         if self._end == len(self._rows):
             self._grow(1)
         row = self._rows[self._end]
-        row[0], row[1:7], row[7:13], row[13:19], row[19:] = time, pose, twist, force, hand
+        row[0], row[POSE], row[TWIST], row[DEVICE], row[HAND] = time, pose, twist, force, hand
+        row[PULSE], row[WIDTH] = pulse, width
         self._end += 1
 
     def replace(self, rows: Array) -> None:
@@ -202,7 +234,7 @@ class History:
         self._rows, self._end = rows, len(rows)
 
     def extend(self, rows: Array) -> None:
-        """Add samples in the format of `rows`, (N, 25)."""
+        """Add samples in the format of `rows`, (N, 32)."""
         if self._end + len(rows) > len(self._rows):
             self._grow(len(rows))
         self._rows[self._end : self._end + len(rows)] = rows
@@ -210,16 +242,16 @@ class History:
 
     def _grow(self, count: int) -> None:
         current = self.rows
-        self._rows, self._end = np.empty((2 * (len(current) + count) + _MIN_ROWS, _COLUMNS)), len(current)
+        self._rows, self._end = np.empty((2 * (len(current) + count) + _MIN_ROWS, COLUMNS)), len(current)
         self._rows[: self._end] = current
 
     @property
     def rows(self) -> Array:
-        """All samples, (N, 25)."""
+        """All samples, (N, 32)."""
         return self.last(self._span)
 
     def last(self, span: float) -> Array:
-        """Return the samples of the last `span` seconds, (N, 25)."""
+        """Return the samples of the last `span` seconds, (N, 32)."""
         rows = self._rows[max(self._end - _MAX_ROWS, 0) : self._end]
         return rows[np.searchsorted(rows[:, 0], rows[-1, 0] - span) :] if len(rows) else rows
 
@@ -240,18 +272,28 @@ class SampledMotion:
         """Work of the hand [J], with a constant force between samples."""
         return self._hand.total
 
-    def add(self, time: float, pose: Array, force: Array, hand: Sequence[float]) -> None:
+    def add(
+        self,
+        time: float,
+        pose: Array,
+        force: Array,
+        hand: Sequence[float],
+        pulse: Sequence[float] = ZERO,
+        width: float = 0.0,
+    ) -> None:
         """Add a sample.
 
         Args:
             time: Time of the sample [s], after the previous one.
             pose: Pose [m, rad], (6,).
-            force: Wrench of the device without weight compensation [N, N m], (6,).
+            force: Held wrench of the device without weight compensation [N, N m], (6,).
             hand: Wrench of the hand [N, N m], six.
+            pulse: Wrench added by a pulse [N, N m], six.
+            width: Duration of the pulse [s].
         """
         self._hand.add(pose, hand)
         before, last = self._last or (time - 1.0, pose)
-        self.history.add(time, pose, (pose - last) / (time - before), force, hand)
+        self.history.add(time, pose, (pose - last) / (time - before), force, hand, pulse, width)
         self._last = time, pose
 
 

@@ -41,7 +41,7 @@ class Moment(NamedTuple):
     Attributes:
         begin: Snapshot at the start of the step.
         now: Current snapshot.
-        rows: Samples since the start, at most the last two seconds, (N, 25); see `Snapshot.history`.
+        rows: Samples since the start, at most the last two seconds, (N, 32); see `Snapshot.history`.
         stable: True if the closed loop with the current parameters is stable.
     """
 

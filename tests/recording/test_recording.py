@@ -22,6 +22,7 @@ from maglev_mj.scenes.run import run_variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, record_run, recorded
+from maglev_mj.session.snapshot import COLUMNS
 from maglev_mj.views.window.offscreen import slow_motion, write_clip
 
 
@@ -61,7 +62,7 @@ def test_a_replay_shows_what_was_recorded_in_real_time() -> None:
     view = replay.snapshot()
     assert shown == 25
     assert (view.pose == recording.segments[0].position[25]).all()
-    assert view.history.shape == (26, 25)
+    assert view.history.shape == (26, COLUMNS)
     assert view.anchors is not None
     replay.act("pause")
     assert replay.tick(1.0) == 0

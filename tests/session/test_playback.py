@@ -11,6 +11,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import Recording
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay
+from maglev_mj.session.snapshot import COLUMNS, HAND
 
 FIRST, SECOND = 600, 1000
 """Samples of two segments at 200 Hz and 1 kHz."""
@@ -67,9 +68,9 @@ def test_searching_gives_the_last_two_seconds_at_once(replay: Replay, recording:
     speed = np.diff(first.position[299:], axis=0) / 0.005
     assert history[:300, 7:13] == pytest.approx(speed, rel=1e-9, abs=1e-12)
     assert (history[300, 7:13] == history[301, 7:13]).all()  # nothing before a segment tells its speed
-    assert (history[300:, 19:] == second.hand[:501]).all()
+    assert (history[300:, HAND] == second.hand[:501]).all()
     replay.change({"time": 0.0})
-    assert replay.snapshot().history.shape == (1, 25)
+    assert replay.snapshot().history.shape == (1, COLUMNS)
 
 
 def test_a_history_played_is_that_of_a_search(replay: Replay) -> None:
@@ -166,4 +167,4 @@ def test_what_a_recording_cannot_be_changed_to(replay: Replay) -> None:
 def test_one_sample_is_shown(recording: Recording, tmp_path: Path) -> None:
     replay = Replay(Recording([recording.segments[0][:1]]))
     assert replay.tick(0.02) == 4 and replay.snapshot().duration == pytest.approx(0.005)
-    assert replay.snapshot().history.shape == (1, 25)
+    assert replay.snapshot().history.shape == (1, COLUMNS)

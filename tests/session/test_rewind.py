@@ -26,6 +26,7 @@ from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, MAX_REWIND, Pacer, Session, live_plant
 from maglev_mj.session.replay import Replay, UserCode, rebuild, rebuild_for, stick_positions_of
 from maglev_mj.session.segment import _MAX_STATES
+from maglev_mj.session.snapshot import HAND
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import Charts
 from maglev_mj.views.viewer_process import RemoteViewer
@@ -146,7 +147,7 @@ def test_a_changed_gain_gives_the_run_from_the_same_state(again: bool) -> None:
     session.act("repeat the hand's motion" if again else "resume from here")
     run_to(session, end)
     segment = session._segment
-    efforts = first[120:, 19:] if again else np.zeros((80, 6))
+    efforts = first[120:, HAND] if again else np.zeros((80, 6))
     assert shown.time == pytest.approx(0.6) and shown.state == "paused"
     assert shown.pose.tobytes() == first[119, 1:7].tobytes()
     scene, hand = Joystick(stiffness=3000.0), RecordedHand(efforts)
@@ -172,12 +173,12 @@ def test_the_first_try_is_shown_until_its_end_and_the_live_hand_follows() -> Non
     run_to(session, 0.75)
     now, found = session.snapshot(), Charts(100).of(session.snapshot(), 2)[0]
     assert now.ghost is not None and now.ghost.tobytes() == first[149, 1:7].tobytes()
-    assert (now.ghost != now.pose).any() and now.hand.tobytes() == first[149, 19:].tobytes()
+    assert (now.ghost != now.pose).any() and now.hand.tobytes() == first[149, HAND].tobytes()
     assert [words for words, _ in found.title] == ["position along z [mm]", "walls", "first attempt"]
     assert np.asarray(found.lines[-2].y)[-1] == pytest.approx(1e3 * now.ghost[2])
     session.hand.target = [-0.002, 0.0, 0.0, 0.0, 0.0, 0.0]
     run_to(session, end)
-    assert session.snapshot().hand.tobytes() == first[-1, 19:].tobytes() and first[-1, 19] > 0.0
+    assert session.snapshot().hand.tobytes() == first[-1, HAND].tobytes() and first[-1, 19] > 0.0
     run_to(session, end + 0.05)
     after = session.snapshot()
     assert not len(after.first) and after.hand[0] < 0.0

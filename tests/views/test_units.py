@@ -17,6 +17,7 @@ from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Snapshot
 from maglev_mj.session.margin import STABILITY
+from maglev_mj.session.snapshot import COLUMNS
 from maglev_mj.theory.verdict import stability
 from maglev_mj.views.page import panel as page_plots
 from maglev_mj.views.page.panel import control
@@ -158,7 +159,7 @@ def test_unit_prefixes_are_the_same_for_rotations() -> None:
 
 
 def test_a_thinned_chart_ends_with_the_newest_sample() -> None:
-    rows = np.zeros((401, 25))
+    rows = np.zeros((401, COLUMNS))
     rows[:, 0] = rows[:, 1] = np.arange(401) * 0.005
     line = Charts(200).of(Snapshot(scene=StickSlip(axis="x"), history=rows), 0)[0].lines[-1]
     assert np.asarray(line.x)[-1] == 0.0 and np.asarray(line.y)[-1] == 1e3 * rows[-1, 1] and np.size(line.x) <= 200
@@ -166,7 +167,7 @@ def test_a_thinned_chart_ends_with_the_newest_sample() -> None:
 
 @pytest.mark.parametrize(("samples", "across"), [(0, 0.2), (61, 0.5), (402, 2.0)])
 def test_the_time_axis_grows_with_the_elapsed_time(samples: int, across: float) -> None:
-    rows = np.zeros((samples, 25))
+    rows = np.zeros((samples, COLUMNS))
     rows[:, 0] = 7.0 + np.arange(samples) * 0.005
     chart = Charts(200).of(Snapshot(scene=StickSlip(axis="x"), history=rows), 0)[0]
     assert chart.across == pytest.approx((-across, 0.0))

@@ -24,6 +24,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, SnapshotSource, device_actions
+from maglev_mj.session.snapshot import COLUMNS
 from maglev_mj.views.viewer_process import Inbox, RemoteSession, RemoteViewer, show_remotely
 from maglev_mj.views.window.keys import keys_of
 from maglev_mj.views.window.window import show
@@ -172,7 +173,7 @@ def test_a_device_accepts_only_its_scenes_parameters_and_no_rewind() -> None:
 def test_a_restarted_scene_is_shown_from_its_beginning() -> None:
     viewer, blank = ViewerHere(Joystick()), Snapshot(scene=Joystick())
     for times in ([0.9, 1.0], [0.005, 0.01], [0.01, 0.015]):
-        viewer.show(replace(blank, time=times[-1], history=np.full((2, 25), 1.0) * np.array(times)[:, None]))
+        viewer.show(replace(blank, time=times[-1], history=np.full((2, COLUMNS), 1.0) * np.array(times)[:, None]))
     assert [shown.history[:, 0].tolist() for shown in viewer.sent] == [[0.9, 1.0], [0.005, 0.01], [0.015]]
 
 
