@@ -271,6 +271,31 @@ class Timeline:
         return duration - inside
 
 
+def peak_wrenches(held: Array, extra: Array, width: Array) -> Array:
+    """Return the wrench of larger magnitude of each command, during its pulse or after it, by component.
+
+    Args:
+        held: Held wrenches [N, N m], (N, 6).
+        extra: Pulse wrenches, added to the held ones [N, N m], (N, 6).
+        width: Pulse widths [s], (N,); 0 for no pulse.
+    """
+    pulsed = _pulsed(held, extra, width)
+    return np.where(np.abs(pulsed) > np.abs(held), pulsed, held)
+
+
+def peak_forces(held: Array, extra: Array, width: Array) -> Array:
+    """Return the largest magnitude of each command's force, during its pulse or after it [N], (N,).
+
+    Arguments as for `peak_wrenches`.
+    """
+    parts = [np.linalg.norm(wrench[:, :3], axis=1) for wrench in (held, _pulsed(held, extra, width))]
+    return np.asarray(np.maximum(*parts))
+
+
+def _pulsed(held: Array, extra: Array, width: Array) -> Array:
+    return np.asarray(held + np.where(width > 0.0, 1.0, 0.0)[:, None] * extra)
+
+
 def recorded_switches(
     time: Array, held: Array, extra: Array, width: Array, *, period: float, delay: float
 ) -> tuple[Array, Array]:
@@ -292,7 +317,7 @@ def recorded_switches(
     on, near = time + delay, _ROUNDING * period
     ends = (width > 0.0) & (on + width < np.append(on[1:], np.inf) - near)
     switch = np.concatenate([on, (on + width)[ends]])
-    force = np.concatenate([held + np.where(width > 0.0, 1.0, 0.0)[:, None] * extra, held[ends]])
+    force = np.concatenate([_pulsed(held, extra, width), held[ends]])
     order = np.argsort(switch, kind="stable")
     switch, force = switch[order], force[order]
     # snap switches within rounding to the sample
