@@ -149,6 +149,10 @@ class Note:
         """Show a message, replacing the previous one."""
         self._text, self._until = text, self._clock() + _NOTE_DURATION
 
+    def clear(self) -> None:
+        """Remove the message."""
+        self._text = ""
+
     @property
     def lines(self) -> list[str]:
         """The message in a list; empty when it has expired."""

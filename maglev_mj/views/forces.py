@@ -1,4 +1,4 @@
-"""Forces of a session as all viewers show them: mean and extremes, state of friction and hand, and the magnified strip."""
+"""Forces of a session as all viewers show them: mean and extremes, state of hand and friction, magnified strip."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.plants.shapes import Face
 from maglev_mj.scenes import Scene
-from maglev_mj.session import Snapshot
+from maglev_mj.session import Snapshot, device_controller
 from maglev_mj.session.snapshot import DEVICE, HAND, POSE, PULSE, TWIST, WIDTH
 
 _MEAN_SPAN = 0.1
@@ -89,7 +89,7 @@ def state_words(snapshot: Snapshot) -> str:
 
 
 def _friction_words(snapshot: Snapshot) -> str:
-    controller = None if snapshot.idle or snapshot.state == "stopped" else _controller(snapshot.scene)
+    controller = None if snapshot.idle or snapshot.state == "stopped" else controller_of(snapshot.scene)
     anchors = snapshot.anchors
     if controller is None or anchors is None:
         return ""
@@ -114,22 +114,17 @@ def _friction_words(snapshot: Snapshot) -> str:
 
 
 @lru_cache(maxsize=8)
-def _controller_of(scene: Scene) -> Controller | None:
+def controller_of(scene: Scene, on_device: bool = False) -> Controller | None:
+    """Return a scene's controller, or that for a device, to read its laws; None if it cannot be made."""
     try:
-        return scene.controller()
+        return device_controller(scene) if on_device else scene.controller()
     except Exception:  # of a user's laws, too
         return None
 
 
-def _controller(scene: Scene) -> Controller | None:
-    """Return a scene's controller, to read its laws; None if it cannot be made."""
-    try:
-        return _controller_of(scene)
-    except TypeError:  # not hashable
-        return None
-
-
-_STRIP_SPAN, _STRIP_SAMPLES, _STRIP_POINTS = 0.5, 600, 240
+STRIP_SPAN = 0.5
+"""Time span of a strip [s]."""
+_STRIP_SAMPLES, _STRIP_POINTS = 600, 240
 
 
 class Strip(NamedTuple):
@@ -140,8 +135,9 @@ class Strip(NamedTuple):
 
     Attributes:
         axis: Index into AXES.
-        normal: Normal of the wall: 1 if the axis is free above the edge, -1 if below; 0 without walls.
-        edge: Edge of the wall [m, rad]; without walls the stick position, or the mean position.
+        normal: Normal of the wall: 1 if the axis is free above the edge, -1 if below; 0 without a wall.
+        edge: Edge of the wall [m, rad]; away from walls the stick position, or the mean position.
+        sticks: True if `edge` is the stick position.
         time: Times of position and ideal force, (N,).
         position: Position [m, rad], (N,).
         ideal: Force that the laws should give at this position and velocity, without sampling and delay [N, N m], (N,);
@@ -153,6 +149,7 @@ class Strip(NamedTuple):
     axis: int
     normal: float
     edge: float
+    sticks: bool
     time: Array
     position: Array
     ideal: Array
@@ -160,16 +157,20 @@ class Strip(NamedTuple):
     force: Array
 
 
-def strip(snapshot: Snapshot) -> Strip | None:
-    """Return the magnified strip at the wall nearest to the flotor; None with fewer than three samples.
+def strip(snapshot: Snapshot, span: float = STRIP_SPAN) -> Strip | None:
+    """Return the magnified strip at the stick position or the nearest wall; None with fewer than three samples.
 
-    Takes about half a millisecond at 200 Hz; at most 240 + 1200 points.
+    Takes about half a millisecond at 200 Hz; at most 240 + 1800 points.
+
+    Args:
+        snapshot: The snapshot.
+        span: Longest time span [s].
     """
     rows = snapshot.history
-    rows = rows[rows[:, 0] > rows[-1, 0] - _STRIP_SPAN - _ROUNDING][-_STRIP_SAMPLES:] if len(rows) else rows
+    rows = rows[rows[:, 0] > rows[-1, 0] - span - _ROUNDING][-_STRIP_SAMPLES:] if len(rows) else rows
     if len(rows) < 3:
         return None
-    normal, axis, edge = _nearest(snapshot, rows)
+    axis, normal, edge, sticks = _place(snapshot, rows)
     time, scene = rows[:, 0] - rows[-1, 0], snapshot.scene
     delay = 0.0 if math.isnan(snapshot.delay) else snapshot.delay
     switches, wrench = recorded_switches(
@@ -177,10 +178,9 @@ def strip(snapshot: Snapshot) -> Strip | None:
     )
     inside = switches < -_ROUNDING
     switches, force = switches[inside], wrench[inside, axis]
-    controller = _controller(scene)
-    body = scene.body
-    mass = float(body.inertia[axis] if snapshot.inertia is None else snapshot.inertia[axis])
-    load = float(body.load[axis]) + (0.0 if controller is None else float(controller.carried[axis]))
+    controller = None if snapshot.idle else controller_of(scene, snapshot.hand_estimated)
+    mass = float(scene.body.inertia[axis] if snapshot.inertia is None else snapshot.inertia[axis])
+    load = 0.0 if controller is None else float(scene.body.load[axis] + controller.carried[axis])
     fine = np.unique(np.concatenate([time, switches, np.linspace(time[0], 0.0, _STRIP_POINTS)]))
     acting = np.concatenate([force[:1], force])[np.searchsorted(switches, fine, side="right")]
     held = np.nan_to_num(rows[:, HAND][:, axis])[np.searchsorted(time, fine, side="right") - 1]
@@ -196,25 +196,31 @@ def strip(snapshot: Snapshot) -> Strip | None:
     speeds = [np.interp(fine, time, column) for column in rows[:, TWIST].T]
     places[axis], speeds[axis] = position, speed
     ideal = _ideal(controller, places, speeds, axis)
-    return Strip(axis, normal, edge, fine, position, ideal, np.append(time[0], switches), np.append(force[:1], force))
+    starts, acting = np.append(time[0], switches), np.append(force[:1], force)
+    return Strip(axis, normal, edge, sticks, fine, position, ideal, starts, acting)
 
 
-def _nearest(snapshot: Snapshot, rows: Array) -> tuple[float, int, float]:
-    """Return normal, axis and edge of the wall that was nearest, in shares of the range of motion."""
-    reach = snapshot.scene.body.bounded.range
-    faces = [face for face in snapshot.faces if snapshot.scene.axis_index < 3 or face[0] > 2]
-    if not faces:
-        axis = snapshot.scene.axis_index
-        anchor = math.nan if snapshot.anchors is None else float(snapshot.anchors[axis])
-        return 0.0, axis, float(rows[:, 1 + axis].mean()) if math.isnan(anchor) else anchor
+def _place(snapshot: Snapshot, rows: Array) -> tuple[int, float, float, bool]:
+    """Return axis, normal, edge and whether it is a stick position: of a touched wall, else where it sticks.
+
+    Otherwise the nearest wall, in shares of the range of motion, or without walls the mean position.
+    """
+    reach, own = snapshot.scene.body.bounded.range, snapshot.scene.axis_index
 
     def distance(face: Face) -> tuple[bool, float, bool]:
         axis, normal, edge = face
         gap = float((normal * (rows[:, 1 + axis] - edge)).min())
-        return axis > 2, gap / float(reach[axis]), axis != snapshot.scene.axis_index
+        return (axis > 2) != (own > 2), gap / float(reach[axis]), axis != own
 
-    axis, normal, edge = min(faces, key=distance)
-    return normal, axis, edge
+    face = min(snapshot.faces, key=distance, default=None)
+    anchors = np.full(len(AXES), np.nan) if snapshot.anchors is None else snapshot.anchors
+    if face is None or distance(face)[1] > 0.0:
+        stuck = [axis for axis in range(3 * (own > 2), 3 * (own > 2) + 3) if np.isfinite(anchors[axis])]
+        if stuck:
+            pulls = {axis: (abs(float(anchors[axis]) - float(rows[-1, 1 + axis])), axis == own) for axis in stuck}
+            axis = max(stuck, key=pulls.__getitem__)
+            return axis, 0.0, float(anchors[axis]), True
+    return (own, 0.0, float(rows[:, 1 + own].mean()), False) if face is None else (*face, False)
 
 
 def _ideal(controller: Controller | None, places: Sequence[Array], speeds: Sequence[Array], axis: int) -> Array:

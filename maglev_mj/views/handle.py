@@ -12,6 +12,7 @@ from maglev_mj.device import Knob
 from maglev_mj.frames import Array, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, MIN_ARROW_FORCE, arrow_start
 from maglev_mj.session import Snapshot
+from maglev_mj.views.forces import forces
 
 
 def dragged_pose(start: Array, moved: Array, knob: Knob, *, tilts: bool) -> Array:
@@ -37,8 +38,28 @@ FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
 _MAX_LENGTH, _FULL_SIZE, _MIN_SIZE = 0.06, 0.014, 0.3
 _MIN_NUMBER, _GAP = 0.2, 0.009
 """Smallest force with a number [N]; distance from a tip to its number [m]."""
+_TURNS, _COIL, _LEAST_SPRING = 9, 0.0026, 0.001
+"""Turns of the drawn spring, its radius, and its least length [m]."""
 _PARALLEL, _ASIDE = 0.9, np.array([0.0136, 0.0085, 0.0])
 """Cosine between forces above which their arrows are stacked; to the right in the home view [m], (3,)."""
+
+
+def hand_spring(snapshot: Snapshot) -> Array:
+    """Return the points of a coil from the knob to the target of the hand [m], (N, 3); empty without one."""
+    if snapshot.target is None:
+        return np.empty((0, 3))
+    knob, target = snapshot.scene.hardware.knob, np.asarray(snapshot.target, dtype=np.float64)
+    start, end = (pose[:3] + rotation_matrix(pose[3:]) @ knob.centre for pose in (snapshot.pose, target))
+    length = float(np.linalg.norm(end - start))
+    if not _LEAST_SPRING <= length < math.inf:
+        return np.empty((0, 3))
+    along = (end - start) / length
+    across = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
+    across /= np.linalg.norm(across)
+    share = np.linspace(0.0, 1.0, 8 * _TURNS + 1)[:, None]
+    angle, width = 2.0 * np.pi * _TURNS * share, _COIL * np.minimum(1.0, 8.0 * np.minimum(share, 1.0 - share))
+    coil = width * (np.cos(angle) * across + np.sin(angle) * np.cross(along, across))
+    return np.asarray(start + share * (end - start) + coil)
 
 
 class ForceArrow(NamedTuple):
@@ -60,11 +81,16 @@ class ForceArrow(NamedTuple):
 
 
 def force_arrows(snapshot: Snapshot) -> dict[str, ForceArrow]:
-    """Return the arrows of a snapshot by name; a force too small to see, or NaN, has none."""
+    """Return the arrows of a snapshot by name; a force too small to see, or NaN, has none.
+
+    Those of hand and device are the means over `averaging_time`, whose numbers the bars and readings show.
+    """
     knob = snapshot.scene.hardware.knob
     place = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ knob.centre
     arrows: dict[str, ForceArrow] = {}
-    for name, wrench in zip(FORCES, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
+    means = {name: force.mean for name, force in forces(snapshot).items()} | {"stops": snapshot.stops}
+    for name in FORCES:
+        wrench = means[name]
         force, size = wrench[:3], float(np.linalg.norm(wrench[:3]))
         if not MIN_ARROW_FORCE <= size < math.inf:
             continue

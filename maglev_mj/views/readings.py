@@ -9,12 +9,18 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, HAND, MEASURED, Colour
+from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, GOOD, HAND, MEASURED, PULL, STUCK, Colour
+from maglev_mj.control.timeline import peak_wrenches
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.plants.shapes import MIN_ARROW_FORCE, Face
+from maglev_mj.scenes import Scene
 from maglev_mj.session import SHOWN, Snapshot, settable_parameters
+from maglev_mj.session import snapshot as columns
 from maglev_mj.session.margin import STABILITY, measured_delay
+from maglev_mj.theory.loop import Loop
+from maglev_mj.views.forces import STRIP_SPAN, controller_of, force_text, forces, state_words
+from maglev_mj.views.forces import strip as magnified
 
 _ROUNDING = 1e-6
 _LEAST_GAIN = 1e-3
@@ -69,10 +75,10 @@ class Charts:
     """
 
     def __init__(self, points: int) -> None:
-        self._points, self._axis = points, -1
+        self._points, self._axis, self._strip_axis = points, -1, -1
 
     def of(self, snapshot: Snapshot, axis: int) -> list[Chart]:
-        """Return the charts of position, force, stability map and phase plane.
+        """Return the charts of position, force, stability map and phase plane; see `strip` for a magnified wall.
 
         Args:
             snapshot: The snapshot.
@@ -83,36 +89,73 @@ class Charts:
             self._forces = SteadyRange(0.02 if axis > 2 else 2.0)
         rows, first = snapshot.history, snapshot.first
         past = rows[-1, 0] - rows[0, 0] if len(rows) else 0.0
-        rows = rows[:: -max(-(-len(rows) // self._points), 1)][::-1]  # keeps the newest
         now = rows[-1, 0] if len(rows) else 0.0
-        time, position, speed = rows[:, 0] - now, 1e3 * rows[:, 1 + axis], 1e3 * rows[:, 7 + axis]
-        device, hand = rows[:, 13 + axis], rows[:, 19 + axis]
+        peaks = peak_wrenches(rows[:, columns.DEVICE], rows[:, columns.PULSE], rows[:, columns.WIDTH])[:, axis]
+        time, hand = rows[:, 0] - now, rows[:, columns.HAND][:, axis]
+        all_positions, points = 1e3 * rows[:, columns.POSE][:, axis], self._points
+        rows = rows[:: -max(-(-len(rows) // points), 1)][::-1]  # keeps the newest
+        position, speed = 1e3 * rows[:, columns.POSE][:, axis], 1e3 * rows[:, columns.TWIST][:, axis]
         walls = [edge * 1e3 for index, _, edge in snapshot.faces if index == axis]
         across = -round_up(min(max(past, _LEAST_TIME), SHOWN)), 0.0
-        positions, speeds = self._positions(position, walls, 1e3 * first[:, 1 + axis]), self._speeds(speed)
+        positions, speeds = self._positions(all_positions, walls, 1e3 * first[:, 1 + axis]), self._speeds(speed)
         name, unit = AXES[axis], unit_of("mm", axis)
         place = f"{'angle about' if axis > 2 else 'position along'} {name[-1]} [{unit}]"
         kind = f"{'torque about' if axis > 2 else 'force along'} {name[-1]} [{unit_of('N', axis)}]"
         original = Line(FIRST, first[:, 0] - now, 1e3 * first[:, 1 + axis], dot=True)
-        run = Line(MEASURED, time, position, dot=True)
-        forces = Line(DEVICE, time, device, dot=True), Line(HAND, time, hand, dot=True)
+        run = Line(MEASURED, *outline(time, all_positions, points), dot=True)
+        pulls = [
+            Line(colour, *outline(time, values, points), dot=True) for colour, values in ((DEVICE, peaks), (HAND, hand))
+        ]
         heights = [Line(BOUNDARY, across, (wall, wall), dashed=True) for wall in walls]
         edges = [Line(BOUNDARY, (wall, wall), speeds, dashed=True) for wall in walls]
         phase = Line(MEASURED, position, speed, dot=True)
         title = [(place, MEASURED), *[("walls", None)] * bool(walls), *[("first attempt", FIRST)] * bool(len(first))]
-        legend = [(kind, None), ("device", DEVICE), ("hand, estimated" if snapshot.hand_estimated else "hand", HAND)]
+        pulsed = "device, with pulses" if rows[:, columns.WIDTH].any() else "device"
+        legend = [(kind, None), (pulsed, DEVICE), ("hand, estimated" if snapshot.hand_estimated else "hand", HAND)]
         return [
             Chart(title, [*heights, original, run], across, positions, "time [s]"),
-            Chart(legend, forces, across, self._forces(device, hand, [0.0]), "time [s]"),
+            Chart(legend, pulls, across, self._forces(peaks, hand, [0.0]), "time [s]"),
             self._gains(snapshot),
             Chart([(f"velocity, {name} [{unit}/s]", None)], [*edges, phase], positions, speeds, place),
         ]
 
+    def strip(self, snapshot: Snapshot, span: float = STRIP_SPAN) -> list[Chart]:
+        """Return the charts of a `Strip`: position from the wall's edge, and the force that acts beside the ideal one.
+
+        Empty without samples, or while nothing is rendered.
+
+        Args:
+            snapshot: The snapshot.
+            span: Longest time span [s].
+        """
+        strip = magnified(snapshot, span) if acts(snapshot) else None
+        if strip is None:
+            return []
+        axis, ideal = strip.axis, np.isfinite(strip.ideal).any()
+        if axis != self._strip_axis:
+            least = 0.02 if axis > 2 else 1.0
+            self._strip_axis, self._depths, self._pulls = axis, SteadyRange(0.02), SteadyRange(least)
+        across, name = (-round_up(max(-float(strip.time[0]), 1e-3)), 0.0), AXES[axis]
+        place = 1e3 * (strip.position - strip.edge)
+        switches, steps = np.append(strip.switches, 0.0).repeat(2)[1:-1], strip.force.repeat(2)
+        origin = "the wall's edge" if strip.normal else "the stick position" if strip.sticks else "the mean"
+        kind = f"{'torque' if axis > 2 else 'force'}, {name} [{unit_of('N', axis)}]"
+        pulls = [Line(BOUNDARY, strip.time, strip.ideal)] * bool(ideal) + [Line(DEVICE, switches, steps)]
+        ground = [Line(STUCK if strip.sticks else BOUNDARY, across, (0.0, 0.0), dashed=True)]
+        run = Line(MEASURED, strip.time, place, dot=True)
+        title = [(f"{name} from {origin} [{unit_of('mm', axis)}]", MEASURED)]
+        legend = [(kind, None), ("acts", DEVICE), *[("ideal", None)] * bool(ideal)]
+        finite = strip.ideal[np.isfinite(strip.ideal)]
+        return [
+            Chart(title, [*ground, run], across, self._depths(place, [0.0]), "time [s]"),
+            Chart(legend, pulls, across, self._pulls(steps, finite, [0.0]), "time [s]"),
+        ]
+
     def _gains(self, snapshot: Snapshot) -> Chart:
         """Return the stability map; the verdict alone if a law states no gains."""
-        margin = STABILITY.of(snapshot)
-        title = [(margin.words, margin.colour)]
-        if (loop := margin.loop) is None:
+        status, margin = law_status(snapshot), STABILITY.of(snapshot)
+        title = [(status.value, status.colour)]
+        if (loop := margin.loop) is None or not acts(snapshot):
             return Chart(title, [], (0.0, 1.0), (0.0, 1.0))
         axis = loop.axis
         factor, prefix = (1.0, "") if axis.startswith("r") else (1e-3, "k")
@@ -121,9 +164,56 @@ class Charts:
         width = max(float(dampings.max(initial=0.0)), 1.1 * loop.damping, _LEAST_GAIN)
         height = max(float(boundary.max(initial=0.0)), 1.1 * stiffness, factor * _LEAST_GAIN)
         here = Line(margin.colour or BOUNDARY, [loop.damping], [stiffness], dot=True)
-        lines = [Line(BOUNDARY, dampings, boundary), here]
+        (wall, damper), parts = gain_parts(snapshot.scene, loop)
+        x, y = [damper, loop.damping], [factor * wall, stiffness]
+        own = [Line(PULL, x, y, dashed=True), Line(PULL, x[:1], y[:1], dot=True)] if parts else []
+        lines = [Line(BOUNDARY, dampings, boundary), *own, here]
         foot, side = f"damping [{unit_of('N s/m', axis)}], {axis}", f"stiffness [{prefix}{unit_of('N/m', axis)}]"
         return Chart(title, lines, (0.0, round_up(width)), (0.0, round_up(height)), foot, side)
+
+
+def outline(time: Array, values: Array, points: int) -> tuple[Array, Array]:
+    """Return times and values of at most `points` samples that keep every extreme, and the newest sample.
+
+    Of each group of consecutive samples the smallest and the largest are kept, so that a pulse of one sample is drawn.
+
+    Args:
+        time: Times [s], (N,).
+        values: Values, (N,).
+        points: Number of points, at least 4.
+    """
+    if len(time) <= points:
+        return time, values
+    group = -(-len(time) // ((points - 1) // 2))
+    starts = range(0, len(time), group)
+    extremes = {first + int(pick(values[first : first + group])) for first in starts for pick in (np.argmin, np.argmax)}
+    kept = sorted(extremes | {len(time) - 1})
+    return time[kept], values[kept]
+
+
+_GAIN_WORDS = {"contact": "wall", "always": "centring", "stuck": "friction"}
+
+
+def gain_parts(scene: Scene, loop: Loop) -> tuple[tuple[float, float], str]:
+    """Return stiffness and damping of the wall in a loop of several laws, and the sum of its stiffness in words.
+
+    Returns:
+        Stiffness [N/m, N m/rad] and damping; words such as "wall 6000 + centring 300 N/m", empty for one law.
+    """
+    controller, axis = controller_of(scene), AXES.index(loop.axis) if loop.axis in AXES else -1
+    sums: dict[str, Array] = {}
+    for law in () if controller is None or axis < 0 else controller.laws:
+        for near in law.gains() or ():
+            if near.state in ("always", *loop.state) and (near.stiffness[axis] or near.damping[axis]):
+                sums[near.state] = sums.get(near.state, 0.0) + np.array([near.stiffness[axis], near.damping[axis]])
+    stiff = {state: gains for state, gains in sums.items() if gains[0]}
+    if len(stiff) < 2 or "contact" not in stiff:
+        return (loop.stiffness, loop.damping), ""
+    names = sorted(stiff, key=list(_GAIN_WORDS).index)
+    digits = "{} {:.0f}" if axis < 3 else "{} {:.3g}"
+    words = " + ".join(digits.format(_GAIN_WORDS[state], stiff[state][0]) for state in names)
+    wall = stiff["contact"].tolist()
+    return (wall[0], wall[1]), f"{words} {unit_of('N/m', loop.axis)}"
 
 
 class SteadyRange:
@@ -213,6 +303,50 @@ RESUME = {"centre": "to restart", "pause": "to resume", "slower": "for slow moti
 """Purpose of each action that a banner names."""
 
 
+def acts(snapshot: Snapshot) -> bool:
+    """Return True while the scene's laws act, or would but for a pause."""
+    return not snapshot.idle and snapshot.state != "stopped"
+
+
+def law_status(snapshot: Snapshot) -> Reading:
+    """Return the verdict on the scene's laws; why they do not act otherwise, without a colour."""
+    if not acts(snapshot):
+        return Reading("margin", snapshot.idle or "stopped: nothing is rendered")
+    margin = STABILITY.of(snapshot)
+    return Reading("margin", margin.words, margin.colour)
+
+
+def _loop_words(snapshot: Snapshot) -> str:
+    loop = STABILITY.of(snapshot).loop if acts(snapshot) else None
+    return "" if loop is None else gain_parts(snapshot.scene, loop)[1]
+
+
+_WARM = 0.8
+"""Share of a coil's temperature limit from which the strip of a device warns."""
+
+
+def device_strip(snapshot: Snapshot) -> Reading | None:
+    """Return address and state of the device, and the colour of their strip; None for a simulation.
+
+    The name is "DEVICE", or "SIMULATED DEVICE" for a twin.
+    """
+    device = snapshot.device
+    if device is None:
+        return None
+    wall = getattr(snapshot.scene, "stiffness", None)
+    wall = wall if snapshot.faces and isinstance(wall, int | float) and acts(snapshot) else None
+    asked = "" if math.isnan(device.requested) else f" of {device.requested:.0f}"
+    parts = [
+        device.phase,
+        "" if (delay := measured_delay(snapshot)) is None else f"loop {delay * 1e3:.1f} ms",
+        "" if math.isnan(device.warmth) else f"coils at {device.warmth:.0%} of their temperature limit",
+        "" if wall is None else f"wall {wall:.0f}{asked} N/m",
+    ]
+    colour = BAD if snapshot.state == "stopped" or device.warmth > _WARM else PULL if snapshot.idle else GOOD
+    name = "SIMULATED DEVICE" if device.simulated else "DEVICE"
+    return Reading(name, f"{device.address}: {', '.join(filter(None, parts))}", colour)
+
+
 def pace(snapshot: Snapshot) -> str:
     """Return the ratio of simulated to real time; empty for real time."""
     if (scale := snapshot.time_scale) == 1.0:
@@ -244,11 +378,11 @@ def stop_contacts(snapshot: Snapshot) -> tuple[list[Face], str]:
 
 _LEAST_ENERGY = 5e-5
 GROUPS: Mapping[str, Sequence[str]] = {
-    "felt": ("hand", "device", "margin", "speed"),
+    "felt": ("hand", "device", "margin", "loop", "state", "speed"),
     "scene": ("wall", "wall_on", "pulse", "stiffness", "damping"),
     "friction": ("friction", "breakaway"),
     "loop": ("period", "delay", "weightless"),
-    "numbers": ("stops", "gains", "active", "rate", "time", "position", "scene", "tick", "energy"),
+    "numbers": ("gains", "active", "rate", "time", "position", "scene", "tick", "energy"),
 }
 """Readings (first and last group) and live parameters by group, in the order of window and page.
 
@@ -294,35 +428,32 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
     total = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
     digits = 3 if snapshot.time_scale < 1.0 else 1
     position = 1e3 * snapshot.pose[:3].round(5) + 0.0
-    margin, measured = STABILITY.of(snapshot), measured_delay(snapshot)
+    measured = measured_delay(snapshot)
     delay = scene.delay if measured is None else measured  # the one of the margin
-    active = snapshot.taken < -_LEAST_ENERGY
-    rows = [
-        Reading("scene", f"{scene.name}: {scene.describe()}"),
-        Reading("margin", margin.words, margin.colour),
-        *(Reading("", note) for note in (stop_contacts(snapshot)[1], *snapshot.notes, *notes)),
+    active, felt = snapshot.taken < -_LEAST_ENERGY, forces(snapshot)
+    laws = [
         Reading("gains", "  ".join(gains)),
         Reading("active", ", ".join(enabled) or "none" * any(item.kind is bool for item in live)),
         Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {1e3 * delay:.1f} ms"),
+    ]
+    strip = device_strip(snapshot)
+    rows = [
+        Reading("scene", "" if snapshot.idle else f"{scene.name}: {scene.describe()}"),
+        law_status(snapshot),
+        Reading("loop", _loop_words(snapshot)),
+        *([] if strip is None else [strip]),
+        Reading("state", state_words(snapshot), STUCK),
+        *(Reading("", note) for note in (stop_contacts(snapshot)[1], *snapshot.notes, *notes)),
+        *([] if snapshot.idle else laws),
         Reading("time", f"{snapshot.time:.{digits}f}{total} s"),
         Reading("speed", pace(snapshot)),
         Reading("position", ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", position)) + " mm"),
-        _force("hand", snapshot.hand, " (estimated)" * snapshot.hand_estimated),
-        _force("device", snapshot.force),
-        _force("stops", snapshot.stops),
+        Reading("hand", (text := force_text(felt["hand"])) + " (estimated)" * bool(text and snapshot.hand_estimated)),
+        Reading("device", force_text(felt["device"])),
         Reading("energy", _energy(snapshot, active), BAD if active else None),
         Reading("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} skipped" if snapshot.cost else ""),
     ]
     return [row for row in rows if row.value]
-
-
-def magnitude(wrench: Array) -> float:
-    """Return the magnitude of a wrench's force [N]; NaN if it is not measured."""
-    return float(np.linalg.norm(wrench[:3])) if np.isfinite(wrench).all() else math.nan
-
-
-def _force(name: str, wrench: Array, note: str = "") -> Reading:
-    return Reading(name, "" if math.isnan(size := magnitude(wrench)) else f"|F| {size:.1f} N{note}")
 
 
 def _energy(snapshot: Snapshot, active: bool) -> str:

@@ -211,7 +211,9 @@ class RemoteViewer:
                 value = {name: value[name] for name in session.settable_parameters(scene) if name in value}
             elif value not in actions(type(scene)):
                 return None
-            return session.changed(scene, value)
+            scene = session.changed(scene, value)
+            self._note.clear()
+            return scene
         except MaglevError as error:
             self._note.say(str(error))
             return None
@@ -221,6 +223,7 @@ class RemoteViewer:
         for kind, value in self._requests(source.hand):
             try:
                 (source.act if kind == "act" else source.change)(value)
+                self._note.clear()
             except (MaglevError, OSError) as error:  # for example a folder that is not writable
                 self._note.say(str(error))
         if self._front.ready and self._due():

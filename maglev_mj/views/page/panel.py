@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, Colour, hex_of, on_page, on_white
+from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, PULL, STUCK, Colour, hex_of, on_page, on_white
 from maglev_mj.frames import AXES, unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, MAX_REWIND, REWIND_ACTIONS, SCENE_PREFIX, Snapshot
 from maglev_mj.session.snapshot import TourLine
+from maglev_mj.views.forces import averaging_time, force_text, forces, state_words
 from maglev_mj.views.page.stage import VIEWS, look, rgb, update
 from maglev_mj.views.readings import (
     GROUPS,
@@ -29,8 +30,8 @@ from maglev_mj.views.readings import (
     Charts,
     Range,
     banner,
+    device_strip,
     grouped,
-    magnitude,
     readings,
     round_up,
 )
@@ -196,6 +197,8 @@ _MAX_STIFFNESS = 5000.0  # of the hand [N/m]
 _INPUTS = "gains", "active", "rate"
 _FULL = 10.0
 """Force of a full bar [N], above that of the mouse's hand."""
+_BAR = "position:relative;flex:1;height:14px;border-radius:4px;overflow:hidden;background:rgba(128,128,128,.22)"
+_STRIP = "color:#fff;padding:.4em .7em;margin:0 .6em .4em;border-radius:4px"
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 
 
@@ -213,7 +216,8 @@ class Panel:
         self._ask, self._settings = ask, settings
         gui = self._gui = server.gui
         self._scene: Any = None
-        self._banner, self._gauge, self._verdict = (gui.add_html("", order=0.1 * index) for index in range(3))
+        self._banner, self._gauge, self._verdict = (gui.add_html("", order=0.1 * index) for index in range(1, 4))
+        self._device = gui.add_html("", order=0.0)
         self._buttons, self._parameters = gui.add_folder(None, order=1.0), gui.add_folder(None)
         self._rows: dict[str, Any] = {}
         self._controls: list[tuple[Control, Callable[[Snapshot], Any]]] = []
@@ -241,6 +245,7 @@ class Panel:
         if type(snapshot.scene) is not self._scene:
             self._scene = type(snapshot.scene)
             self._make_controls(snapshot)
+        update(self._device, content=_device(snapshot))
         update(self._banner, content=_banner(snapshot))
         update(self._gauge, content=_gauge(snapshot))
         update(self._verdict, content=_verdict(snapshot))
@@ -323,26 +328,44 @@ def _input_name(name: str) -> str:
 
 
 def _gauge(snapshot: Snapshot) -> str:
-    """Return the measured forces of hand and device as bars with numbers."""
+    """Return the forces of hand and device as bars: mean, and band of the extremes; state of hand and friction."""
     hand, bars = "hand, estimated" if snapshot.hand_estimated else "hand", ""
-    for name, wrench, colour in ((hand, snapshot.hand, HAND), ("device", snapshot.force, DEVICE)):
-        if math.isnan(force := magnitude(wrench)):
+    for force, label, colour in zip(forces(snapshot).values(), (hand, "device"), (HAND, DEVICE)):
+        if not (text := force_text(force)):
             continue
-        filled = f"width:{min(force / _FULL, 1.0):.1%};background:{on_page(colour, 3.0)};height:100%"
-        number = f"min-width:4.2em;text-align:right;font:600 20px system-ui,sans-serif;color:{on_page(colour)}"
+        shade = on_page(colour, 3.0)
+        low, mean, high = (100.0 * min(size / _FULL, 1.0) for size in (force.least, force.size, force.most))
+        band = f"left:{low:.1f}%;width:{max(high - low, 0.0):.1f}%;background:{shade};opacity:.4;inset-block:0"
+        number = f"width:5.2em;text-align:right;line-height:1.1;color:{on_page(colour)}"
         bars += (
-            f'<div role="meter" aria-label="{name}, force [N]" aria-valuemin="0" aria-valuemax="{_FULL:g}" '
-            f'aria-valuenow="{min(force, _FULL):.0f}" style="display:flex;align-items:center;gap:.5em">'
-            f'<span style="min-width:5.2em;max-width:7em;line-height:1.1">{name} |F|</span>'
-            f'<div style="flex:1;height:12px;border-radius:4px;overflow:hidden;background:rgba(128,128,128,.22)">'
-            f'<div style="{filled}"></div></div><span style="{number}">{force:.1f} N</span></div>'
+            f'<div role="meter" aria-label="{label}, force [N]" aria-valuemin="0" aria-valuemax="{_FULL:g}" '
+            f'aria-valuenow="{min(force.size, _FULL):.0f}" aria-valuetext="{text}" '
+            f'style="display:flex;align-items:center;gap:.5em;margin-bottom:.2em">'
+            f'<span style="min-width:4.2em;max-width:6em;line-height:1.1">{label} |F|</span>'
+            f'<div style="{_BAR}">'
+            f'<div style="width:{mean:.1f}%;background:{shade};height:100%"></div>'
+            f'<div style="position:absolute;{band}"></div></div><span style="{number}">'
+            f'<b style="font-size:20px">{force.size:.1f} N</b><br><small>peak {force.most:.1f} N</small></span></div>'
         )
-    return f'<div class="gauge" style="padding:.2em .75em 0">{bars}</div>'
+    if bars:
+        words = f"mean and range over {averaging_time(snapshot):.2g} s; arrows: mean"
+        bars += f'<div style="font-size:.78em;opacity:.7">{words}</div>'
+    state = f'<b style="color:{on_page(STUCK)}">{escape(state_words(snapshot))}</b>'
+    return f'<div class="gauge" style="padding:.2em .75em 0">{bars}<div style="min-height:1.5em">{state}</div></div>'
+
+
+def _device(snapshot: Snapshot) -> str:
+    """Return the strip of a device as HTML; empty for a simulation."""
+    if (strip := device_strip(snapshot)) is None:
+        return ""
+    name, words, colour = strip
+    style = f"background:{hex_of(on_white(colour or PULL))};{_STRIP}"
+    return f'<div class="device" data-name="{name}" style="{style}"><b>{name}</b> {escape(words)}</div>'
 
 
 def _verdict(snapshot: Snapshot) -> str:
     """Return stability, notes, speed and the step of a tour as HTML, which the page's script has announced."""
-    lines = "".join(_line(*row) for row in readings(snapshot) if row.name in ("margin", "", "speed"))
+    lines = "".join(_line(*row) for row in readings(snapshot) if row.name in ("margin", "loop", "", "speed"))
     style = "padding:.1em .75em .4em;min-height:3em"  # for a note that comes and goes
     return f'<div class="verdict" style="{style}">{lines}{_tour(snapshot.tour)}</div>'
 
@@ -356,7 +379,7 @@ def _words(snapshot: Snapshot, inputs: bool) -> str:
 
 def _line(name: str, value: str, colour: Colour | None) -> str:
     text = escape(value) if colour is None else f'<b style="color:{on_page(colour)}">{escape(value)}</b>'
-    label = "" if name in ("margin", "") else f'<span style="opacity:.65">{name}</span> '
+    label = "" if name in ("margin", "loop", "") else f'<span style="opacity:.65">{name}</span> '
     return f"<div>{label}{text}</div>"
 
 

@@ -32,7 +32,7 @@ class Key(NamedTuple):
 
 
 _KEYS = (
-    Key(glfw.KEY_F11, "F11", KEYS, "keys", "show or hide keys"),
+    Key(glfw.KEY_F11, "F11", KEYS, "keys", "keys, numbers, or neither"),
     Key(glfw.KEY_ENTER, "Enter", "next", "tour", "next step"),
     Key(glfw.KEY_9, "9", "back", "tour", "previous step"),
     Key(glfw.KEY_ENTER, "Enter", "next scene", "position"),

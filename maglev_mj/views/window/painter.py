@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.colours import FIRST, STOP, STUCK, TOUCHED, WALL, Colour
+from maglev_mj.colours import FIRST, STOP, STUCK, TOUCHED, WALL, Colour, on_white
 from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
 from maglev_mj.lazy import mujoco
 from maglev_mj.plants.model import drawn_model
 from maglev_mj.plants.shapes import RIM, Face, coil_colour, coil_geoms, wall_box
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
-from maglev_mj.views.handle import FORCES, force_arrows
+from maglev_mj.views.handle import FORCES, force_arrows, hand_spring
 from maglev_mj.views.readings import stop_contacts
 from maglev_mj.views.window.screen import Area, Layout, Screen
 
@@ -24,7 +25,7 @@ _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), 0.40, (*STOP, 
 _EDGE, _EDGE_WIDTH = 0.45, 3.0
 """Brightness and width [pixels] of a wall's edge; the face is faint, so that it does not tint what is behind."""
 
-_GHOST_SIZE, _ARROW_WIDTH = 1.08, 0.0016
+_GHOST_SIZE, _ARROW_WIDTH, _WIRE = 1.08, 0.0016, 0.0004
 _ORIGIN, _AXIS = np.array([0.075, -0.075, -0.05]), 44 * 4.5e-4
 """Origin of the coordinate axes, beside the base, and their length [m]."""
 
@@ -76,14 +77,8 @@ class Scenery:
         for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
             update(model, data)
 
-    def decorate(self, scene: Any, snapshot: Snapshot, half_text: Array | float = 0.0) -> None:
-        """Add walls, stops, forces, and the stick position or the first attempt, to an MjvScene.
-
-        Args:
-            scene: The MjvScene.
-            snapshot: The snapshot.
-            half_text: Half the width of a number [m], (3,): MuJoCo writes to the right of a point.
-        """
+    def decorate(self, scene: Any, snapshot: Snapshot) -> None:
+        """Add walls, stops, forces, the hand's spring, and the stick position or the first attempt, to an MjvScene."""
         touched = {face for face in snapshot.faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
         self._draw_walls(scene, snapshot, snapshot.faces, touched, _TOUCHED)
         stops, _ = stop_contacts(snapshot)
@@ -104,13 +99,13 @@ class Scenery:
         for name, arrow in force_arrows(snapshot).items():
             # mjGEOM_ARROW is drawn at half the distance between its points
             _connect(scene, arrow.start, 2.0 * arrow.end - arrow.start, arrow.size * _ARROW_WIDTH, FORCES[name])
-            _write(scene, arrow.text, arrow.place - half_text)
+        for start, end in pairwise(hand_spring(snapshot)):
+            _connect(scene, start, end, _WIRE, FORCES["hand"], mujoco.mjtGeom.mjGEOM_CAPSULE)
 
     def draw_axes(self, scene: Any) -> None:
-        """Add labelled arrows along x, y and z, beside the base, to an MjvScene."""
-        for name, direction in zip(AXES[:3], np.eye(3), strict=True):
+        """Add arrows along x, y and z, beside the base, to an MjvScene; see `_number` for their names."""
+        for direction in np.eye(3):
             _connect(scene, _ORIGIN, _ORIGIN + 2.0 * _AXIS * direction, 0.05 * _AXIS, STOP)
-            _write(scene, name, _ORIGIN + 1.25 * _AXIS * direction)  # past the tip
 
     def _draw_walls(
         self, scene: Any, snapshot: Snapshot, faces: Iterable[Face], lit: set[Face], colour: _Shade
@@ -133,18 +128,11 @@ class Scenery:
 def _connect(
     scene: Any, start: Array, end: Array, width: float, colour: Colour, kind: int = mujoco.mjtGeom.mjGEOM_ARROW
 ) -> None:
-    if (shape := _add(scene, _SPHERE, np.zeros(3), start, _IDENTITY, (*colour, 1.0), 0.3)) is not None:
+    if (shape := _add(scene, _SPHERE, np.zeros(3), start, _IDENTITY, (*colour, 1.0), 0.0)) is not None:
         mujoco.mjv_connector(shape, int(kind), width, start, end)
 
 
-def _write(scene: Any, text: str, place: Array) -> None:
-    """Add a text, the label of an invisible sphere."""
-    _add(scene, _SPHERE, np.zeros(3), place, _IDENTITY, (0.0, 0.0, 0.0, 0.0), label=text)
-
-
-def _add(
-    scene: Any, kind: int, size: Any, at: Any, matrix: Any, colour: _Shade, emission: float = 0.1, label: str = ""
-) -> Any:
+def _add(scene: Any, kind: int, size: Any, at: Any, matrix: Any, colour: _Shade, emission: float = 0.1) -> Any:
     """Add a geom to a scene; return it, or None if the scene is full."""
     if scene.ngeom >= scene.maxgeom:
         return None
@@ -152,7 +140,7 @@ def _add(
     scene.ngeom += 1
     parts = (np.asarray(part, dtype=np.float64) for part in (size, at, matrix))
     mujoco.mjv_initGeom(shape, kind, *parts, np.array(colour, np.float32))
-    shape.label, shape.category = label, int(mujoco.mjtCatBit.mjCAT_DECOR)
+    shape.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
     shape.emission, shape.specular, shape.shininess = emission, 0.2, 0.3
     return shape
 
@@ -161,7 +149,9 @@ _HIGH, _WIDE = 0.92, 0.95
 """Fractions of the default view's height that stay visible, vertically and horizontally."""
 
 _MAX_GEOMS, _TURN = 2000, 180.0  # [deg] per height of the picture
-_HALF_TEXT = 0.17  # half the width of a number such as "2.4 N" [pixels], at a font scale of 1 %
+_LABEL, _LETTER, _PADDING = 0.21, 0.07, 0.1
+"""Height, width of a letter and padding of a label [pixels], at a font scale of 1 %."""
+_PAPER: Colour = (0.93, 0.94, 0.96)
 
 
 class Painter:
@@ -222,12 +212,26 @@ class Painter:
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self.camera, everything, scene)
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self._shadows
-        scenery.decorate(scene, snapshot, _HALF_TEXT * self._scale * self.knob(snapshot, view)[1])
+        scenery.decorate(scene, snapshot)
         if self._screen.plots:
             scenery.draw_axes(scene)
         mujoco.mjr_render(mujoco.MjrRect(*area), scene, self._context)
+        self._number(snapshot, area)
         if self._screen.plots:
             self._screen.draw(snapshot, view, self._scale, notes).render(self._context)
+
+    def _number(self, snapshot: Snapshot, area: Area) -> None:
+        """Write forces and names of axes on light labels: MuJoCo's own labels in a scene are hard to read."""
+        texts = [(arrow.text, arrow.place, FORCES[name]) for name, arrow in force_arrows(snapshot).items()]
+        if self._screen.plots:  # past the tips
+            texts += [(name, _ORIGIN + 1.25 * _AXIS * way, STOP) for name, way in zip(AXES[:3], np.eye(3), strict=True)]
+        height, font = int(_LABEL * self._scale), int(mujoco.mjtFont.mjFONT_NORMAL)
+        for text, place, colour in texts:
+            if text:
+                centre, _, _ = project(self.scenery.model, self.camera, area, place)
+                width = int((len(text) * _LETTER + _PADDING) * self._scale)
+                label = mujoco.MjrRect(*(int(part) for part in centre - (0.5 * width, 0.5 * height)), width, height)
+                mujoco.mjr_label(label, font, text, *_PAPER, 1.0, *on_white(colour), self._context)
 
     def pixels(self, view: Area) -> NDArray[np.uint8]:
         """Return the picture drawn last, (height, width, 3)."""
