@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.control.timeline import recorded_switches
+from maglev_mj.control.timeline import peak_forces, recorded_switches
 from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.plants.trace import Trace, actuator_work, hand_work
 from maglev_mj.recording import InvalidRecordingError, RunMetadata, Segment
@@ -340,6 +340,7 @@ class SegmentFigures:
         end: Time of the last sample [s].
         travel: Distance between the extremes of each axis [m, rad], (6,).
         peak_force: Largest wrench of the actuators on each axis [N, N m], (6,).
+        device_force: Largest force of the device, pulses included, without weight compensation [N]; see TOTALS.
         faces: Touched walls.
         untouched: Number of untouched walls.
         energy: Energy balance.
@@ -353,6 +354,7 @@ class SegmentFigures:
     end: float
     travel: Array
     peak_force: Array
+    device_force: float
     faces: Sequence[FaceFigures]
     untouched: int
     energy: Energy
@@ -393,7 +395,8 @@ class SegmentFigures:
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
         fields = {
-            name: plain(getattr(self, name)) for name in ("samples", "missed", "start", "end", "faces", "friction")
+            name: plain(getattr(self, name))
+            for name in ("samples", "missed", "start", "end", "device_force", "faces", "friction")
         }
         axes = {"travel": self.travel, "peak_force": self.peak_force, "unexplained_force": self.unexplained}
         return {**fields, **by_axis(axes), "energy": by_axis(self.energy._asdict())}
@@ -591,6 +594,9 @@ def segment_figures(
         end=float(motion.time[-1]),
         travel=np.ptp(trace.pose, axis=0),
         peak_force=np.abs(trace.wrench[:-1]).max(axis=0),
+        device_force=float(
+            peak_forces(segment.applied - metadata.carried, segment.applied_pulse, segment.applied_pulse_width).max()
+        ),
         faces=faces,
         untouched=len(metadata.faces) - len(faces),
         energy=_energy(motion, segment),

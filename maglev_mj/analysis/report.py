@@ -23,7 +23,7 @@ from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Segment
 from maglev_mj.recording.recording import SEGMENT_TYPE
 from maglev_mj.recording.setup import MEASURED, UNCONTROLLED, scripted
-from maglev_mj.result import Result, Table, capitalised, plain
+from maglev_mj.result import Result, Table, capitalised, number_text, plain
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import recorded_scene
 from maglev_mj.scenes.stability_check import wall_loops
@@ -188,6 +188,7 @@ class SegmentReport(Result):
         if self.kind == MEASURED:
             below.append(Table("", (), (), UNCONTROLLED))
         span = f"{figures.samples} samples, {figures.start:.4g} to {figures.end:.4g} s, {figures.missed} lost"
+        span += f", device force up to {number_text(figures.device_force, 3, 2)} N"
         return Table(
             f"{self.run_title}: {span}", [], [], below=[*below, self.identified.table()], warnings=self.warnings
         )

@@ -22,8 +22,8 @@ SEGMENT_NUMBER = Field("segment", "", "segment index, from 0")
 _ORDERED = (
     SEGMENT_NUMBER,
     *(field for field in FIELDS if not field.optional),
-    *TOTALS,
-    *(field for field in FIELDS if field.optional),
+    *(field for field in TOTALS if not field.optional),
+    *(field for field in (*FIELDS, *TOTALS) if field.optional),
 )
 """Fields in the order of their protobuf numbers, from 1; new ones are optional and come last."""
 
@@ -70,11 +70,11 @@ def packed(segment: int, rows: Rows, totals: Array) -> list[bytes]:
     Args:
         segment: Segment index.
         rows: Samples, (N,).
-        totals: Running totals in the order of TOTALS, (N, 3).
+        totals: Running totals in the order of TOTALS, (N, 4).
     """
     kind = sample_type()
     columns: dict[str, Any] = {SEGMENT_NUMBER.name: [segment] * len(rows)}
-    for field, values in [(field, rows[field.name]) for field in FIELDS] + list(zip(TOTALS, totals.T)):
+    for field, values in [(field, rows[field.name]) for field in FIELDS] + list(zip(TOTALS, totals.T, strict=True)):
         if field.six:
             columns[field.name] = [dict(zip(AXES, six)) for six in values.tolist()]
         else:

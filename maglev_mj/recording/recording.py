@@ -58,7 +58,7 @@ class Segment(_Fields):
         setup: Setup of plant and controller, with the metadata as `run`.
         arrays: Fields by name, (N,) or (N, 6) each, read-only. A command that is not finite was rejected by the
             plant. Totals since the segment's start, if loaded: `taken`, energy absorbed by the control laws [J],
-            `hand_work` [J], and `missed` samples.
+            `hand_work` [J], `missed` samples, and `device_force`, the largest so far [N].
         gaps: (row, count) of samples missed before a row without a gap in the tick numbers.
         before: Preceding samples of the same run, if it resumes from them after a rewind; else None.
         began: Start time since 1970 [µs]; 0 if unknown.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.timeline import Timing
+from maglev_mj.control.timeline import Timing, peak_forces
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
 from maglev_mj.parameters import axis_indices, flag, number, numbers
@@ -111,6 +111,12 @@ TOTALS: Sequence[Field] = (
     Field("taken", "J", "energy absorbed by the control laws since the segment's start; negative if generated"),
     Field("hand_work", "J", "work of the hand since the segment's start; NaN if unknown"),
     Field("missed", "", "lost samples and skipped ticks since the segment's start"),
+    Field(
+        "device_force",
+        "N",
+        "largest force of the device since the segment's start, pulses included, without weight compensation",
+        optional=True,
+    ),
 )
 """Running totals, computed from the samples and exported with each of them."""
 
@@ -348,7 +354,7 @@ def _six(holder: Any, name: str, *, at_least: float = -_FORCE) -> Array:
 
 
 class Totals:
-    """Running totals of absorbed energy, hand work and missed samples.
+    """Running totals of absorbed energy, hand work and missed samples, and running maximum of the device's force.
 
     Args:
         metadata: Metadata of the segment.
@@ -361,16 +367,16 @@ class Totals:
         self._observer = PassivityObserver(timing, metadata.inertia, load, before)
         self._hand, self._missed = HandWork(), 0
         self._tick: float | None = None
+        self._peak = 0.0
 
     def miss(self, count: int) -> None:
         """Add missed samples that leave no gap in the tick numbers."""
         self._missed += count
 
     def take(self, rows: Rows | Mapping[str, Array]) -> Array:
-        """Return the totals at N samples, (N, 3).
+        """Return the totals at N samples, (N, 4), in the order of TOTALS.
 
-        Columns: energy absorbed by the control laws [J], work of the hand [J], missed samples. The result does not
-        depend on the block size, bitwise.
+        The result does not depend on the block size, bitwise.
         """
         poses, force = np.ascontiguousarray(rows["position"]), rows["applied"] - self._carried
         energy = self._observer.take(poses, force, rows["applied_pulse"], rows["applied_pulse_width"])
@@ -379,8 +385,10 @@ class Totals:
         # a device does not reset its tick between segments
         gaps = np.diff(ticks, prepend=ticks[:1] - 1.0 if self._tick is None else self._tick)
         missed = self._missed + np.add.accumulate(np.maximum(np.trunc(gaps) - 1.0, 0.0))
-        self._tick, self._missed = float(ticks[-1]), int(missed[-1])
-        return np.column_stack([energy.sum(axis=1), work, missed])
+        sizes = peak_forces(force, rows["applied_pulse"], rows["applied_pulse_width"])
+        peaks = np.maximum.accumulate(np.append(self._peak, sizes))[1:]
+        self._tick, self._missed, self._peak = float(ticks[-1]), int(missed[-1]), float(peaks[-1])
+        return np.column_stack([energy.sum(axis=1), work, missed, peaks])
 
 
 def value_in(holder: Any, name: str, kind: type | None = None) -> Any:

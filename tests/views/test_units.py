@@ -23,7 +23,7 @@ from maglev_mj.views.page import panel as page_plots
 from maglev_mj.views.page.panel import control
 from maglev_mj.views.readings import Charts
 from maglev_mj.views.window import screen as window_plots
-from maglev_mj.views.window.screen import status_rows
+from maglev_mj.views.window.screen import number_rows
 from tests.studies.test_charts import details
 from tests.sweeps import sweep as cases
 
@@ -101,13 +101,13 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
     gui, session = Gui(), Session(scene)
     for one in scene.parameters():
         control(gui, one, scene, lambda *_: None)
-    arrows = "arrows", "hand", "device", "stops"  # along x, y and z in any scene
+    arrows = "arrows", "hand", "device"  # along x, y and z in any scene
     said = {
         "run": str(both.table()),
         "sweep": str(swept.table()),
         "stability": f"{scene.describe()}\n{stability(scene).table()}",
         "page": "\n".join(gui.texts),
-        "window": "\n".join(map(" ".join, [row for row in status_rows(session.snapshot()) if row[0] not in arrows])),
+        "window": "\n".join(map(" ".join, [row for row in number_rows(session.snapshot()) if row[0] not in arrows])),
         "window's plots": window_curves(session.snapshot()),
         "page's plots": page_curves(session.snapshot()),
         "identified": str(identify(record_run(whole, plant="exact").segments[0]).table()),

@@ -30,7 +30,7 @@ from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import SteadyRange, banner, fitted_range, stop_contacts
 from maglev_mj.views.window.keys import KEYS, help_rows
 from maglev_mj.views.window.painter import Scenery, default_view, project, zoom
-from maglev_mj.views.window.screen import Area, Layout, Screen, letters, message_rows, status_rows
+from maglev_mj.views.window.screen import Area, Layout, Screen, letters, message_rows, number_rows, status_rows
 from maglev_mj.views.window.window import _font_scale, _Window, _work_area, fitted_size
 from tests.sweeps import sweep
 
@@ -124,17 +124,18 @@ def test_nothing_moves_when_states_change(shot: Snapshot) -> None:
     for size in SIZES:
         frames = [(keys, drawn) for _, keys, _, drawn in drawings(shot, Area(0, 0, *size), 100)]
         assert len({(drawn.layout.text, drawn.layout.device, *drawn.layout.plots) for _, drawn in frames}) == 1
-        first = [[name for name, _ in drawn.upper[:5]] for keys, drawn in frames if not keys]
+        first = [[name for name, _ in drawn.upper[:4]] for keys, drawn in frames if not keys]
         assert all(names == first[0] for names in first)
 
 
 def test_f11_shows_the_keys_and_the_window_fits_its_screen(shot: Snapshot) -> None:
     screen, view = Screen(), Area(0, 0, 1280, 800)
     first = screen.draw(shot, view, 100)
-    assert ("F11", "keys") in first.lower and "Esc" not in dict(first.upper)
-    for shown in (help_rows(shot.actions)[0][0], first.upper[0][0]):
+    assert ("F11", "keys, all numbers") in first.lower and "Esc" not in dict(first.upper)
+    for shown in (help_rows(shot.actions)[0][0], "hand", first.upper[0][0]):
         screen.press(KEYS, shot.scene)
         assert screen.draw(shot, view, 100).upper[0][0] == shown
+        assert ("energy" in dict(screen.draw(shot, view, 100).upper)) == (shown == "hand" and screen._page == 2)
     for large, fitted in (((800, 600), (736, 528)), ((1280, 800), (1177, 704)), ((3840, 2160), (2560, 1440))):
         assert fitted_size(*large) == fitted
 
@@ -345,17 +346,17 @@ def test_the_default_hand_reaches_the_wall_but_not_the_stop(scene: type[Scene], 
     shown = snapshot_after(scene(), [*(0.1 * np.array(direction)), 0.0, 0.0, 0.0])
     assert stop_contacts(shown) == ([], ""), direction
     assert any(normal * (shown.pose[axis] - edge) <= 0.0 for axis, normal, edge in shown.faces)
-    assert dict(status_rows(shown))["energy"].count(" absorbed") == 1
+    assert dict(number_rows(shown))["energy"].count(" absorbed") == 1
 
 
 def test_the_energy_reading(shot: Snapshot) -> None:
     stored = "{:.1f} mJ in motion, height and stops"
     for taken, words in ((2e-3, "2.0 mJ absorbed"), (-2e-3, "2.0 mJ generated")):
         shown = replace(shot, work=3e-3, taken=taken)
-        energy = dict(status_rows(shown))["energy"].replace("\n", " ")
+        energy = dict(number_rows(shown))["energy"].replace("\n", " ")
         rest = stored.format(3.0 - 1e3 * taken) + " (delayed forces)" * (taken < 0.0)
         assert energy == f"3.0 mJ from the hand, {words}, {rest}"
-    assert "energy" not in dict(status_rows(replace(shot, work=np.nan, taken=np.nan)))
+    assert "energy" not in dict(number_rows(replace(shot, work=np.nan, taken=np.nan)))
 
 
 def test_keys_seek_in_a_recording() -> None:

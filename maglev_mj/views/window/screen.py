@@ -196,16 +196,19 @@ def _shapes(line: Line, across: Range, up: Range) -> list[tuple[Colour, Array]]:
     return shapes
 
 
-_STATUS = "hand", "device", "margin", "gains", "rate"
-_NUMBERS = *_STATUS[:3], "loop", *(name for name in GROUPS["numbers"] if name != "position")
+_STATUS = "hand", "device", "gains", "rate", "margin"
+_NUMBERS = "hand", "device", "margin", "loop", *(name for name in GROUPS["numbers"] if name != "position")
 """Readings from top to bottom, first what is felt, and all of them; the plots show the position."""
 _HINTS = [("mouse", "drag the knob to pull it"), ("F11", "keys, all numbers")]
 
 
 def status_rows(snapshot: Snapshot) -> list[Row]:
-    """Return the rows of the readings, at most five: forces first; of a recording the time in place of the gains."""
+    """Return the rows of the readings, at most five: forces first, and last what changes its number of lines.
+
+    Of a recording the time is shown in place of the gains.
+    """
     words = {row.name: row.value for row in readings(snapshot)}
-    names = _STATUS if snapshot.duration is None else (*_STATUS[:3], "time", "rate")
+    names = _STATUS if snapshot.duration is None else ("hand", "device", "time", "rate", "margin")
     return [(name, words[name]) for name in names if name in words]
 
 
