@@ -92,7 +92,7 @@ class Charts:
         now = rows[-1, 0] if len(rows) else 0.0
         peaks = peak_wrenches(rows[:, columns.DEVICE], rows[:, columns.PULSE], rows[:, columns.WIDTH])[:, axis]
         time, hand = rows[:, 0] - now, rows[:, columns.HAND][:, axis]
-        pulsed = "device, with pulses" if rows[:, columns.WIDTH].any() else "device"
+        pulsed = "device peak" if rows[:, columns.WIDTH].any() else "device"
         all_positions, points = 1e3 * rows[:, columns.POSE][:, axis], self._points
         rows = rows[:: -max(-(-len(rows) // points), 1)][::-1]  # keeps the newest
         position, speed = 1e3 * rows[:, columns.POSE][:, axis], 1e3 * rows[:, columns.TWIST][:, axis]
@@ -339,7 +339,7 @@ def device_strip(snapshot: Snapshot) -> Reading | None:
     parts = [
         device.phase,
         "" if (delay := measured_delay(snapshot)) is None else f"loop {delay * 1e3:.1f} ms",
-        "" if math.isnan(device.warmth) else f"coils at {100.0 * device.warmth:.0f} % of their temperature limit",
+        "" if math.isnan(device.warmth) else f"coils {100.0 * device.warmth:.0f} % of limit",
         "" if wall is None else f"wall {wall:.0f}{asked} N/m",
     ]
     colour = BAD if snapshot.state == "stopped" or device.warmth > _WARM else PULL if snapshot.idle else GOOD

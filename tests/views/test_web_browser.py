@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 
 from maglev_mj.device import Knob
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.session import REWIND_ACTIONS, Session, Snapshot, real_time
+from maglev_mj.session import REWIND_ACTIONS, DeviceStatus, Session, Snapshot, real_time
 from maglev_mj.session.access import listen
 from maglev_mj.views.page.page import Endpoint, page
 from maglev_mj.views.page.stage import FIELD, placed
@@ -292,8 +293,21 @@ def test_a_number_typed_key_by_key_takes_effect_as_typed_or_is_refused(
         run.close()
 
 
+class Flown(Session):
+    """Session that says it is a device."""
+
+    def snapshot(self) -> Snapshot:
+        return replace(super().snapshot(), device=DeviceStatus("udp://192.0.2.1:5678", "in flight"))
+
+
 def test_a_page_without_its_program_says_so_and_reconnects(browser: Any) -> None:
-    run = Run(Session())
+    run, simulated = Run(Flown()), Run(Session())
+    bare = opened(browser, simulated)
+    simulated._viewer.serve = lambda source: None  # type: ignore[method-assign]
+    bare.wait_for_selector("#gone:has-text('Connection lost')")
+    assert "power" not in bare.inner_text("#gone")
+    bare.context.close()
+    simulated.close()
     tab, port = opened(browser, run), int(run.url.rsplit(":", 1)[1].strip("/"))
     serve, child = run._viewer.serve, run._viewer._front._process.pid or 0
 

@@ -198,7 +198,7 @@ _INPUTS = "gains", "active", "rate"
 _FULL = 10.0
 """Force of a full bar [N], above that of the mouse's hand."""
 _BAR = "position:relative;flex:1;height:14px;border-radius:4px;overflow:hidden;background:rgba(128,128,128,.22)"
-_STRIP = "color:#fff;padding:.4em .7em;margin:0 .6em .4em;border-radius:4px"
+_STRIP = "color:#fff;font-size:.9em;padding:.4em .7em;margin:0 .6em .4em;border-radius:4px"
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 
 
