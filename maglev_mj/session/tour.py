@@ -305,7 +305,7 @@ STEPS = (
         _SOFT_WALL,
     ),
     Step(
-        "At 4 ms of delay the wall buzzes. Damping dissipates the energy.",
+        "At 4 ms of delay the wall buzzes. Damping dissipates the energy. The grey dot of the map is the wall alone.",
         "Raise the damping until it is stable: {damping up}. Then hold a wall: it is quiet.",
         _damping_calms,
         {**_SOFT_WALL, "delay": 0.004},
