@@ -157,7 +157,8 @@ def _fill(figure: Any, chart: Chart, room: int) -> None:
     figure.xlabel = _shortened(f"{side} vs {foot}" if side else foot, room)
     figure.range[0], figure.range[1] = across, up
     figure.linepnt[:] = 0
-    figure.flg_ticklabel[:] = bool(lines)
+    figure.flg_ticklabel[:] = bool(lines)  # a title alone has no frame
+    figure.gridrgb[:], figure.panergba[:3] = (_GRID, _PANE) if lines else (_PANEL, _PANEL)
     shapes = [shape for line in reversed(lines) for shape in _shapes(line, across, up)]  # the first is on top
     for index, (shade, points) in enumerate(shapes):
         points = _drawn(points, up)
@@ -166,16 +167,16 @@ def _fill(figure: Any, chart: Chart, room: int) -> None:
 
 
 _TEXT, _PANEL, _TRACK = (0.95, 0.96, 0.98), (0.07, 0.08, 0.10), (0.25, 0.27, 0.30)
-_LEAST_BAR = 0.3
+_PANE, _GRID, _LEAST_BAR = (0.13, 0.15, 0.18), (0.34, 0.37, 0.42), 0.3
 
 
 def _new_figure() -> Any:
     figure: Any = mujoco.MjvFigure()
     mujoco.mjv_defaultFigure(figure)
     figure.figurergba[:] = *_PANEL, 1.0
-    figure.panergba[:] = 0.13, 0.15, 0.18, 1.0
+    figure.panergba[:] = *_PANE, 1.0
     figure.textrgb[:] = _TEXT
-    figure.gridrgb[:] = 0.34, 0.37, 0.42
+    figure.gridrgb[:] = _GRID
     figure.linewidth, figure.gridwidth = 2.5, 1.0
     figure.gridsize[:] = 3, 3
     figure.flg_legend = figure.flg_extend = 0
