@@ -6,7 +6,7 @@ DEMO := $(VENV)/.demo# stamp: pictures, the page and recordings have what they n
 READY := $(VENV)/.ready# stamp: what tests and checks need is installed
 PEERS := $(VENV)/.peers# stamp: what others' simulators need is installed too
 DOCS := $(VENV)/.docs# stamp: what the documentation needs is installed
-ALSO :=# `,docs` installs with the tests' packages those of the documentation: the gate needs both, and pip looks once
+ALSO :=# `docs` installs with the tests' packages those of the documentation: the gate needs both, and pip looks once
 BEFORE := b223e7d8# revision that benchmarks compare with
 
 .PHONY: demo test test-machine kernels floors studies bench pictures check lint types wheel firmware docs linkcheck protocol clean
@@ -123,26 +123,32 @@ clean:
 
 # Downloads as measured on Linux with Python 3.11; on disk 416 and 1144 MB.
 $(DEMO): pyproject.toml requirements.lock
-	$(call install,charts$(comma)mcap$(comma)web,97 MB)
+	$(call install,charts$(comma)mcap$(comma)web,,97 MB)
 	@touch $@
 
 $(READY): pyproject.toml requirements.lock
-	$(call install,dev$(ALSO),310 MB)
+	$(call install,all,dev $(ALSO),310 MB)
 	@touch $(DEMO) $@ $(if $(ALSO),$(DOCS))
 
 $(PEERS): $(READY)
-	$(call install,peers,280 MB)
+	$(call install,all,peers,280 MB)
 	@touch $@
 
 $(DOCS): pyproject.toml requirements.lock
-	$(call install,docs,116 MB)
+	$(call install,charts$(comma)pandas,docs,116 MB)
 	@touch $@
 
-# an extra of this package, and the size of what is downloaded for it
+# requirements of dependency groups (PEP 735), which the pip of Python 3.11 cannot read itself
+GROUPS := import sys, tomllib; groups = tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]; \
+  print(*(line for name in sys.argv[1:] for line in groups[name]), sep="\n")
+
+# extras of this package, dependency groups, and the size of what is downloaded for them
 comma := ,
 define install
 @$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=...")'
-@echo "Installing maglev-mj[$(1)] in $(VENV): about $(2) to download, unless cached."
+@echo "Installing maglev-mj[$(1)]$(if $(2), and $(strip $(2)),) in $(VENV): about $(3) to download, unless cached."
 @$(PYTHON) -m venv $(VENV) || { echo 'No venv module: on Debian, apt install python3-venv'; exit 1; }
-@$(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint requirements.lock --editable '.[$(1)]'
+@$(BIN)/python -c '$(GROUPS)' $(2) >$(VENV)/groups.txt
+@$(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint requirements.lock --editable '.[$(1)]' \
+  --requirement $(VENV)/groups.txt
 endef

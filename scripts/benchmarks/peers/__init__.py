@@ -32,7 +32,7 @@ def available(names: Iterable[str] | None = None) -> tuple[list[Variant], list[s
         try:
             module = importlib.import_module(f"peers.{name}_peer")
         except ImportError:
-            missing.append(f"{name} is not installed and left out: pip install '.[peers]'")
+            missing.append(f"{name} is not installed and left out: make .venv/.peers")
         else:
             variants += module.variants()
     return variants, missing
