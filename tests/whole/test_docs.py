@@ -23,7 +23,6 @@ from contextlib import (
     redirect_stdout,
 )
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -113,13 +112,6 @@ def device(_: list[str]) -> Iterator[dict[str, str]]:
 BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]] = {
     "docs/howto/fly.md": device,
 }
-
-
-def test_names_that_packages_exported_in_0_2_work_or_are_on_the_page_of_migration() -> None:
-    page, listed = text_of("docs/reference/migration.md"), text_of("tests/whole/names_0_2.txt").splitlines()
-    for package, *exported in map(str.split, listed):
-        module = import_module(package)
-        assert not [one for one in exported if not hasattr(module, one) and not re.search(rf"\b{one}\b", page)]
 
 
 THINNED = {
