@@ -189,8 +189,8 @@ def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, o
     from maglev_mj.session.tour import Tour
     from maglev_mj.views.pages import FOLDER
 
-    print(f"A first wall without Python: open {FOLDER / 'wall.html'}", flush=True)
     front, hand = page.open() or window(out), SpringHand.of_mouse()
+    print(f"A first wall without Python: open {FOLDER / 'wall.html'}", flush=True)
     out.mkdir(parents=True, exist_ok=True)
     with input_hand.open(hand) as devices:
         session = Session(hand_force=hand, folder=out, publishers=devices)
