@@ -128,7 +128,7 @@ class Force(Parameters):
     limit: Any = _array("limit", "(3,)", "N", above=0.0)
 
 
-class Range(Parameters):
+class Travel(Parameters):
     """Range of motion to either side of the centre."""
 
     translation: Any = _array("translation", "(3,)", "m", (math.inf,) * 3, above=0.0, finite=False)
@@ -136,7 +136,7 @@ class Range(Parameters):
     stops: bool = param("stops at the ends of the range", default=True)
 
 
-class Sensor(Parameters):
+class SensorSection(Parameters):
     """Pose sensor: a pose computed on the device, or spots of three beams on three diodes.
 
     A pose is sent as x, y, z and the rotation vector times `lever`. LEDs and beams move with the body.
@@ -208,8 +208,8 @@ PUBLISHED_WALL = WallGains(6000.0, 80.0, 220.0)
 
 
 _SECTIONS: Mapping[str, type[Parameters]] = {
-    **{"body": Body, "coils": Coils, "force": Force, "range": Range},
-    **{"sensor": Sensor, "driver": Driver, "loop": LoopSection, "knob": Knob},
+    **{"body": Body, "coils": Coils, "force": Force, "range": Travel},
+    **{"sensor": SensorSection, "driver": Driver, "loop": LoopSection, "knob": Knob},
 }
 
 
@@ -256,8 +256,8 @@ class Device:
     body: Body
     coils: Coils | None = None
     force: Force | None = None
-    range: Range
-    sensor: Sensor
+    range: Travel
+    sensor: SensorSection
     driver: Driver
     loop: LoopSection
     knob: Knob

@@ -28,7 +28,7 @@ from maglev_mj.recording.journal import (
 from maglev_mj.recording.sample import FIELDS, ROW
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import write_run
 
@@ -46,7 +46,7 @@ def _press(path: Path) -> None:
 
 
 def _stick_slip(path: Path) -> None:
-    write_run(path, StickSlip(duration=0.06), plant="exact")
+    write_run(path, Pull(duration=0.06), plant="exact")
 
 
 def _scene(path: Path) -> None:

@@ -19,7 +19,7 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.safety import HostLimits, Limits, SpotGuard, limits_of
 from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.cli import main
-from maglev_mj.device import Sensor, devices
+from maglev_mj.device import SensorSection, devices
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants.model import body_of, model_path
@@ -128,7 +128,7 @@ def test_digests_stay_so_that_devices_in_use_and_later_hosts_agree() -> None:
     assert {name: device.digest.hex() for name, device in DEVICES.items()} == DIGESTS, NEW_KEY
 
 
-class Sensing(Sensor):
+class Sensing(SensorSection):
     """Sensor with two keys that are newer, one of them with a default that is not neutral."""
 
     hysteresis: float = param("play", "m", default=0.0, at_least=0.0)

@@ -5,7 +5,7 @@ from maglev_mj.analysis.motion import FaceFigures as FaceFigures
 from maglev_mj.analysis.motion import SegmentFigures as SegmentFigures
 from maglev_mj.analysis.motion import face_figures as face_figures
 from maglev_mj.analysis.motion import reconstruct as reconstruct
-from maglev_mj.analysis.report import Comparison as Comparison
+from maglev_mj.analysis.report import Deviation as Deviation
 from maglev_mj.analysis.report import Run as Run
 from maglev_mj.analysis.report import SegmentReport as SegmentReport
 from maglev_mj.analysis.report import analyse as analyse

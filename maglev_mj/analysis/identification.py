@@ -97,7 +97,7 @@ class WallEstimates(OfWall):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Friction:
+class FrictionFit:
     """Identified friction of an axis.
 
     Attributes:
@@ -115,7 +115,7 @@ class Friction:
     damping: Estimate = field(metadata={"row": ("damping", "N s/m", 1.0, "N")})
 
 
-_Estimates: TypeAlias = AxisEstimates | WallEstimates | Friction
+_Estimates: TypeAlias = AxisEstimates | WallEstimates | FrictionFit
 
 
 _RESAMPLED = Estimate(why="resampled")
@@ -170,7 +170,7 @@ class Identification:
 
     axes: Mapping[str, AxisEstimates]
     walls: Sequence[WallEstimates]
-    friction: Mapping[str, Friction]
+    friction: Mapping[str, FrictionFit]
     samples: int
     of: int
     replaced: Mapping[str, float] = field(default_factory=dict)
@@ -269,7 +269,7 @@ def identify(segment: Segment, metadata: RunMetadata | None = None, *, anchors: 
         segment = replace(segment, setup={**segment.setup, "run": metadata.as_json()})
     axes: dict[str, AxisEstimates] = {}
     walls: list[WallEstimates] = []
-    friction: dict[str, Friction] = {}
+    friction: dict[str, FrictionFit] = {}
     replaced: dict[str, float] = {}
     resampled = segment.setup["kind"] == MEASURED and segment.setup["parameters"]["resampled"]
     used = 0
@@ -288,7 +288,7 @@ def identify(segment: Segment, metadata: RunMetadata | None = None, *, anchors: 
         else:
             walls += [WallEstimates.of(face, **_every(WallEstimates, axis)) for face in faces]
         if stuck is not None:
-            friction[name] = axis.friction() if isinstance(axis, _Axis) else Friction(**_every(Friction, axis))
+            friction[name] = axis.friction() if isinstance(axis, _Axis) else FrictionFit(**_every(FrictionFit, axis))
     return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(segment), replaced=replaced)
 
 
@@ -537,9 +537,9 @@ class _Axis:
 
     # -- friction -------------------------------------------------------------------------------------------------
 
-    def friction(self) -> Friction:
+    def friction(self) -> FrictionFit:
         """Return the identified friction."""
-        return Friction(
+        return FrictionFit(
             stiffness=self._from_motion(("stuck", 0)),
             commanded_stiffness=self.law.estimates["stuck", 0],
             breakaway=self._breakaway(),

@@ -315,7 +315,7 @@ class Stick(NamedTuple):
     slipped: bool
 
 
-class StickSlip(NamedTuple):
+class Sticking(NamedTuple):
     """Stick-slip motion of an axis with friction.
 
     Attributes:
@@ -359,7 +359,7 @@ class SegmentFigures:
     untouched: int
     energy: Energy
     unexplained: Array
-    friction: Mapping[str, StickSlip]
+    friction: Mapping[str, Sticking]
 
     def tables(self, beside: SegmentFigures | None = None) -> list[Table]:
         """Return the tables of walls, contacts, axes and friction.
@@ -443,7 +443,7 @@ def _contacts(faces: Sequence[FaceFigures]) -> Table:
     return Table("", head, rows, f"and {more} more: see --json" if more else "")
 
 
-def _friction(axes: Mapping[str, StickSlip]) -> Table:
+def _friction(axes: Mapping[str, Sticking]) -> Table:
     """Return the table of slips and stick positions."""
     rows = []
     for axis, friction in axes.items():
@@ -620,7 +620,7 @@ def _energy(motion: Motion, segment: Segment) -> Energy:
     return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(positions, axis=0)).sum(axis=0))
 
 
-def _stick_slip(time: Array, stuck: Mask, anchors: Array) -> StickSlip:
+def _stick_slip(time: Array, stuck: Mask, anchors: Array) -> Sticking:
     """Return the stick-slip motion of an axis that sticks at some samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], stuck, [False]]).astype(np.int8)))
     final = len(time) - 1
@@ -634,4 +634,4 @@ def _stick_slip(time: Array, stuck: Mask, anchors: Array) -> StickSlip:
         for first, last in edges.reshape(-1, 2)
     ]
     slips = sum(stick.slipped for stick in sticks)
-    return StickSlip(slips, slips + sum(stick.start > time[0] for stick in sticks), sticks)
+    return Sticking(slips, slips + sum(stick.start > time[0] for stick in sticks), sticks)

@@ -36,7 +36,7 @@ _UNMEASURED_HAND = "the hand on the device is not measured: judge the model by t
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
+class Deviation:
     """Deviation of a simulation from its recording.
 
     Attributes:
@@ -137,7 +137,7 @@ class SegmentReport(Result):
     metadata: RunMetadata
     recorded: Run
     simulated: Run | None
-    comparison: Comparison | None
+    comparison: Deviation | None
     identified: Identification
     wall: Verdict | None = None
     units: ClassVar = {"time": "s"} | {
@@ -361,7 +361,7 @@ def simulate(segment: Segment, motion: Motion, rebuild: Rebuild, scene: type[Sce
     return recorder.segment()[rows].replace(tick=segment.tick[: len(rows)], time=segment.time[: len(rows)])
 
 
-def compare(segment: Segment, simulated: Segment, motion: Motion) -> Comparison:
+def compare(segment: Segment, simulated: Segment, motion: Motion) -> Deviation:
     """Return the deviation of a simulation from its recording.
 
     Args:
@@ -373,7 +373,7 @@ def compare(segment: Segment, simulated: Segment, motion: Motion) -> Comparison:
     gap = np.abs(simulated.position - segment.position[:count])
     none = np.full(len(AXES), np.nan)
     jumps = motion.jumps[np.isfinite(motion.jumps).all(axis=1)]
-    return Comparison(
+    return Deviation(
         same=bool(count == len(segment.tick) and not gap.any()),
         rms=np.sqrt((gap**2).mean(axis=0)) if count else none,
         most=gap.max(axis=0) if count else none,

@@ -249,7 +249,7 @@ class Connection:
         self._answered: int | None = None  # by the newest answer
         self._newest: int | None = None
         self._waiting: Frame | None = None
-        self._last: wire.Command | None = None
+        self._last: wire.CommandFrame | None = None
         try:
             self.patience = number("patience", patience, above=0.0)
             self.codec = Codec(key)
@@ -272,7 +272,7 @@ class Connection:
         names, first = fault_names(welcome.faults), fault_names(welcome.first)
         return f"latched: {names}, {age:.1f} s ago, first {first}" if welcome.faults else ""
 
-    def command(self, command: wire.Command) -> None:
+    def command(self, command: wire.CommandFrame) -> None:
         """Send currents."""
         self._last = command
         self._sequence = (self._sequence + 1) & WRAP
@@ -329,7 +329,7 @@ class Connection:
         if not self.open:
             return None
         self._request += 1
-        body = wire.Control(self._request, operation, faults, tuple(hover), tuple(stop))
+        body = wire.ControlRequest(self._request, operation, faults, tuple(hover), tuple(stop))
         for data in _requested(self._link, self.codec, self._session, body, RETRY_INTERVAL, self.patience):
             frame = self._trusted(data)
             if frame is not None and isinstance(frame.body, wire.ControlAck) and frame.body.request == self._request:

@@ -18,8 +18,19 @@ from maglev_mj.bridge.flight_guards import Alarm, DeviceSample, When, device_gua
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import UNKNOWN, HandObserver
 from maglev_mj.bridge.safety import HostLimits, Limits
-from maglev_mj.bridge.wire import CUT, Ending, Fault, Flag, Frame, Operation, State, StateReport, Wall, fault_names
-from maglev_mj.bridge.wire import Command as CommandFrame
+from maglev_mj.bridge.wire import (
+    CUT,
+    CommandFrame,
+    Ending,
+    Fault,
+    Flag,
+    Frame,
+    Operation,
+    State,
+    StateReport,
+    WallMessage,
+    fault_names,
+)
 from maglev_mj.errors import ParameterError, PlantError, SensingError, check_instance
 from maglev_mj.frames import ZERO, Command, DeviceWall, Sample
 from maglev_mj.keywords import checked, every_tick, explained
@@ -34,7 +45,7 @@ _PROOFS = 20
 _WALLED = 3
 """Samples in which currents of walls may flow after the device has answered a command without walls."""
 _BEFORE = -(2**63)  # tick before any answer
-_Walls: TypeAlias = tuple[Wall, ...]
+_Walls: TypeAlias = tuple[WallMessage, ...]
 _LARGEST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
@@ -157,7 +168,7 @@ class GuardedPlant:
         Raises:
             ParameterError: If the device cannot render one, with its limit.
         """
-        sent = tuple([Wall(axis, side, edge, k, b, cutoff or 0.0) for axis, edge, side, k, b, cutoff in walls])
+        sent = tuple([WallMessage(axis, side, edge, k, b, cutoff or 0.0) for axis, edge, side, k, b, cutoff in walls])
         if problem := self._connection.profile.wall_problem(sent):
             raise ParameterError(problem)
         return sent

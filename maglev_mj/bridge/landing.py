@@ -35,7 +35,7 @@ _FAST_TIME = 0.1
 _WINDOW, _BLOCKS = 0.1, 5
 
 
-class Motion:
+class RecentMotion:
     """Pose and speed of the flotor over 0.1 s.
 
     Speed is the range of the mean poses of five blocks, over the time from the first to the last: averaging reduces
@@ -159,7 +159,7 @@ class Leader:
         """
         self._path = path
         self._astray, self._first = off_path, -1
-        self.motion = Motion(self.period, self._scale)
+        self.motion = RecentMotion(self.period, self._scale)
         self._controller.reset()
 
     def step(self, sample: Sample) -> Command:

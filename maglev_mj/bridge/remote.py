@@ -12,7 +12,7 @@ import numpy as np
 
 from maglev_mj.bridge.flight_guards import Alarm, DeviceSample, When, shown
 from maglev_mj.bridge.guarded import GuardedPlant
-from maglev_mj.bridge.landing import LANDING_DELAY, LandingReport, Leader, Motion, Swing, straight
+from maglev_mj.bridge.landing import LANDING_DELAY, LandingReport, Leader, RecentMotion, Swing, straight
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import PlantError, SensingError
@@ -198,9 +198,9 @@ class RemotePlant(GuardedPlant):
                 return True
         return False
 
-    def _observed(self, duration: float) -> Motion:
+    def _observed(self, duration: float) -> RecentMotion:
         """Observe the motion for at least `duration` [s], until it covers 0.1 s or a guard raises alarm."""
-        motion, self.alarm = Motion(self.period, self.scale), ""
+        motion, self.alarm = RecentMotion(self.period, self.scale), ""
         end = self.samples.tick + round(duration / self.period)
         while self.samples.tick < end or not (motion.full or self.alarm):
             try:

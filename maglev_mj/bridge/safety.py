@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from maglev_mj.bridge.wire import MOST_WALLS, PROPERTIES, VERSION, Fault, HelloAck, Wall
+from maglev_mj.bridge.wire import MOST_WALLS, PROPERTIES, VERSION, Fault, HelloAck, WallMessage
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.device import Device, published_device
 from maglev_mj.errors import ParameterError, PlantError
@@ -242,7 +242,7 @@ class Profile:
         """Return the HELLO_ACK with these properties and the given state."""
         return HelloAck(version=VERSION, **self.stated, **state)
 
-    def wall_problem(self, walls: Sequence[Wall]) -> str:
+    def wall_problem(self, walls: Sequence[WallMessage]) -> str:
         """Return why the device cannot render these walls together, or "".
 
         The limits hold for the sums of the walls that push the same way along an axis.
@@ -275,7 +275,9 @@ class Profile:
                         return f"sum of the {name} of {pushing} must be {bound} (got {total:g})"
         return ""
 
-    def edge_problem(self, walls: Sequence[Wall], latest: Sequence[Wall], pose: Sequence[float], periods: int) -> str:
+    def edge_problem(
+        self, walls: Sequence[WallMessage], latest: Sequence[WallMessage], pose: Sequence[float], periods: int
+    ) -> str:
         """Return why the device refuses the edges of these walls, or "".
 
         An edge moves at most at `edge_speed`, and a new wall contains the flotor by at most one period of that.

@@ -107,7 +107,7 @@ class Operation(IntEnum):
     BYE = 6
 
 
-class Result(IntEnum):
+class Outcome(IntEnum):
     """Status in a device's answer to a CTRL frame."""
 
     DONE = 0
@@ -254,7 +254,7 @@ PROPERTIES = {name: on for name, on in layout(HelloAck).items() if name not in _
 """Values of HELLO_ACK that never change: those of `Profile`, and of the firmware's `struct maglev_profile`."""
 
 
-class Control(NamedTuple):
+class ControlRequest(NamedTuple):
     """Request for an `Operation`; `faults` for TRIP, `hover` currents [A] and `stop` for ARM."""
 
     request: int
@@ -265,7 +265,7 @@ class Control(NamedTuple):
 
 
 class ControlAck(NamedTuple):
-    """Answer to CTRL: request, operation and `Result`, with the resulting state and faults."""
+    """Answer to CTRL: request, operation and `Outcome`, with the resulting state and faults."""
 
     request: int
     operation: int
@@ -311,7 +311,7 @@ class StateReport(NamedTuple):
     conversions: Annotated[int, On("u32", "counter of the sensor interface; wraps")]
 
 
-class Wall(NamedTuple):
+class WallMessage(NamedTuple):
     """Wall that the device renders at its own rate; fields as in `DeviceWall`, and a cutoff of 0 for none."""
 
     axis: int
@@ -322,7 +322,7 @@ class Wall(NamedTuple):
     cutoff: float  # [Hz]
 
 
-class Command(NamedTuple):
+class CommandFrame(NamedTuple):
     """Commanded currents [A], six each: `pulsed` for the first `width` seconds, then `held`; and all walls."""
 
     answers: int  # number of the answered sample
@@ -330,7 +330,7 @@ class Command(NamedTuple):
     held: tuple[float, ...]
     pulsed: tuple[float, ...]
     width: float
-    walls: tuple[Wall, ...] = ()
+    walls: tuple[WallMessage, ...] = ()
 
 
 class Estop(NamedTuple):
@@ -351,7 +351,7 @@ class EstopAck(NamedTuple):
     off_current: Annotated[float, On("f64", "as in HELLO_ACK [A]")]
 
 
-Body: TypeAlias = Hello | HelloAck | Control | ControlAck | StateReport | Command | Estop | EstopAck
+Body: TypeAlias = Hello | HelloAck | ControlRequest | ControlAck | StateReport | CommandFrame | Estop | EstopAck
 
 DECLARED: Sequence[type[Body]] = (HelloAck, StateReport, EstopAck)
 """Bodies that declare their values; those of the others are stated below, in the firmware and on the page."""
@@ -388,10 +388,10 @@ def blank(body: type[Body]) -> Any:
 _TYPES: dict[int, tuple[type[Body], str]] = {
     1: (Hello, "Q16s"),
     2: (HelloAck, _format(HelloAck)),
-    3: (Control, "IB3xI14d"),
+    3: (ControlRequest, "IB3xI14d"),
     4: (ControlAck, "IBBBxI"),
     5: (StateReport, _format(StateReport)),
-    6: (Command, "II6d6dd"),
+    6: (CommandFrame, "II6d6dd"),
     7: (Estop, "Q"),
     8: (EstopAck, _format(EstopAck)),
 }
@@ -407,8 +407,8 @@ _FLAT: dict[int, Callable[[Any], Sequence[Any]]] = {
     **{_NUMBERS[body]: _flat(body) for body in DECLARED},
 }
 _NESTED: dict[int, Callable[[tuple[Any, ...]], Body]] = {
-    3: lambda values: Control(values[6], values[7], values[8], values[9:15], values[15:]),
-    6: lambda values: Command(values[6], values[7], values[8:14], values[14:20], values[20]),
+    3: lambda values: ControlRequest(values[6], values[7], values[8], values[9:15], values[15:]),
+    6: lambda values: CommandFrame(values[6], values[7], values[8:14], values[14:20], values[20]),
     **{_NUMBERS[body]: _nested(body) for body in DECLARED},
 }
 
@@ -464,7 +464,7 @@ class Codec:
         values = _STRUCTS[number].unpack_from(data)
         body = _NESTED[number](values) if number in _NESTED else _TYPES[number][0](*values[6:])
         if number == _COMMAND and (end := len(data) - self._overhead) > _WALLED[0]:
-            walls = tuple(map(Wall._make, _WALL.iter_unpack(data[_WALLED[0] : end])))
+            walls = tuple(map(WallMessage._make, _WALL.iter_unpack(data[_WALLED[0] : end])))
             body = body._replace(walls=walls)  # type: ignore[call-arg]
         return Frame(values[3], values[4], values[5], body)
 

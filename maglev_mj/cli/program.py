@@ -23,7 +23,7 @@ from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.terminal import printable, say, wrapped
 
 
-class Command(NamedTuple):
+class CommandEntry(NamedTuple):
     """Command; see `declare`.
 
     Attributes:
@@ -37,51 +37,65 @@ class Command(NamedTuple):
     function: str = ""
 
 
-GROUPS: Mapping[str, Mapping[str, Command]] = {
+GROUPS: Mapping[str, Mapping[str, CommandEntry]] = {
     "interactive": {
-        "view": Command("scene in a window or browser; drag with the mouse", "box --stiffness 4000 --friction"),
-        "tour": Command("guided tour of walls and friction in eight steps", "--out tour"),
-        "lessons": Command("Jupyter notebooks, with or without solutions", "lessons --students"),
-        "render": Command("image or video of a scene, rendered off-screen", "corner --out corner.png --size 800x500"),
+        "view": CommandEntry("scene in a window or browser; drag with the mouse", "box --stiffness 4000 --friction"),
+        "tour": CommandEntry("guided tour of walls and friction in eight steps", "--out tour"),
+        "lessons": CommandEntry("Jupyter notebooks, with or without solutions", "lessons --students"),
+        "render": CommandEntry(
+            "image or video of a scene, rendered off-screen", "corner --out corner.png --size 800x500"
+        ),
     },
     "compute": {
-        "drop": Command("drop onto a stiff wall (figures 3, 4)", "--pulse 0 --phases 20 --out figures", "run"),
-        "press": Command("hand impact and press on a wall (figure 6)", "--hand stylus --hits 2 --json -", "run"),
-        "stick-slip": Command("pull against rendered friction (figure 8)", "--law lugre --record run.maglev", "run"),
-        "run": Command("any scene, built-in or from your own file", "twist --plant exact --json run.json"),
-        "diagnose": Command("why any wall or axis shakes, and what helps most", "drop --stiffness 20000 --out figures"),
-        "stability": Command("stability of walls (figure 2) or of a scene", "--hand arm --delay 0.002 --grid 20"),
-        "design": Command("stiffest wall for uncertain mass, delay and hand", "--mass 0.56:0.84 --hand arm,stylus"),
-        "compare": Command(
+        "drop": CommandEntry("drop onto a stiff wall (figures 3, 4)", "--pulse 0 --phases 20 --out figures", "run"),
+        "press": CommandEntry("hand impact and press on a wall (figure 6)", "--hand stylus --hits 2 --json -", "run"),
+        "stick-slip": CommandEntry(
+            "pull against rendered friction (figure 8)", "--law lugre --record run.maglev", "run"
+        ),
+        "run": CommandEntry("any scene, built-in or from your own file", "twist --plant exact --json run.json"),
+        "diagnose": CommandEntry(
+            "why any wall or axis shakes, and what helps most", "drop --stiffness 20000 --out figures"
+        ),
+        "stability": CommandEntry("stability of walls (figure 2) or of a scene", "--hand arm --delay 0.002 --grid 20"),
+        "design": CommandEntry(
+            "stiffest wall for uncertain mass, delay and hand", "--mass 0.56:0.84 --hand arm,stylus"
+        ),
+        "compare": CommandEntry(
             "comparison of wall laws, published and your own", "drop --law pd --law pulse --out figures"
         ),
-        "sweep": Command("parameter sweep of any scene", "drop --vary height=1e-3:4e-3:4 --workers 2"),
-        "fidelity": Command("cheapest sufficient model for a scene", "let-go --duration 0.02 --phases 2"),
-        "card": Command("data sheet of a device: Z-width, transparency, mass, force", "drop --rate 1000 --out figures"),
-        "info": Command("Table 1 of the paper compared with the model", "--json table1.json"),
+        "sweep": CommandEntry("parameter sweep of any scene", "drop --vary height=1e-3:4e-3:4 --workers 2"),
+        "fidelity": CommandEntry("cheapest sufficient model for a scene", "let-go --duration 0.02 --phases 2"),
+        "card": CommandEntry(
+            "data sheet of a device: Z-width, transparency, mass, force", "drop --rate 1000 --out figures"
+        ),
+        "info": CommandEntry("Table 1 of the paper compared with the model", "--json table1.json"),
     },
     "device": {
-        "twin": Command("simulated device with the protocol of a real one", "--rate 1000 --fault dead-coil:2@3 --view"),
-        "bridge": Command("scene on a device", "udp://127.0.0.1:5678 --scene box --view --record f.maglev"),
-        "estop": Command("emergency stop of a device, from any host", "udp://192.168.1.20:5678 --key lab.key"),
-        "commission": Command("sensor and coil checks of a new device, before it hovers", "udp://127.0.0.1:5678 coils"),
-        "conform": Command("protocol conformance test of a device", "udp://127.0.0.1:5678 --json report.json"),
-        "fault": Command("last cycles before a fault, from its file", "fault-20260101-120000.maglev --all"),
+        "twin": CommandEntry(
+            "simulated device with the protocol of a real one", "--rate 1000 --fault dead-coil:2@3 --view"
+        ),
+        "bridge": CommandEntry("scene on a device", "udp://127.0.0.1:5678 --scene box --view --record f.maglev"),
+        "estop": CommandEntry("emergency stop of a device, from any host", "udp://192.168.1.20:5678 --key lab.key"),
+        "commission": CommandEntry(
+            "sensor and coil checks of a new device, before it hovers", "udp://127.0.0.1:5678 coils"
+        ),
+        "conform": CommandEntry("protocol conformance test of a device", "udp://127.0.0.1:5678 --json report.json"),
+        "fault": CommandEntry("last cycles before a fault, from its file", "fault-20260101-120000.maglev --all"),
     },
     "recordings": {
-        "import": Command(
+        "import": CommandEntry(
             "measurements of another program as a recording",
             "rig.csv --columns time=t z=z --units time=s length=m --mass 1",
             "import_log",
         ),
-        "replay": Command("playback of a recording, or bit-for-bit check", "run.maglev --check"),
-        "analyse": Command("recording compared with its simulation", "run.maglev --from 0.1 --out figures"),
-        "export": Command("conversion of a recording to MCAP, table, arrays or sound", "run.maglev --to mcap"),
+        "replay": CommandEntry("playback of a recording, or bit-for-bit check", "run.maglev --check"),
+        "analyse": CommandEntry("recording compared with its simulation", "run.maglev --from 0.1 --out figures"),
+        "export": CommandEntry("conversion of a recording to MCAP, table, arrays or sound", "run.maglev --to mcap"),
     },
 }
 """Commands in the order of the help."""
 
-COMMANDS: Mapping[str, Command] = {name: command for group in GROUPS.values() for name, command in group.items()}
+COMMANDS: Mapping[str, CommandEntry] = {name: command for group in GROUPS.values() for name, command in group.items()}
 
 MODULES: Mapping[str, str] = {
     name: module

@@ -48,7 +48,7 @@ from maglev_mj.studies.card import device_card
 from maglev_mj.studies.cells import StudyInterrupted, Workers, WorkersError, dask_workers, local_workers
 from maglev_mj.studies.compare import compare as compare_laws
 from maglev_mj.studies.compare import sweep_laws
-from maglev_mj.studies.designed_wall import Contact, evaluate_wall
+from maglev_mj.studies.designed_wall import ContactParameters, evaluate_wall
 from maglev_mj.studies.diagnosis import diagnose
 from maglev_mj.studies.drop_map import PART, DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import (
@@ -382,9 +382,9 @@ def _hands(words: Sequence[str], held: bool) -> tuple[str, ...]:
     return tuple(dict.fromkeys(["none", *hands]))
 
 
-def _chosen_contact(options: argparse.Namespace) -> Contact:
+def _chosen_contact(options: argparse.Namespace) -> ContactParameters:
     """Return the contact, with sensor and force limit of the device unless set."""
-    device, default = chosen(options, OnDevice).hardware, Contact()
+    device, default = chosen(options, OnDevice).hardware, ContactParameters()
     if not device.published:
         own = {"quantize": device.sensor.resolution[2], "force_limit": float(device.force_limit[2])}
         default = default.replace(**own)
@@ -392,7 +392,8 @@ def _chosen_contact(options: argparse.Namespace) -> Contact:
 
 
 _Contact: TypeAlias = Annotated[
-    Contact, Shared(lambda parser: add_parameters(parser.group("simulated contact"), Contact), _chosen_contact)
+    ContactParameters,
+    Shared(lambda parser: add_parameters(parser.group("simulated contact"), ContactParameters), _chosen_contact),
 ]
 _Requirements: TypeAlias = Annotated[WallRequirements, Shared(_add_requirements, _chosen_requirements)]
 _OfScene: TypeAlias = Annotated[

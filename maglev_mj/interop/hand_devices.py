@@ -28,7 +28,7 @@ BUTTONS = "centre", "pause", "zero"
 """Actions of the first buttons; "zero" takes the current position for the rest position."""
 
 
-class Reading(NamedTuple):
+class HandState(NamedTuple):
     """State of an input device.
 
     Attributes:
@@ -40,7 +40,7 @@ class Reading(NamedTuple):
     pressed: Sequence[int] = ()
 
 
-GONE = Reading(None)
+GONE = HandState(None)
 """Reading of a disconnected device."""
 
 
@@ -49,7 +49,7 @@ class InputDevice(Protocol):
 
     name: str
 
-    def read(self) -> Reading:
+    def read(self) -> HandState:
         """Return the current state and the buttons pressed since the last call."""
 
     def close(self) -> None:
@@ -231,7 +231,7 @@ class Gamepad:
         self.name, self._state = matches[0], _first(self._process)
         self._clock, self._received = clock, clock()
 
-    def read(self) -> Reading:
+    def read(self) -> HandState:
         """Return the state; see `InputDevice`."""
         pressed: list[int] = []
         lost = False
@@ -243,7 +243,7 @@ class Gamepad:
         # a device that was away and is back may be another one
         if self._process.ended or lost or self._state is None or self._clock() - self._received > _MAX_AGE:
             return GONE
-        return Reading(self._state[0], pressed)
+        return HandState(self._state[0], pressed)
 
     def close(self) -> None:
         """Close the device; idempotent."""
@@ -401,7 +401,7 @@ class SpacenavMouse:
         if self._line is None:
             raise MaglevError(f"no {self.name}")
 
-    def read(self) -> Reading:
+    def read(self) -> HandState:
         """Return the state; see `InputDevice`."""
         if self._line is None and self._clock() >= self._next:
             self._connect()
@@ -410,7 +410,7 @@ class SpacenavMouse:
         try:
             data = self._line.recv(_AT_ONCE)
         except BlockingIOError:
-            return Reading(self._shares)
+            return HandState(self._shares)
         except OSError:
             data = b""
         if not data:
@@ -437,7 +437,7 @@ class SpacenavMouse:
         except OSError:  # no driver, or its backlog is full
             self.close()
 
-    def _receive(self, data: bytes) -> Reading:
+    def _receive(self, data: bytes) -> HandState:
         """Parse events, which may arrive in fragments; store the last motion."""
         self._buffer = (self._buffer + data).replace(_PROTOCOL, b"")  # shorter than an event
         pressed, removed = [], False
@@ -450,7 +450,7 @@ class SpacenavMouse:
                 pressed.append(values[0])
             elif kind == _DEVICE and values[0] == _REMOVED:
                 self._shares, removed = (0.0,) * len(AXES), True
-        return GONE if removed else Reading(self._shares, pressed)
+        return GONE if removed else HandState(self._shares, pressed)
 
 
 AUTO = "auto"

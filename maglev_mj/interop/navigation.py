@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError, refuse_mask
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.parameters import number, numbers, six, store
-from maglev_mj.plants.model import Body, body_of
+from maglev_mj.plants.model import Flotor, body_of
 from maglev_mj.spec import RANGE
 
 _PUSH_ON, _PUSH_OFF, _PUSH_TIME = 0.25, 0.10, 0.1  # fractions of the breakaway force, [s]
@@ -39,7 +39,7 @@ class Navigation:
         ParameterError: If a value is outside its bounds, or neither a number nor (6,).
     """
 
-    body: Body | None = None
+    body: Flotor | None = None
     edge: ArrayLike | None = None
     scale: ArrayLike = 1.0
     gain: ArrayLike = 10.0

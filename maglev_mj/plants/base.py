@@ -31,7 +31,7 @@ from maglev_mj.frames import (
 )
 from maglev_mj.keywords import checked, every_tick
 from maglev_mj.parameters import flag, number, numbers, six
-from maglev_mj.plants.device_walls import DeviceWalls, Held
+from maglev_mj.plants.device_walls import DeviceWalls, HeldWalls
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
 from maglev_mj.plants.trace import HandWork, Trace, TraceRecorder, lagging_parts
@@ -272,7 +272,7 @@ class SampledPlant(ABC):
         walls = self._walls.check(walls)
         held, pulsed, width = self._answer or (None, None, 0.0)
         force, both = self._kept(command.force), self._kept(total) if width else None
-        self._answer = Held((force, walls), held), Held((both, walls), pulsed) if both else None, width
+        self._answer = HeldWalls((force, walls), held), HeldWalls((both, walls), pulsed) if both else None, width
         return command if command.walls is walls else replace(command, walls=walls)
 
     def _kept(self, force: Six) -> list[Component]:

@@ -29,7 +29,7 @@ Motion: TypeAlias = Callable[[], tuple[Six, Six]]
 """Function that returns the true pose [m, rad] and velocity [m/s, rad/s] at present."""
 
 
-class Held(NamedTuple):
+class HeldWalls(NamedTuple):
     """Drive of a timeline with walls: the host's wrench [N, N m] and walls as its key, and drive of that wrench."""
 
     key: tuple[Six, Sequence[DeviceWall]]
@@ -43,7 +43,7 @@ class DeviceWalls:
     delay. Samples are skipped while the flotor cannot reach a wall.
 
     Args:
-        timeline: Drives of the host; those with walls are of type `Held`.
+        timeline: Drives of the host; those with walls are of type `HeldWalls`.
         motion: Present motion.
         drive_of: Function that limits a wrench and converts it to a drive.
         inertia: Mass and moments of inertia [kg, kg m²], (..., 6).
@@ -118,15 +118,15 @@ class DeviceWalls:
         free = min(self._reach(held) for _, held in host) >= self._host + self._period
         for duration, held in host:
             begin, end = end, end + duration
-            if free or not isinstance(held, Held):
-                pieces: Iterable[Interval] = ((duration, held.drive if isinstance(held, Held) else held),)
+            if free or not isinstance(held, HeldWalls):
+                pieces: Iterable[Interval] = ((duration, held.drive if isinstance(held, HeldWalls) else held),)
             else:
                 pieces = self._rendered(tick, begin, end, held)
             for duration, self.drive in pieces:
                 self.intervals.append((duration, self.drive))
                 yield duration, self.drive
 
-    def _rendered(self, tick: int, now: float, end: float, held: Held) -> Iterator[Interval]:
+    def _rendered(self, tick: int, now: float, end: float, held: HeldWalls) -> Iterator[Interval]:
         start, least = tick * self._host, self._least
         self._plan(start + now, held)
         while now < end:
@@ -146,7 +146,7 @@ class DeviceWalls:
         """Return the time of a sample of the device after the first one of the host [s]."""
         return (index + self._phase) * self._period
 
-    def _driven(self, held: Held) -> Any:
+    def _driven(self, held: HeldWalls) -> Any:
         """Return the drive of host and device together."""
         if self.force is None:
             return held.drive
@@ -155,7 +155,7 @@ class DeviceWalls:
             self._total = held, self.force, self._drive_of(force)
         return self._total[2]
 
-    def _sample(self, held: Held) -> None:
+    def _sample(self, held: HeldWalls) -> None:
         """Take a sample, and queue its force."""
         pose, _ = self._motion()
         measured = list(pose) if self.measure is None else self.measure(pose)
@@ -179,7 +179,7 @@ class DeviceWalls:
             self._waiting.append((self._next, forces))
         self._last, self._speeds = (self._next, measured), speeds
 
-    def _plan(self, now: float, held: Held) -> None:
+    def _plan(self, now: float, held: HeldWalls) -> None:
         """Set the next sample: the last one before the flotor can reach a wall, and at least the next one after `now`.
 
         The sample after it may be in a wall, whose velocity needs both.
@@ -192,7 +192,7 @@ class DeviceWalls:
 
     def _reach(self, held: Any) -> float:
         """Return the time in which no flotor can reach a wall [s], up to a period of the host and one of the device."""
-        if self.force is not None or self._waiting or not isinstance(held, Held):
+        if self.force is not None or self._waiting or not isinstance(held, HeldWalls):
             return 0.0
         (pose, velocity), (force, walls) = self._motion(), held.key
         least = self._host + self._period

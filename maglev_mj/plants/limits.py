@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj.frames import Array
-from maglev_mj.plants.model import Body
+from maglev_mj.plants.model import Flotor
 from maglev_mj.plants.trace import Trace
 
 _ROUNDING = 1.0 + 1e-9
@@ -30,7 +30,7 @@ class Limit(NamedTuple):
     part: slice
     text: Callable[[Array, int], str]
 
-    def warning(self, excess: Array, body: Body, **texts: str) -> str:
+    def warning(self, excess: Array, body: Flotor, **texts: str) -> str:
         """Return the warning about an excess, (7,); `texts` are parts of the template."""
         excess, limits = excess[self.part], _limits_of(body)[self.part]
         parts = {"axis": "", "remedy": "", "runs": self.text(excess, 4)} | texts
@@ -62,7 +62,7 @@ def peaks_of(trace: Trace) -> Array:
     return np.concatenate([force, trace.furthest()], axis=-1)
 
 
-def excess_of(peaks: Array, body: Body) -> Array:
+def excess_of(peaks: Array, body: Flotor) -> Array:
     """Return peaks with 0 in place of those within the limits of a body, or of N bodies, (N, 7)."""
     return np.where(peaks > _limits_of(body).T * _ROUNDING, peaks, 0.0)
 
@@ -73,5 +73,5 @@ def verdicts(excess: Array) -> list[str]:
     return [", ".join(compress([limit.verdict for limit in LIMITS], row)) for row in exceeded.tolist()]
 
 
-def _limits_of(body: Body) -> Array:
+def _limits_of(body: Flotor) -> Array:
     return np.array(np.broadcast_arrays(body.force_limit, *body.range))

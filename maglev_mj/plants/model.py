@@ -297,7 +297,7 @@ def check_model(model: Model, device: Device) -> None:
             raise ModelError(f"{name} must be that of the device, {texts[0]} {unit}".rstrip() + f" (got {texts[1]})")
 
 
-class Body(NamedTuple):
+class Flotor(NamedTuple):
     """Flotor and limits of a device.
 
     Attributes:
@@ -318,14 +318,14 @@ class Body(NamedTuple):
         return np.append(self.inertia[0] * self.gravity, np.zeros(3))
 
     @property
-    def bounded(self) -> Body:
+    def bounded(self) -> Flotor:
         """The same device, with the published range and force limit where its own are infinite."""
         published = published_device()
         limit = self.force_limit if math.isfinite(self.force_limit) else float(published.force_limit[2])
         return self._replace(range=np.where(np.isfinite(self.range), self.range, published.reach), force_limit=limit)
 
 
-def body_of(keywords: Mapping[str, Any]) -> Body:
+def body_of(keywords: Mapping[str, Any]) -> Flotor:
     """Return the device of a plant's keywords; without a model, the published joystick.
 
     Raises:
@@ -333,12 +333,12 @@ def body_of(keywords: Mapping[str, Any]) -> Body:
     """
     model = keywords.get("model") or published_device()
     if isinstance(model, Device):
-        body = Body(model.inertia.copy(), np.array(model.body.gravity), model.reach, float(model.force_limit[2]))
+        body = Flotor(model.inertia.copy(), np.array(model.body.gravity), model.reach, float(model.force_limit[2]))
     else:
         device = load_model(model, **{name: keywords[name] for name in ("coils", "coil_map") if name in keywords})
         limits = () if device.coils is None else device.coils.largest_wrench(device.current_limit)[2:3]
         inertia = np.array([device.mass] * 3 + device.inertia.tolist())
-        body = Body(inertia, device.gravity, device.range[[0, 1, 2, 3, 3, 3]], float(min(limits, default=math.inf)))
+        body = Flotor(inertia, device.gravity, device.range[[0, 1, 2, 3, 3, 3]], float(min(limits, default=math.inf)))
     for name, axes in (("mass", slice(3)), ("inertia", slice(3, None))):
         if keywords.get(name) is not None:
             body.inertia[axes] = keywords[name]

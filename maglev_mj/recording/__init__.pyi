@@ -12,7 +12,7 @@ from maglev_mj.recording.setup import UserCodeError as UserCodeError
 from maglev_mj.recording.setup import setup_of as setup_of
 from maglev_mj.recording.table import import_table as import_table
 from maglev_mj.recording.verify import Rebuild as Rebuild
-from maglev_mj.recording.verify import Verdict as Verdict
+from maglev_mj.recording.verify import ReplayCheck as ReplayCheck
 from maglev_mj.recording.writer import MemoryFile as MemoryFile
 from maglev_mj.recording.writer import Recorder as Recorder
 from maglev_mj.recording.writer import check_name as check_name

@@ -51,7 +51,7 @@ class FieldVerdict(NamedTuple):
     first: tuple[int, int] | None
 
 
-class Verdict(NamedTuple):
+class ReplayCheck(NamedTuple):
     """Result of a replay.
 
     Attributes:
@@ -94,7 +94,7 @@ class Verdict(NamedTuple):
 
 
 @checked(own="recording")
-def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
+def verify(recording: Recording, rebuild: Rebuild) -> ReplayCheck:
     """Replay a recording and compare every field bitwise.
 
     The recorded samples drive a new controller; the recorded hand drives a new plant and controller.
@@ -118,7 +118,7 @@ def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
         for name, values, replayed in _fields(segment, rebuild):
             same = np.ones(0, np.bool_) if replayed is None else _same(values, replayed)
             verdicts[name] = _extended(verdicts.get(name, FieldVerdict(0, 0, None)), same, index, segment.tick)
-    return Verdict(recording.ticks, verdicts, recording.damage)
+    return ReplayCheck(recording.ticks, verdicts, recording.damage)
 
 
 def first_different_command(recording: Recording, rebuild: Rebuild, most: int) -> tuple[int, int, str] | None:

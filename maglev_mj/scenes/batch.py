@@ -19,7 +19,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample, components
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import HandForce
-from maglev_mj.plants.model import Body
+from maglev_mj.plants.model import Flotor
 from maglev_mj.scenes.results import figures_of_each
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene, SideBySide
@@ -69,10 +69,10 @@ class SceneStack:
         return np.array(values, dtype=np.float64)
 
     @cached_property
-    def body(self) -> Body:
+    def body(self) -> Flotor:
         """Flotors and limits of the scenes; arrays that differ have the devices last, (6, N)."""
         columns: list[Any] = [np.array(values) for values in zip(*(scene.body for scene in self.scenes))]
-        return Body(*(values[0] if (values == values[0]).all() else values.T for values in columns))
+        return Flotor(*(values[0] if (values == values[0]).all() else values.T for values in columns))
 
     def __getitem__(self, device: Any) -> Any:
         """Return one device's scene, or a stack for an array of indices."""

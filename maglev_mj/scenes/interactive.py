@@ -300,9 +300,10 @@ class Joystick(InteractiveScene):
         return [*weight(self), soft, *contacts(self, AXES, lower=-edges, upper=edges)]
 
 
-class Table(InteractiveScene):
+class TableTop(InteractiveScene):
     """Block with friction on a table (figures 8, 9)."""
 
+    name: ClassVar[str] = "table"
     summary: ClassVar = "block with dry friction on a table (figures 8 and 9)"
     model: ClassVar = "scenes/table"
     shown_axis: ClassVar = "x"

@@ -20,7 +20,7 @@ from maglev_mj.keywords import checked, rate_of
 from maglev_mj.parameters import Turn, axis_indices, store
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.hand import GuidedHand, HandForce, SpringHand, Trajectory
-from maglev_mj.plants.model import Body, body_of
+from maglev_mj.plants.model import Flotor, body_of
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
@@ -217,7 +217,7 @@ class Scene(OnDevice):
         return AXES.index(self.axis)
 
     @property
-    def body(self) -> Body:
+    def body(self) -> Flotor:
         """Flotor and limits of the device in use."""
         return body_of({"gravity": self.start().gravity} | self.device_options())
 

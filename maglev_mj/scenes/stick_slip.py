@@ -53,7 +53,7 @@ def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> 
     """
     gain = {"N/m": "stiffness", "N": "stiffness", "N s/m": "damping"}.get(unit)
 
-    def derived(scene: StickSlip) -> float:
+    def derived(scene: Pull) -> float:
         index, inertia = AXES.index(scene.axis), scene.hardware.inertia
         radius = 1.0 if index < 3 else math.sqrt(inertia[index] / inertia[0])
         own = value if gain is None else value * getattr(scene.hardware.wall, gain) / getattr(PUBLISHED_WALL, gain)
@@ -62,7 +62,7 @@ def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> 
     return param(help, unit, default=None, derive=derived, along=True, **keywords)
 
 
-class StickSlip(Scene):
+class Pull(Scene):
     """Pull the flotor out of rendered friction (figure 8).
 
     A flotor at rest and stuck at 0 is released against a virtual spring whose far end is at `target`. On a rotation the
@@ -70,6 +70,7 @@ class StickSlip(Scene):
     Gravity is compensated, the other axes are held.
     """
 
+    name: ClassVar[str] = "stick-slip"
     model: ClassVar = "scenes/table"
     figures: ClassVar = ("peak_speed", "stick_time", "stick_position", "final_position", "transitions", "ripple")
     takes_phase: ClassVar[bool] = False

@@ -203,7 +203,7 @@ def compare(
         >>> from maglev_mj import compare
         >>> comparison = compare("drop", ["pd", "pulse"], phases=8)
         >>> (1e3 * comparison.columns()["penetration"]).round(2).tolist()  # [mm]
-        [2.95, 1.76]
+        [2.95, 2.13]
     """
     chosen, named = _chosen(scene, laws)
     variants = {label: _with_law(chosen, label, law, plant) for label, law in named.items()}

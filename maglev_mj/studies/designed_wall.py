@@ -39,7 +39,7 @@ _MOST_LISTED = 8
 _GATE_STEPS, _SETTLED_STEPS = 5.0, 20.0
 
 
-class Contact(Parameters):
+class ContactParameters(Parameters):
     """Contact conditions of a designed wall.
 
     Raises:
@@ -89,7 +89,7 @@ class DesignResult(Result):
     """
 
     wall: DesignedWall
-    contact: Contact
+    contact: ContactParameters
     cases: Sequence[Loop]
     grows: Mask
     depth: float
@@ -175,7 +175,7 @@ class DesignResult(Result):
 
     @property
     def pulse(self) -> float:
-        """Pulse damping [N s/m]; see `Contact.pulse_of`."""
+        """Pulse damping [N s/m]; see `ContactParameters.pulse_of`."""
         return self.contact.pulse_of(self.wall)
 
     @property
@@ -192,7 +192,7 @@ def _simulated(needs: WallRequirements) -> bool:
     return needs.plain and needs.delay[1] <= MAX_DELAY_PERIODS * needs.period
 
 
-def evaluate_wall(wall: DesignedWall, contact: Contact, *, seed: int = 0) -> DesignResult:
+def evaluate_wall(wall: DesignedWall, contact: ContactParameters, *, seed: int = 0) -> DesignResult:
     """Simulate a designed wall in its required cases, and contacts at its approach speed.
 
     Args:
@@ -220,7 +220,7 @@ def evaluate_wall(wall: DesignedWall, contact: Contact, *, seed: int = 0) -> Des
     return DesignResult(wall, contact, cases, grows, depth, peak, at_rest, masses, delays, spectral_radius)
 
 
-def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Loop], *, seed: int = 0) -> Mask:
+def growing_cases(wall: DesignedWall, contact: ContactParameters, cases: Sequence[Loop], *, seed: int = 0) -> Mask:
     """Return True for cases that do not settle on the exact plant within 800 samples, (C,).
 
     Each starts at random from 1 mm behind the wall to 2 mm above it, moving down at up to the approach speed, at a
@@ -252,7 +252,7 @@ def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Loop], *
     return grows
 
 
-def hardest_contact(wall: DesignedWall, contact: Contact) -> tuple[float, float]:
+def hardest_contact(wall: DesignedWall, contact: ContactParameters) -> tuple[float, float]:
     """Return the largest penetration [m] and force [N] over mass, delay, hands and 8 phases.
 
     The flotor starts above the wall, so that one sample is outside it, and gravity brings it to the approach speed at
@@ -348,7 +348,7 @@ def hum(
 
 def _plants(
     wall: DesignedWall,
-    contact: Contact,
+    contact: ContactParameters,
     cases: Sequence[Loop],
     height: Array,
     speed: Array,
@@ -385,7 +385,7 @@ def _plants(
         )
 
 
-def _controller(wall: DesignedWall, contact: Contact) -> Controller:
+def _controller(wall: DesignedWall, contact: ContactParameters) -> Controller:
     needs = wall.requirements
     mass, delay = needs.nominal
     return wall_controller(

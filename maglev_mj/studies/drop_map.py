@@ -37,7 +37,7 @@ _STEPS, _SHARE, _DYING = 10.0, 1e-3, 0.8
 _MOST_FORCE, _FAR = 1e9, (1e30, 1.0)
 
 
-class Ending(IntEnum):
+class DropEnding(IntEnum):
     """Ending of a drop on a wall.
 
     It settles if the samples of its last quarter swing by at most ten steps of the sensor, or a thousandth of the
@@ -99,7 +99,7 @@ class DropMap(GainMap):
 
     Attributes:
         swing: Swing of the samples in the last quarter [m], (K, B).
-        ending: Values of `Ending`, (K, B).
+        ending: Values of `DropEnding`, (K, B).
     """
 
     parameters: DropMapParameters
@@ -107,7 +107,7 @@ class DropMap(GainMap):
     ending: Array
     derived: ClassVar = ("endings", "settles_up_to")
     picture: ClassVar = "maglev_mj.studies.pictures:drop_map"
-    endings: ClassVar = tuple(one.name.lower() for one in Ending)
+    endings: ClassVar = tuple(one.name.lower() for one in DropEnding)
 
     def _headline(self) -> str:
         stiffest = f"all drops settle up to {self.settles_up_to.max():.0f} N/m"
@@ -121,7 +121,7 @@ class DropMap(GainMap):
     @property
     def settles(self) -> Mask:
         """Cells whose drop settles, (K, B)."""
-        return np.asarray(self.ending == Ending.SETTLES)
+        return np.asarray(self.ending == DropEnding.SETTLES)
 
     @property
     def settles_up_to(self) -> Array:
@@ -144,7 +144,7 @@ class DropMap(GainMap):
     def table(self) -> Table:
         """Return the stiffest walls, the endings of the drops, and their differences from theory."""
         p, settles, stable, up_to = self.parameters, self.settles, self.stable_by_theory, self.settles_up_to
-        best, counts = int(np.argmax(up_to)), {one: int((self.ending == one).sum()) for one in Ending}
+        best, counts = int(np.argmax(up_to)), {one: int((self.ending == one).sum()) for one in DropEnding}
         rows = [
             (
                 "stiffest wall with all softer ones settling",
@@ -160,9 +160,10 @@ class DropMap(GainMap):
             ),
         ]
         note = (
-            f"grid: {settles.size} walls, {stable.sum()} stable by theory\nsimulation: {counts[Ending.SETTLES]} settle "
-            f"in {SAMPLES} samples (to {p.band * 1e6:g} µm, or decaying in contact), {counts[Ending.PERSISTS]} keep "
-            f"moving, {counts[Ending.RISES]} rise above the release height\n"
+            f"grid: {settles.size} walls, {stable.sum()} stable by theory\n"
+            f"simulation: {counts[DropEnding.SETTLES]} settle in {SAMPLES} samples (to {p.band * 1e6:g} µm, or "
+            f"decaying in contact), {counts[DropEnding.PERSISTS]} keep moving, {counts[DropEnding.RISES]} rise above "
+            "the release height\n"
             f"disagreement: {(stable & ~settles).sum()} stable by theory do not settle, {(~stable & settles).sum()} "
             "unstable by theory settle"
         )
@@ -229,7 +230,7 @@ def _endings_of_parts(
 def drop_endings(stiffness: Array, damping: Array, parameters: DropMapParameters) -> tuple[Array, Array]:
     """Return how simulated drops on N walls end.
 
-    Returns the last swing [m] and the `Ending`, (N,) each.
+    Returns the last swing [m] and the `DropEnding`, (N,) each.
 
     Args:
         stiffness: Stiffness of each wall [N/m], (N,).
@@ -289,4 +290,4 @@ class _Quarters:
         inside = self._most.max(axis=0) <= 0.0
         settles = (swing <= p.band) | (inside & (swing < _DYING * before))
         rises = self._most[1] > p.height
-        return swing, np.where(settles, Ending.SETTLES, np.where(rises, Ending.RISES, Ending.PERSISTS))
+        return swing, np.where(settles, DropEnding.SETTLES, np.where(rises, DropEnding.RISES, DropEnding.PERSISTS))

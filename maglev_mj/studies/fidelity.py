@@ -31,7 +31,7 @@ from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.studies.levels import (
     LEVELS,
     Case,
-    Motion,
+    LevelMotion,
     boundary_shift,
     choice_cases,
     distance,
@@ -74,7 +74,7 @@ Levels from it on cost ten times as much as those below.
 DEAR_CASES = 4
 """Number of cases for the expensive levels."""
 
-Motions: TypeAlias = Sequence[dict[int, Motion | None]]
+Motions: TypeAlias = Sequence[dict[int, LevelMotion | None]]
 """Motion of each level by case index.
 
 None for a diverged one.
@@ -478,7 +478,7 @@ def measure_fidelity(
 
 def run_levels(
     scene: Scene, cases: Sequence[Case], *, done: Callable[[], object] = lambda: None
-) -> list[dict[int, Motion | None]]:
+) -> list[dict[int, LevelMotion | None]]:
     """Run every level in every case.
 
     The expensive levels run only in the first case and in the worst ones without them.
@@ -488,7 +488,7 @@ def run_levels(
         cases: The cases.
         done: Function called after each motion.
     """
-    motions: list[dict[int, Motion | None]] = [{} for _ in LEVELS]
+    motions: list[dict[int, LevelMotion | None]] = [{} for _ in LEVELS]
 
     def measure(index: int, case: int) -> None:
         motions[index][case] = run_case(scene, LEVELS[index].name, cases[case])

@@ -96,7 +96,7 @@ LEVELS: tuple[Level, ...] = (
 """Model levels in order, each including those below."""
 
 
-class Motion(NamedTuple):
+class LevelMotion(NamedTuple):
     """Motion of one run.
 
     Attributes:
@@ -265,7 +265,7 @@ def level_parts(
     return plant, scene.controller(), scene.ticks(timing)
 
 
-def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> Motion:
+def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> LevelMotion:
     """Run a scene's parts; return its true motion.
 
     The motion is that at the samples.
@@ -283,7 +283,7 @@ def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> Motion
     states.append(plant.state())
     pose, twist = (np.array(part) for part in zip(*states, strict=True))
     met_stops = isinstance(plant, MuJoCoPlant) and plant.met_stops
-    return Motion(pose, twist, float(np.max(forces, axis=0)[:3].max()), met_stops, seconds)
+    return LevelMotion(pose, twist, float(np.max(forces, axis=0)[:3].max()), met_stops, seconds)
 
 
 def apart(one: Array, other: Array, device: Device) -> Array:
@@ -468,7 +468,7 @@ def scene_at(scene: Scene, case: Case) -> tuple[Scene, float]:
     return scene.replace(**gains), phase
 
 
-def run_case(scene: Scene, level: str, case: Case, **options: Any) -> Motion | None:
+def run_case(scene: Scene, level: str, case: Case, **options: Any) -> LevelMotion | None:
     """Run one case on a level; None if diverging."""
     with engine_warnings_silenced(), np.errstate(all="ignore"):  # a diverging run overflows before it is detected
         try:
@@ -478,7 +478,7 @@ def run_case(scene: Scene, level: str, case: Case, **options: Any) -> Motion | N
             return None
 
 
-def distance(one: Motion | None, other: Motion | None, device: Device) -> float:
+def distance(one: LevelMotion | None, other: LevelMotion | None, device: Device) -> float:
     """Return the largest coil displacement between two motions of a device [m]; infinite if one diverged."""
     return math.inf if one is None or other is None else float(apart(one.pose, other.pose, device))
 

@@ -37,7 +37,7 @@ from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies import levels
 from maglev_mj.studies.fidelity import preset_of, stepping_name
-from maglev_mj.studies.levels import Motion, apart, closed_loop, level_parts, median_times, motion_of
+from maglev_mj.studies.levels import LevelMotion, apart, closed_loop, level_parts, median_times, motion_of
 from maglev_mj.theory.loop import Loop
 from maglev_mj.versions import versions
 from peers import Task, available
@@ -87,7 +87,7 @@ def batch_of(scene: Scene, kind: Callable[..., SampledPlant], count: int, **opti
     return plant, scene.controller(), scene.ticks(timing)
 
 
-def energy_error(motion: Motion, truth: Motion) -> float:
+def energy_error(motion: LevelMotion, truth: LevelMotion) -> float:
     """Return the largest error of energy along z, as a share of a whole fall's."""
     mass, fall = Spec.moving_mass.value, Spec.translation_range.value
     kept = [0.5 * mass * one.twist[:, 2] ** 2 + mass * GRAVITY * one.pose[:, 2] for one in (motion, truth)]

@@ -116,7 +116,7 @@ def _value(field: str, value: Any) -> Any:
     if isinstance(value, str):
         return bytes.fromhex(value) if field == "calibration" else int(value, 16)
     if field == "walls":
-        return tuple(wire.Wall(*wall) for wall in value)
+        return tuple(wire.WallMessage(*wall) for wall in value)
     return tuple(value) if isinstance(value, list) else value
 
 

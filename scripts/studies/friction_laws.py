@@ -25,7 +25,7 @@ from maglev_mj.pictures import TITLE, name_curves, new_figure, save
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.scenes.run import run as run_scene
-from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES, StickSlip
+from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES, Pull
 from maglev_mj.spec import Spec
 from maglev_mj.versions import versions
 
@@ -225,7 +225,7 @@ def against_exact(
     """Compare one law with exact friction in figure 8's case.
 
     Stick-slip and spring reset are held against Karnopp's friction, the others against Coulomb friction; see
-    `StickSlip.exact`.
+    `Pull.exact`.
 
     Args:
         name: Name from LAWS.
@@ -234,7 +234,7 @@ def against_exact(
         quantize: Resolution of the sensor [m].
         velocity: Name from VELOCITIES.
     """
-    scene = StickSlip(law=name, period=period, delay=delay, quantize=quantize, velocity=velocity)
+    scene = Pull(law=name, period=period, delay=delay, quantize=quantize, velocity=velocity)
     result = run_scene(scene, plant="exact")
     series = result.series(1e-3)
     gap = np.abs(series["position"] - scene.exact(series["time"]).position)

@@ -9,7 +9,7 @@ import numpy as np
 from maglev_mj.cli.output import Progress, script_options
 from maglev_mj.pictures import TITLE, new_figure, save
 from maglev_mj.studies.cells import local_workers
-from maglev_mj.studies.drop_map import DropMapParameters, Ending, run_drop_map
+from maglev_mj.studies.drop_map import DropEnding, DropMapParameters, run_drop_map
 from maglev_mj.studies.pictures import drop_panels
 from maglev_mj.versions import versions
 
@@ -44,7 +44,7 @@ if __name__ == "__main__":
             "stable_by_theory": float(stable.mean()),
             "stable_that_does_not_settle": float((stable & ~settles).sum() / stable.sum()),
             "unstable_that_settles": float((~stable & settles).sum() / (~stable).sum()),
-            "unstable_that_gains": float((swept.ending == Ending.RISES)[~stable].mean()),
+            "unstable_that_gains": float((swept.ending == DropEnding.RISES)[~stable].mean()),
             "median_swing_of_unstable": float(np.median(swept.swing[~stable])),
             "largest_swing": float(swept.swing.max()),
             "median_swing_of_settled": float(np.median(quiet)),

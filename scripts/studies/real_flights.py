@@ -43,8 +43,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.twin.firmware import Firmware
 from maglev_mj.bridge.twin.twin import TwinServer
-from maglev_mj.bridge.wire import Codec, Fault, Hello, fault_names
-from maglev_mj.bridge.wire import Command as Currents
+from maglev_mj.bridge.wire import Codec, CommandFrame, Fault, Hello, fault_names
 from maglev_mj.cli import main
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
@@ -59,7 +58,7 @@ AT, TIMES = 2.0, 5
 FLOODS = {
     "none": b"",
     "junk": random.Random(1).randbytes(136),
-    "valid CMDs": Codec().encode(5, 5, 5, Currents(5, 0, ZERO, ZERO, 0.0)),
+    "valid CMDs": Codec().encode(5, 5, 5, CommandFrame(5, 0, ZERO, ZERO, 0.0)),
     "HELLOs": Codec().encode(0, 0, 0, Hello(5, bytes(16))),
 }
 LAWS = Bias(Joystick().lift), Hold.critically_damped(period=0.005, delay=0.003)
@@ -89,7 +88,7 @@ def commanding(ahead: int = 0, **changes: Any) -> Act:
     def act(plant: RemotePlant, _: str) -> None:
         line, hover = plant._connection, tuple(plant.calibration.hover.tolist())
         line._sequence += ahead
-        line.command(Currents(line._newest or 0, 0, hover, hover, 0.0)._replace(**changes))
+        line.command(CommandFrame(line._newest or 0, 0, hover, hover, 0.0)._replace(**changes))
         line._sequence -= ahead
 
     return act

@@ -34,13 +34,13 @@ from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, record_run, stick_positions_of
 from maglev_mj.spec import GRAVITY
 from maglev_mj.views.page import panel
 from maglev_mj.views.readings import Charts
-from maglev_mj.views.window.screen import Plots, status_rows
+from maglev_mj.views.window.screen import WindowPlots, status_rows
 from tests.bridge.impaired import ImpairedLine, Impairment
 from tests.published import INERTIA, MASS
 
@@ -226,9 +226,9 @@ def test_hits_of_a_hand_are_told_apart_and_its_pull_is_found() -> None:
 
 @pytest.mark.parametrize(
     ("scene", "plant"),
-    [(StickSlip(), "exact"), (StickSlip(axis="ry"), "mujoco"), (StickSlip(delay=0.005, duration=1.0), "mujoco")],
+    [(Pull(), "exact"), (Pull(axis="ry"), "mujoco"), (Pull(delay=0.005, duration=1.0), "mujoco")],
 )
-def test_sticks_and_slips_are_those_of_the_experiment(scene: StickSlip, plant: str) -> None:
+def test_sticks_and_slips_are_those_of_the_experiment(scene: Pull, plant: str) -> None:
     ran, found = run(scene, plant=plant), analysed(recorded(scene, plant))
     axis, events = AXES.index(scene.axis), scene.events(ran)
     figures = found.recorded.figures
@@ -260,7 +260,7 @@ def test_a_stick_lasts_to_the_next_sample_and_ends_where_its_spring_did() -> Non
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004, 0.007])
 def test_the_energy_taken_is_what_the_observer_of_the_loop_finds(delay: float) -> None:
-    scene = StickSlip(delay=delay, duration=0.06)
+    scene = Pull(delay=delay, duration=0.06)
     segment = recorded(scene)
     observer = PassivityObserver(Timing(period=scene.period, delay=delay), INERTIA)
     for row, (place, applied) in enumerate(zip(segment.position.tolist(), segment.applied.tolist(), strict=True)):
@@ -454,7 +454,7 @@ def test_a_hand_that_is_not_known_is_not_drawn() -> None:
     shown = replay.snapshot()
     assert np.isnan(shown.hand).all() and math.isnan(shown.work)
     assert "hand" not in dict(status_rows(shown)).get("energy", "") and "hand" not in panel._gauge(shown)
-    force = Plots().update(shown)[1]
+    force = WindowPlots().update(shown)[1]
     assert force.linepnt[0] == 0 and force.linepnt[1] > 50 and np.isfinite(force.linedata).all()
     drawn = panel.drawn(Charts(100).of(shown, 0)[1])
     assert drawn.count("<polyline") == 2 and '<polyline points=""' in drawn and "nan" not in drawn

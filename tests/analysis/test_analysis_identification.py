@@ -26,7 +26,7 @@ from maglev_mj.recording import MemoryFile, Segment
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.session.replay import record_run, stick_positions_of
 from maglev_mj.theory import largest_stable_stiffness
 from tests.sweeps import further
@@ -151,7 +151,7 @@ def test_the_lag_of_drivers_counts_as_delay() -> None:
 
 @pytest.mark.parametrize("law", ["stick-slip", "spring-reset", "dahl", "kikuuwe"])
 def test_friction_is_found(law: str) -> None:
-    scene = StickSlip(law=law, duration=1.0, target=0.02, spring=200.0, damping=10.0)
+    scene = Pull(law=law, duration=1.0, target=0.02, spring=200.0, damping=10.0)
     (one,) = found_in(scene).friction.values()
     assert holds(one.commanded_stiffness, 6000.0)
     if law != "spring-reset":
@@ -248,7 +248,7 @@ def test_a_long_recording_is_told_by_the_part_that_moves_least_straight(monkeypa
 
 
 def test_a_rotation_is_told_where_nothing_else_acts_on_it() -> None:
-    alone = recorded(StickSlip(axis="ry"))
+    alone = recorded(Pull(axis="ry"))
     found = identify(alone, anchors=stick_positions_of(alone))
     assert holds(found.axes["ry"].inertia, alone.metadata.inertia[4])
     turned = alone.position.copy()

@@ -276,7 +276,7 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("address", F, "receive", " or peer != self.peer", ""),
     ("sequence", F, "receive", "not newer(frame.sequence, self._sequence)", "False"),
     ("sequence-numbers", F, "receive", "newer(frame.sequence, self._sequence)", "frame.sequence > self._sequence"),
-    ("direction", F, "receive", "not isinstance(body, (wire.Command, wire.Control))", "False"),
+    ("direction", F, "receive", "not isinstance(body, (wire.CommandFrame, wire.ControlRequest))", "False"),
     ("hello-again", F, "_hello", "hello.nonce == self._nonce and peer == self.peer", "False"),
     ("busy", F, "_hello", "and peer == self.peer", ""),
     ("busy", F, "_hello", "self.session and (", "hello.calibration == self.profile.calibration and self.session and ("),
@@ -300,7 +300,13 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("too-long", C, "_reason", "end != shape.size", "end < shape.size"),
     # requests
     ("requests", F, "_control", "not newer(control.request, last.request)", "False"),
-    ("far-ahead", F, "receive", "(body, wire.Control)", "(body, wire.Control) and self._sequence < 1 << 31"),
+    (
+        "far-ahead",
+        F,
+        "receive",
+        "(body, wire.ControlRequest)",
+        "(body, wire.ControlRequest) and self._sequence < 1 << 31",
+    ),
     ("operations", F, "_do", "return False", "return True"),
     ("operations", F, "_arm", "self.state != State.INACTIVE or ", ""),
     ("reset-flowing", F, "_reset", " or not off", ""),

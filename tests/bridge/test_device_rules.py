@@ -16,7 +16,7 @@ from maglev_mj.bridge import Twin, TwinParameters, wire
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.twin import twin as twins
 from maglev_mj.bridge.twin.firmware import Reading
-from maglev_mj.bridge.wire import Codec, Fault, Operation, State, Wall
+from maglev_mj.bridge.wire import Codec, Fault, Operation, State, WallMessage
 from tests.bridge.firmware_core import FIRMWARE, FIRMWARES
 
 PERIOD, WALL_PERIOD = 5_000_000, 1_000_000
@@ -41,7 +41,7 @@ class Host:
         self.twin.board.add = lambda now, currents: (self.added.append(tuple(currents)), add(now, currents))[1]  # type: ignore
         self._send(0, 0, wire.Hello(1, CALIBRATION.digest))
         self.twin.sample()
-        self._send(7, 0, wire.Control(1, Operation.ARM, 0, HOVER, STOP))
+        self._send(7, 0, wire.ControlRequest(1, Operation.ARM, 0, HOVER, STOP))
         self.twin.sample()
 
     @property
@@ -61,17 +61,17 @@ class Host:
     def spots(self) -> list[float]:
         return list(self.twin._read(self.twin.pose.tolist()))
 
-    def command(self, *walls: Wall, back: int = 0, held: tuple[float, ...] = HOVER) -> None:
+    def command(self, *walls: WallMessage, back: int = 0, held: tuple[float, ...] = HOVER) -> None:
         """Answer the sample `back` samples before the last one."""
         self.sequence += 1
-        self._send(7, self.sequence, wire.Command(self.twin.tick - back, 0, held, held, 0.0, walls))
+        self._send(7, self.sequence, wire.CommandFrame(self.twin.tick - back, 0, held, held, 0.0, walls))
 
     def trip(self, fault: Fault) -> None:
-        self._send(7, 0, wire.Control(2, Operation.TRIP, int(fault), ZERO))
+        self._send(7, 0, wire.ControlRequest(2, Operation.TRIP, int(fault), ZERO))
 
 
-def wall(edge: float = -2e-3, side: int = 1, stiffness: float = 1e4, damping: float = 0.0) -> Wall:
-    return Wall(2, side, edge, stiffness, damping, 0.0)
+def wall(edge: float = -2e-3, side: int = 1, stiffness: float = 1e4, damping: float = 0.0) -> WallMessage:
+    return WallMessage(2, side, edge, stiffness, damping, 0.0)
 
 
 REFUSED = State.FAULT, Fault.INVALID_COMMAND
@@ -144,7 +144,7 @@ def test_walls_that_push_the_same_way_share_the_limits(
     host.command(*[wall(host.twin.pose[2] - 1e-3 * side, side, stiffness, damping) for side in sides])
     assert host.state == state
     host = Host(firmware, monkeypatch)  # on another axis they are others
-    host.command(*[Wall(k % 3, 1, -4e-3, 1e5, 400.0, 0.0) for k in range(3)])
+    host.command(*[WallMessage(k % 3, 1, -4e-3, 1e5, 400.0, 0.0) for k in range(3)])
     assert host.state == ACTIVE
 
 

@@ -17,9 +17,9 @@ from maglev_mj.bridge.twin.firmware import Reading
 from maglev_mj.bridge.wire import (
     CUT,
     Codec,
-    Command,
-    Control,
+    CommandFrame,
     ControlAck,
+    ControlRequest,
     Fault,
     Flag,
     Frame,
@@ -27,7 +27,7 @@ from maglev_mj.bridge.wire import (
     HelloAck,
     HelloStatus,
     Operation,
-    Result,
+    Outcome,
     State,
     StateReport,
 )
@@ -95,9 +95,9 @@ class Bench:
 
         A command has the next sequence number.
         """
-        self.sequence += isinstance(body, Command)
+        self.sequence += isinstance(body, CommandFrame)
         session = self.device.session if session is None else session
-        number = sequence if sequence is not None else self.sequence * isinstance(body, Command)
+        number = sequence if sequence is not None else self.sequence * isinstance(body, CommandFrame)
         data = self.device.receive(self.host.encode(session, number, self.now, body), self.now, peer)
         return None if data is None else self.read(data)
 
@@ -116,14 +116,14 @@ class Bench:
 
     def ask(self, operation: int, *, faults: int = 0, stop: tuple[float, ...] = CUT) -> ControlAck:
         self.request += 1
-        answer = self.give(Control(self.request, operation, faults, HOVER, stop))
+        answer = self.give(ControlRequest(self.request, operation, faults, HOVER, stop))
         assert isinstance(answer, ControlAck)
         assert self.last.sequence == 0 and self.last.time == self.now
         return answer
 
     def command(self, held: Sequence[float] = ONES, pulsed: Sequence[float] = ZERO, width: float = 0.0) -> None:
         answers = max(self.tick, 0)
-        assert self.give(Command(answers, 0, tuple(held), tuple(pulsed), width)) is None
+        assert self.give(CommandFrame(answers, 0, tuple(held), tuple(pulsed), width)) is None
 
     def sample(
         self,
@@ -163,7 +163,7 @@ class Bench:
         assert self.hello().status == HelloStatus.WELCOME
         self.sample()
         if state == State.ACTIVE:
-            assert self.ask(Operation.ARM) == (self.request, Operation.ARM, Result.DONE, State.ACTIVE, 0)
+            assert self.ask(Operation.ARM) == (self.request, Operation.ARM, Outcome.DONE, State.ACTIVE, 0)
         elif state == State.FAULT:
             assert self.ask(Operation.TRIP, faults=Fault.CLOCK).state == State.FAULT
         return self
@@ -208,7 +208,7 @@ def test_what_leads_away_from_flying_cuts_and_no_operation_drives() -> None:
         bench = Bench().brought_to(state)
         cuts = bench.cuts
         answer = bench.ask(operation, faults=Fault.BOUNDARY)
-        assert answer == (bench.request, operation, Result[result], State[after], bench.device.faults)
+        assert answer == (bench.request, operation, Outcome[result], State[after], bench.device.faults)
         left = state == State.ACTIVE and State[after] != State.ACTIVE
         assert (bench.cuts > cuts) == (operation == Operation.TRIP or left), (state, name)
         assert not bench.drives
@@ -351,7 +351,7 @@ def test_an_answer_is_obeyed_until_its_sample_is_stale(
         (last + 1, at, 2 + lockstep),
     ):
         bench.now = now
-        bench.give(Command(answers, 0, ONES, ONES, 0.0))
+        bench.give(CommandFrame(answers, 0, ONES, ONES, 0.0))
         assert len(bench.drives) == taken, (answers, now)
     assert bench.device.counts == {"old": 3 - lockstep}
 
@@ -388,8 +388,8 @@ def test_reset_is_refused_in_inactive_while_a_coil_is_warm() -> None:
         bench.command((8.0,) * 6)
     bench.ask(Operation.DISARM)
     bench.sample()
-    assert bench.ask(Operation.RESET)[2:] == (Result.REFUSED, State.INACTIVE, 0)
-    assert bench.ask(Operation.ARM).result == Result.DONE  # it is warm, not too warm
+    assert bench.ask(Operation.RESET)[2:] == (Outcome.REFUSED, State.INACTIVE, 0)
+    assert bench.ask(Operation.ARM).result == Outcome.DONE  # it is warm, not too warm
 
 
 def test_nothing_is_held_where_something_is_wrong() -> None:
@@ -440,6 +440,6 @@ def test_a_current_that_does_not_stop_is_found_in_three_samples(state: State, cu
         bench.sample(measured=measured)
         assert bench.device.faults == (before | Fault.COIL_NOT_OFF if found and count >= 4 else before), count
     assert bench.cuts == cuts + 2 * found  # again at each sample while it lasts
-    assert bench.ask(Operation.RESET).result == (Result.REFUSED if found else Result.DONE)
+    assert bench.ask(Operation.RESET).result == (Outcome.REFUSED if found else Outcome.DONE)
     bench.sample()
-    assert bench.ask(Operation.RESET)[2:] == (Result.DONE, State.INACTIVE, 0)
+    assert bench.ask(Operation.RESET)[2:] == (Outcome.DONE, State.INACTIVE, 0)

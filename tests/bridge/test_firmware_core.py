@@ -25,15 +25,15 @@ from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.wire import (
     VERSION,
     Codec,
-    Command,
-    Control,
+    CommandFrame,
     ControlAck,
+    ControlRequest,
     Estop,
     Fault,
     Hello,
     Operation,
     State,
-    Wall,
+    WallMessage,
 )
 from tests.bridge.firmware_core import FOLDER, LARGEST, SANITIZED, STRICT, CoreFirmware, library
 from tests.bridge.test_wire import sealed
@@ -166,18 +166,18 @@ class Exchange:
             operation = draw.choice(others) if self.bad("frames", 0.4) else usual
             self.request += draw.choice([1, 1, 1, 1, 0, -1, 5])
             faults = draw.choice([0, 32, 1040, 1040, 2**31])
-            return Control(self.request % 2**32, operation, faults, self.currents(), self.stop())
+            return ControlRequest(self.request % 2**32, operation, faults, self.currents(), self.stop())
         self.sequence += draw.choice([1] * 8 + [0, -1, 3])
         answers = self.tick - (draw.choice([1, 3, 4, 5, -1]) if self.bad("frames", 0.2) else 0)
         width = draw.choice([-1e-9, 1.1, *ODD]) if self.bad("currents", 0.03) else draw.choice([0.0, 0.001])
         walls = tuple(self.one_wall(index) for index in range(draw.randrange(self.walls + 1)))
-        return Command(answers % 2**32, 0, self.currents(), self.currents(), width, walls)
+        return CommandFrame(answers % 2**32, 0, self.currents(), self.currents(), width, walls)
 
-    def one_wall(self, index: int) -> Wall:
+    def one_wall(self, index: int) -> WallMessage:
         draw, axis, side = self.draw, (2, 0, 4)[index], (1, -1, 0)[index]
         lever = 1.0 if axis < 3 else 0.03
         share = draw.choice([0.05, 1.0]) * lever**2
-        wall = Wall(axis, side, draw.uniform(-1e-4, 1e-4) / lever, 1e5 * share, 400.0 * share, 0.0)
+        wall = WallMessage(axis, side, draw.uniform(-1e-4, 1e-4) / lever, 1e5 * share, 400.0 * share, 0.0)
         if self.bad("walls", 0.1):
             name, odd = draw.choice(["edge", "stiffness", "damping", "cutoff"]), draw.choice([-1.0, 1.1e5, *ODD])
             changes: list[dict[str, Any]] = [{name: odd}, {"axis": 6}, {"side": 2}]

@@ -176,7 +176,7 @@ def flood(at: int, *, estop: bool) -> Line:
     codec = Codec(KEY)
     frames = [
         (1_000_000, codec.encode(0, 0, 0, wire.Hello(1, CALIBRATION.digest)), "host"),
-        (6_000_000, codec.encode(7, 0, 0, wire.Control(1, Operation.ARM, 0, HOVER, STOP)), "host"),
+        (6_000_000, codec.encode(7, 0, 0, wire.ControlRequest(1, Operation.ARM, 0, HOVER, STOP)), "host"),
     ]
     hello = codec.encode(0, 0, 0, wire.Hello(2, CALIBRATION.digest))
     frames += [(at, hello, "anyone")] * FLOOD

@@ -21,12 +21,12 @@ from maglev_mj import Sample
 from maglev_mj.bridge import connection, flight_guards, landing, preflight, remote, safety
 from maglev_mj.bridge.connection import SampleCounter
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, delay_limit
-from maglev_mj.bridge.landing import Leader, Motion, Swing, straight
+from maglev_mj.bridge.landing import Leader, RecentMotion, Swing, straight
 from maglev_mj.bridge.safety import CoilGuard, FlotorGuard, HostLimits, Limits, Profile, SpotGuard, ThermalModel
 from maglev_mj.bridge.twin import firmware
 from maglev_mj.bridge.twin.firmware import Firmware, Walls
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
-from maglev_mj.bridge.wire import Fault, Flag, Operation, Wall
+from maglev_mj.bridge.wire import Fault, Flag, Operation, WallMessage
 from maglev_mj.device import published_device
 from maglev_mj.errors import PlantError
 from maglev_mj.scale import Scale
@@ -216,8 +216,8 @@ def profile(limits: Limits, period: int = 5_000_000, **values: Any) -> Profile:
     return Profile(period=period, delay=0, calibration=b"", limits=limits, wall_period=1_000_000, **values)
 
 
-def wall(axis: int = 0, edge: float = 0.0, stiffness: float = 0.0, damping: float = 0.0) -> list[Wall]:
-    return [Wall(axis, 1, edge, stiffness, damping, 0.0)]
+def wall(axis: int = 0, edge: float = 0.0, stiffness: float = 0.0, damping: float = 0.0) -> list[WallMessage]:
+    return [WallMessage(axis, 1, edge, stiffness, damping, 0.0)]
 
 
 def walls(problem: Callable[[Profile, float], str]) -> Callable[[float, World], bool]:
@@ -299,7 +299,7 @@ def regained(share: float, world: World) -> bool:
 
 def rested(axis: int, fast: float) -> Callable[[float, World], bool]:
     def trips(share: float, world: World) -> bool:
-        motion = Motion(1e-3, world.scale)
+        motion = RecentMotion(1e-3, world.scale)
         while not motion.full:
             tick = len(motion._samples)
             motion.add(Sample(tick, 0.0, [part * tick * 1e-3 for part in six(axis, share * fast)]))
@@ -327,7 +327,7 @@ def takes_off(hover: Any = None) -> None:
 def on_stop(share: float, world: World) -> bool:
     """Return True if a flotor lies low enough for a takeoff, at shares of 2.7 mm below the centre."""
     plant = Rig(pose=CENTRE).plant
-    motion = Motion(PERIOD, world.scale)
+    motion = RecentMotion(PERIOD, world.scale)
     while not motion.full:
         motion.add(Sample(len(motion._samples), 0.0, [0.0, 0.0, -0.0027 * share, 0.0, 0.0, 0.0]))
     plant._observed = lambda duration: motion  # type: ignore[method-assign]

@@ -17,7 +17,7 @@ from maglev_mj.bridge.commissioning.identification import (
     LINES,
     IdentificationError,
     Identified,
-    Motion,
+    RecordedMotion,
     Shaker,
     Trim,
     collect,
@@ -120,7 +120,7 @@ def errors(found: Identified, twin: Twin) -> Errors:
     return Errors(float(forces), float(torques), float(gravity))
 
 
-def shaken(twin: Twin, timing: tuple[float, float], duration: float, amplitude: float = 1.0) -> Motion:
+def shaken(twin: Twin, timing: tuple[float, float], duration: float, amplitude: float = 1.0) -> RecordedMotion:
     period, delay = timing
     controller = excitation(
         NOMINAL, period=period, delay=delay, translation=1e-4 * amplitude, rotation=1.5e-3 * amplitude
@@ -131,7 +131,7 @@ def shaken(twin: Twin, timing: tuple[float, float], duration: float, amplitude: 
 @lru_cache(maxsize=64)
 def study(
     seed: int, timing: tuple[float, float], noisy: bool, duration: float = 10.0, amplitude: float = 1.0
-) -> tuple[Twin, Motion, Identified]:
+) -> tuple[Twin, RecordedMotion, Identified]:
     twin = Twin(seed, timing, noisy=noisy)
     motion = shaken(twin, timing, duration, amplitude)
     return twin, motion, identify(*motion[:2], period=timing[0], delay=timing[1])

@@ -21,7 +21,7 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording import Recording, open_recording
-from maglev_mj.scenes.interactive import Table
+from maglev_mj.scenes.interactive import TableTop
 from tests.bridge.impaired import ImpairedLine, Impairment
 
 SCHEDULED = hasattr(os, "sched_getscheduler")
@@ -195,7 +195,7 @@ def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
     twin = Twin(TwinParameters(), draw=lambda: 7)
     file = open_recording(tmp_path / "run.maglev")
     with RemotePlant(VirtualLink(twin, ImpairedLine(Impairment(delay=0.004, jitter=0.0005)))) as plant:
-        scene = Table(period=plant.period, delay=plant.delay, friction=False)
+        scene = TableTop(period=plant.period, delay=plant.delay, friction=False)
         flown = Flight(plant, scene, file=file)
         report = flown.run(0.5)
         assert math.isnan(plant.last_delay)
@@ -215,7 +215,7 @@ def test_each_answer_is_measured_once_and_samples_are_missed_from_takeoff_on() -
         for _ in range(40):
             plant.read()
         before = plant.samples.lost
-        flown = Flight(plant, Table(period=plant.period, delay=plant.delay, friction=False))
+        flown = Flight(plant, TableTop(period=plant.period, delay=plant.delay, friction=False))
         report = flown.run(1.0)
         assert 0 < before < plant.samples.lost and 0 < report.lost <= plant.samples.lost - before
         # after a lost answer the previous one stays in force: already measured

@@ -17,7 +17,7 @@ from maglev_mj import HostLimits, RemotePlant, Sample, Twin, TwinParameters, fin
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.flight_guards import PowerGuard
-from maglev_mj.bridge.landing import Leader, Motion, Swing, straight
+from maglev_mj.bridge.landing import Leader, RecentMotion, Swing, straight
 from maglev_mj.bridge.observer import CoilEstimator
 from maglev_mj.bridge.residual import Residual
 from maglev_mj.bridge.safety import FlotorGuard
@@ -234,7 +234,7 @@ def test_rest_and_the_path_of_a_takeoff_are_the_devices(name: str) -> None:
     calibration, scale = Calibration.of(DEVICES[name]), DEVICES[name].scale
     for axis, slow in ((0, scale.rest), (4, scale.rest_spin)):
         for share in (0.95, 1.05):
-            motion = Motion(0.001, scale)
+            motion = RecentMotion(0.001, scale)
             while not motion.full:
                 tick = len(motion._samples)
                 motion.add(Sample(tick, 0.0, [share * slow * tick * 1e-3 * (k == axis) for k in range(6)]))

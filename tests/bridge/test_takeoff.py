@@ -14,7 +14,7 @@ import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.landing import Motion
+from maglev_mj.bridge.landing import RecentMotion
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.wire import Fault, Operation, State
@@ -29,7 +29,7 @@ from tests.sweeps import sweep
 RATES = [0.005, 0.001, 0.00025]
 
 
-def still(rig: Rig) -> Motion:
+def still(rig: Rig) -> RecentMotion:
     """Return the result of a watch before takeoff."""
     return rig.plant._observed(0.0)
 
@@ -50,9 +50,9 @@ def test_a_flotor_at_rest_is_detected_with_any_noise(noise: float, period: float
     assert worst[0] < 5e-3 / margin and worst[1] < 0.1 / margin
 
 
-def watched(period: float, pose: Any) -> Motion:
+def watched(period: float, pose: Any) -> RecentMotion:
     """Return the motion of a pose as a function of time."""
-    motion = Motion(period, published_device().scale)
+    motion = RecentMotion(period, published_device().scale)
     for tick in range(5000):
         if motion.full:
             break

@@ -20,8 +20,7 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import Line, VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
-from maglev_mj.bridge.wire import Codec, Control, Estop, EstopAck, Fault, Hello, Operation, State
-from maglev_mj.bridge.wire import Command as CommandFrame
+from maglev_mj.bridge.wire import Codec, CommandFrame, ControlRequest, Estop, EstopAck, Fault, Hello, Operation, State
 from maglev_mj.cli.twin import _hand
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Array
@@ -84,7 +83,7 @@ def test_before_the_first_sample_and_while_its_line_stands_a_board_lets_nothing_
     known, codec = twin.parameters.calibration, Codec()
     twin.receive(codec.encode(0, 0, 0, Hello(1, known.digest)), 0, "host")
     hover = tuple(known.hover.tolist())
-    for sequence, body in ((0, Control(1, Operation.ARM, 0, hover)), (1, CommandFrame(0, 0, hover, hover, 0.0))):
+    for sequence, body in ((0, ControlRequest(1, Operation.ARM, 0, hover)), (1, CommandFrame(0, 0, hover, hover, 0.0))):
         twin.receive(codec.encode(twin.firmware.session, sequence, 0, body), 0, "host")
     assert twin.firmware.state == State.ACTIVE
     twin.sample()
@@ -141,7 +140,7 @@ def test_an_amplifier_that_does_not_let_go_is_named_and_bars_a_reset(coil: int) 
     twin = rig.twin
     assert twin.firmware.faults & Fault.COIL_NOT_OFF and rig.plant.faults & Fault.COIL_NOT_OFF
     assert abs(twin.plant.currents[coil]) > 0.25 and np.count_nonzero(twin.plant.currents) == 1
-    request = Control(99, Operation.RESET, 0, ZERO)
+    request = ControlRequest(99, Operation.RESET, 0, ZERO)
     answer = twin.receive(Codec().encode(twin.firmware.session, 0, 0, request), rig.link.time, twin.firmware.peer)
     assert answer is not None
     acknowledged = Codec().decode(answer)

@@ -29,9 +29,9 @@ from maglev_mj.bridge.wire import (
     MAGIC,
     VERSION,
     Codec,
-    Command,
-    Control,
+    CommandFrame,
     ControlAck,
+    ControlRequest,
     Estop,
     EstopAck,
     Fault,
@@ -41,10 +41,10 @@ from maglev_mj.bridge.wire import (
     HelloAck,
     HelloStatus,
     Operation,
-    Result,
+    Outcome,
     State,
     StateReport,
-    Wall,
+    WallMessage,
     newer,
 )
 from maglev_mj.device import COILS, Device
@@ -59,10 +59,10 @@ NOW, LATER = bytes([VERSION]), bytes([VERSION + 1])
 BODIES: dict[str, Any] = {
     "HELLO": Hello,
     "HELLO_ACK": HelloAck,
-    "CTRL": Control,
+    "CTRL": ControlRequest,
     "CTRL_ACK": ControlAck,
     "STATE": StateReport,
-    "CMD": Command,
+    "CMD": CommandFrame,
     "ESTOP": Estop,
     "ESTOP_ACK": EstopAck,
 }
@@ -128,7 +128,7 @@ def _value(field: str, value: Any) -> Any:
     if isinstance(value, str):
         return int(value, 16)
     if field == "walls":
-        return tuple(Wall(*each) for each in value)
+        return tuple(WallMessage(*each) for each in value)
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -181,7 +181,7 @@ def test_the_table_of_walls_decodes_them() -> None:
             for offset, count, unit, _ in rows
         ]
         assert tuple(part[0] for part in parts if part) == wall
-    assert [row[3] for row in rows if row[3]] == list(Wall._fields) and start + 36 * len(values) + 4 == len(data)
+    assert [row[3] for row in rows if row[3]] == list(WallMessage._fields) and start + 36 * len(values) + 4 == len(data)
 
 
 def test_a_limit_has_one_name_and_one_unit_in_the_table_of_limits_the_frame_and_the_page() -> None:
@@ -199,7 +199,7 @@ def test_the_page_has_the_words_of_both_ends() -> None:
     assert {row[1]: int(row[0]) for row in tables("| bit | fault |")[1:]} == {one.name: one.value for one in Fault}
     for words in (State, Operation, HelloStatus):
         assert ", ".join(f"{one.value} {one.name}" for one in words) in PAGE
-    assert ", ".join(f"{one.value} {one.name}" for one in Result) in PAGE
+    assert ", ".join(f"{one.value} {one.name}" for one in Outcome) in PAGE
     (flags,) = [row[3] for row in tables("### STATE,") if row[2] == "flags"]
     assert re.findall(r"(\d) ([A-Z]+)", flags) == [(str(one.value), one.name) for one in Flag]
 
@@ -254,9 +254,9 @@ def test_nan_keeps_its_payload() -> None:
     (strange,) = struct.unpack("<d", bytes.fromhex("efbeadde0000f8ff"))
     six = (strange, math.nan, -math.nan, 0.0, math.inf, -math.inf)
     for body in (
-        Command(1, 0, six, six, strange),
+        CommandFrame(1, 0, six, six, strange),
         StateReport(six, six, six, 1, 7, 0, 0, 1, 2, 3),
-        Control(1, 1, 0, six),
+        ControlRequest(1, 1, 0, six),
     ):
         data = codec.encode(1, 2, 3, body)
         frame = codec.decode(data)

@@ -27,7 +27,7 @@ from maglev_mj.bridge.safety import Profile
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
-from maglev_mj.bridge.wire import Codec, Control, Estop, EstopAck, Fault, Hello, Operation, State
+from maglev_mj.bridge.wire import Codec, ControlRequest, Estop, EstopAck, Fault, Hello, Operation, State
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Command
 
@@ -102,11 +102,11 @@ def sessions(key: bytes | None) -> list[Frames]:
         return codec.encode(session, number, number * PERIOD, body)
 
     hello, stop = frame(0, Hello(5, CALIBRATION)), frame(9, Estop(77))
-    arm = frame(1, Control(1, Operation.ARM, 0, SIX))
-    walls = (wire.Wall(2, 1, 0.0, 6e3, 80.0, 0.0), wire.Wall(0, -1, 3e-3, 1e3, 0.0, 200.0))
-    flight = [hello, arm, *(frame(number, wire.Command(number - 1, 0, SIX, SIX, 0.001)) for number in (2, 3))]
-    ends = [frame(9, Control(2, operation, 0, SIX)) for operation in (*Operation, 3, 99)]
-    reset = frame(10, Control(3, Operation.RESET, 0, SIX))
+    arm = frame(1, ControlRequest(1, Operation.ARM, 0, SIX))
+    walls = (wire.WallMessage(2, 1, 0.0, 6e3, 80.0, 0.0), wire.WallMessage(0, -1, 3e-3, 1e3, 0.0, 200.0))
+    flight = [hello, arm, *(frame(number, wire.CommandFrame(number - 1, 0, SIX, SIX, 0.001)) for number in (2, 3))]
+    ends = [frame(9, ControlRequest(2, operation, 0, SIX)) for operation in (*Operation, 3, 99)]
+    reset = frame(10, ControlRequest(3, Operation.RESET, 0, SIX))
     others: list[Any] = [
         wire.blank(wire.HelloAck)._replace(nonce=5, calibration=CALIBRATION),
         wire.ControlAck(1, 1, 0, 0, 0),
@@ -114,7 +114,7 @@ def sessions(key: bytes | None) -> list[Frames]:
         wire.blank(EstopAck),
     ]
     whole = [[hello], [stop], flight, [*flight, stop, reset, arm], [hello, *(frame(1, one) for one in others)]]
-    walled = [*flight, frame(4, wire.Command(3, 0, SIX, SIX, 0.0, walls))]
+    walled = [*flight, frame(4, wire.CommandFrame(3, 0, SIX, SIX, 0.0, walls))]
     return [*whole, *([*flight, end] for end in ends), walled]
 
 
@@ -229,7 +229,7 @@ class DamagedLine:
     def send(self, data: bytes) -> None:
         frame = self._codec.decode(data)
         assert frame is not None, "the host sent what is no frame"
-        if isinstance(frame.body, wire.Command):
+        if isinstance(frame.body, wire.CommandFrame):
             assert all(abs(one) <= LIMIT for one in (*frame.body.held, *frame.body.pulsed)), "beyond the limit"
         self._link.send(data)
 

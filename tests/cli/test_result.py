@@ -32,7 +32,7 @@ from maglev_mj.session.replay import record_run
 from maglev_mj.studies import levels
 from maglev_mj.studies.card import DeviceFigures, device_card
 from maglev_mj.studies.compare import Comparison, sweep_laws
-from maglev_mj.studies.designed_wall import Contact, evaluate_wall
+from maglev_mj.studies.designed_wall import ContactParameters, evaluate_wall
 from maglev_mj.studies.diagnosis import diagnose
 from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import MARGIN
@@ -81,7 +81,7 @@ def results() -> dict[str, Result]:
         "diagnosis": diagnose(stiffness=500.0, damping=1.0, period=0.005, mass=0.15),
         "stability map": run_stability(StabilityParameters(grid=GRID, plant="exact")),
         "drop map": run_drop_map(DropMapParameters(grid=GRID)),
-        "design": evaluate_wall(wall, Contact()),
+        "design": evaluate_wall(wall, ContactParameters()),
         "fidelity": fidelity,
         "variants": Variants({"pd": one}),
         "comparison": Comparison({"pd": one}, phases, margins={"pd": rest}, scene=Drop()),

@@ -27,7 +27,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants.hand import exponential
 from maglev_mj.scenes.run import run
-from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory import karnopp, spectral_radius
 from six_axes import run_six_axes
@@ -130,7 +130,7 @@ def test_bad_input_is_refused() -> None:
 
 def test_series_and_summary_follow_the_events() -> None:
     # State and stick position change at the very millisecond of each event, and the last stick is the one told.
-    scene = StickSlipScene(period=2e-4, quantize=5e-6, delay=0.0015)
+    scene = Pull(period=2e-4, quantize=5e-6, delay=0.0015)
     result = run(scene, plant="exact")
     series, events = result.series(2e-4), scene.events(result)
     assert len(events) >= 4
@@ -149,7 +149,7 @@ def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say
     # Stuck, spring and law are one PD of 7000 N/m and 80 N s/m: stable at 1.5 ms, not at 5 ms; 2.96 ms between.
     for delay in (0.0015, 0.0025, 0.0033, 0.005):
         radius = spectral_radius(K + 1000.0, 80.0, period=T, delay=delay, mass=0.7)
-        figures = run(StickSlipScene(delay=delay, duration=3.0), plant="exact").figures
+        figures = run(Pull(delay=delay, duration=3.0), plant="exact").figures
         if radius < 1.0:
             assert delay <= 0.0025
             assert figures["ripple"] < 1e-7
@@ -158,7 +158,7 @@ def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say
             assert delay >= 0.0033
             assert figures["ripple"] > 2e-4
             assert figures["transitions"] > 4
-    swing = run(StickSlipScene(delay=0.005, duration=3.0), plant="exact").series()["position"][-500:]
+    swing = run(Pull(delay=0.005, duration=3.0), plant="exact").series()["position"][-500:]
     assert np.ptp(swing) == pytest.approx(1e-3, rel=0.15)  # about 1 mm, says the paper; 1.12 mm at four phases
 
 

@@ -27,7 +27,7 @@ from maglev_mj.interop.hand_devices import (
     AxisMapping,
     Gamepad,
     HandDevice,
-    Reading,
+    HandState,
     SpacenavMouse,
     described_devices,
     gamepad_shares,
@@ -42,7 +42,7 @@ from maglev_mj.views import viewer_process
 from maglev_mj.views.viewer_process import ShowReport
 from maglev_mj.views.window import window
 
-REST = Reading((0.0,) * 6)
+REST = HandState((0.0,) * 6)
 PERIOD = 0.005
 PATIENCE = 60.0
 SNAPSHOT = Snapshot(scene=find_scene("joystick")())
@@ -56,7 +56,7 @@ class Stick:
     def __init__(self) -> None:
         self.reading, self.closed = REST, False
 
-    def read(self) -> Reading:
+    def read(self) -> HandState:
         return self.reading
 
     def close(self) -> None:
@@ -68,7 +68,7 @@ def pushed(shares: Sequence[float], **settings: Any) -> Any:
     stick, hand = Stick(), SpringHand()
     device = HandDevice(stick, hand, AxisMapping(**settings) if settings else None)
     goal(device, hand)
-    stick.reading = Reading(shares)
+    stick.reading = HandState(shares)
     return goal(device, hand)
 
 
@@ -132,7 +132,7 @@ def test_a_session_reads_the_device_by_itself_and_closes_it() -> None:
     device = HandDevice(stick, hand)
     session = Session(find_scene("joystick")(), hand_force=hand, publishers=[device])
     goal(device, hand)
-    stick.reading = Reading(one(1))
+    stick.reading = HandState(one(1))
     waited(lambda: session.tick(PERIOD) and hand.device_target)
     session.close()
     assert stick.closed and hand.device_target is None
@@ -140,7 +140,7 @@ def test_a_session_reads_the_device_by_itself_and_closes_it() -> None:
 
 def test_the_first_buttons_are_actions_and_further_ones_are_none() -> None:
     stick, actions = Stick(), list[str]()
-    stick.reading, device = Reading((0.0,) * 6, [2, 1, 7, 0]), HandDevice(stick, SpringHand())
+    stick.reading, device = HandState((0.0,) * 6, [2, 1, 7, 0]), HandDevice(stick, SpringHand())
     device.act = actions.append
     device.show(SNAPSHOT)
     assert actions == ["pause", "centre"]
@@ -229,9 +229,9 @@ def test_events_in_pieces_and_many_at_once_are_read_whole(path: Path) -> None:
         line.send(FULL_X[:13])
         assert mouse.read().shares == REST.shares
         line.send(FULL_X[13:] + up + press[:7])
-        assert mouse.read() == Reading((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), [])
+        assert mouse.read() == HandState((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), [])
         line.send(press[7:] + button_event(3, False) + unknown)
-        assert mouse.read() == Reading((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), [3])
+        assert mouse.read() == HandState((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), [3])
 
 
 def test_a_line_that_ends_in_motion_lets_go_at_once_and_is_called_again(path: Path) -> None:
@@ -240,11 +240,11 @@ def test_a_line_that_ends_in_motion_lets_go_at_once_and_is_called_again(path: Pa
         mouse = SpacenavMouse(path, clock)
         daemon.accept().send(FULL_X + FULL_X[:20])
         assert mouse.read().shares == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    assert mouse.read() == Reading(None)
+    assert mouse.read() == HandState(None)
     clock.now = 1.1
-    assert mouse.read() == Reading(None)  # nobody is there
+    assert mouse.read() == HandState(None)  # nobody is there
     with Daemon(path) as daemon, closing(mouse):
-        assert mouse.read() == Reading(None)  # it does not call every time
+        assert mouse.read() == HandState(None)  # it does not call every time
         clock.now = 2.2
         assert mouse.read() == REST  # neither the motion nor the half event from before
         daemon.accept().send(FULL_X)
@@ -429,9 +429,9 @@ def test_a_gamepad_is_read_and_unplugged(watched: Callable[..., None]) -> None:
     watched(*held, lambda pads: pads.axes.update({1: [1.0, 0.0, 0.0, 0.0, -1.0, 1.0]}))
     pad = Gamepad("x360")
     assert pad.name == "X360 Controller"
-    assert pad.read() == Reading((1.0, 0.0, 1.0, 0.0, 0.0, 1.0), [1, 0, 1])
+    assert pad.read() == HandState((1.0, 0.0, 1.0, 0.0, 0.0, 1.0), [1, 0, 1])
     watched(*held, lambda pads: pads.axes.pop(1))
-    assert Gamepad("x360").read() == Reading(None)
+    assert Gamepad("x360").read() == HandState(None)
 
 
 def test_an_unknown_joystick_has_its_axes_in_order(watched: Callable[..., None]) -> None:

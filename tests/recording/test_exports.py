@@ -17,7 +17,7 @@ from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.recording import Recording, load_samples
 from maglev_mj.recording.export import export
 from maglev_mj.recording.sample import ARRAYS, ROW, TOTALS
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.session.replay import record_run
 from tests.all_of import EXPORTS
 from tests.processes import run_here
@@ -190,7 +190,7 @@ def test_a_file_holds_what_memory_does_and_is_read_without_the_package_in_three_
         header = json.loads(file.readline())
     records = np.fromfile(tmp_path / "run.maglev", np.dtype(header["dtype"]), offset=header["offset"])
     written = Recording.load(tmp_path / "run.maglev")
-    assert same(written, record_run(StickSlip(duration=0.06), plant="exact"))
+    assert same(written, record_run(Pull(duration=0.06), plant="exact"))
     (segment,) = written.segments
     for name in ROW.names or ():
         assert records[records["kind"] == 0][name].tobytes() == segment.arrays[name].tobytes()

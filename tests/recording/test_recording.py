@@ -19,7 +19,7 @@ from maglev_mj.recording.sample import as_rows, row_of
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run_variants
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, record_run, recorded
 from maglev_mj.session.snapshot import COLUMNS
@@ -56,7 +56,7 @@ def test_a_setup_that_is_not_known_is_refused() -> None:
 
 
 def test_a_replay_shows_what_was_recorded_in_real_time() -> None:
-    recording = record_run(StickSlip(), plant="exact")
+    recording = record_run(Pull(), plant="exact")
     replay = Replay(recording)
     shown = sum(replay.tick(0.0125) for _ in range(10))
     view = replay.snapshot()

@@ -19,7 +19,7 @@ from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import InvalidRecordingError, MemoryFile, Recording, RecordingError, Verdict, load_samples
+from maglev_mj.recording import InvalidRecordingError, MemoryFile, Recording, RecordingError, ReplayCheck, load_samples
 from maglev_mj.recording.reading import Content
 from maglev_mj.recording.verify import verify
 from maglev_mj.session.replay import rebuild
@@ -52,7 +52,7 @@ SOME_KINDS = pytest.mark.parametrize(
 """A run of a scripted hand and friction, and a session with an event; the others are studies."""
 
 
-def check(data: bytes, folder: Path) -> Verdict:
+def check(data: bytes, folder: Path) -> ReplayCheck:
     """Return the result of `replay --check`."""
     return verify(load(data, folder), rebuild)
 

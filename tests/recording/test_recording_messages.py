@@ -23,7 +23,7 @@ from maglev_mj.recording.mcap import SAMPLE
 from maglev_mj.recording.sample import FIELDS, ROW, RunMetadata, Totals
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.session.replay import write_run
 from tests.recorded import decoder, exported, load, messages_in
 
@@ -32,7 +32,7 @@ TOPICS = ("/maglev/segment", "/maglev/sample", "/maglev/event", "/tf", "/maglev/
 
 RUNS: dict[str, Scene] = {
     "press": Press(hits=1),
-    "stick-slip turned": StickSlip(axis="ry"),
+    "stick-slip turned": Pull(axis="ry"),
     "stage": Press(hits=1, interval=0.1, device="stage"),
     "arm": Press(hits=1, interval=0.1, device="arm"),
 }

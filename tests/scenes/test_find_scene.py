@@ -19,7 +19,7 @@ from maglev_mj.scenes.find import find_scene, line_of, reference_of, scene_from_
 from maglev_mj.scenes.names import BUILT_IN, scene_names
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 
 PUSH = """
 from maglev_mj import Hold
@@ -194,7 +194,7 @@ def test_scenes_are_the_same_in_another_process(push: Path, tmp_path: Path, monk
     monkeypatch.chdir(push.parent)
     scenes: list[tuple[Scene, dict[str, Any]]] = [
         (Drop(height=2e-3, force_limit=60.0), {"height": 1e-3}),
-        (StickSlip(axis="ry", v_min=0.2), {"axis": "x"}),
+        (Pull(axis="ry", v_min=0.2), {"axis": "x"}),
         (find_scene("my_push.py:Pull")(away=2e-3), {"away": 3e-3}),  # type: ignore[call-arg]
     ]
     folder = tmp_path / "elsewhere"

@@ -18,7 +18,7 @@ from friction_laws import (
     under_load,
 )
 from maglev_mj.scenes.run import run
-from maglev_mj.scenes.stick_slip import LAWS, StickSlip
+from maglev_mj.scenes.stick_slip import LAWS, Pull
 from tests.sweeps import sweep
 
 DELAY = 0.0015
@@ -30,7 +30,7 @@ def test_restick_test_fails_with_differences_over_a_quantized_sensor(rate: int) 
     #
     # Cured by the low-pass and by the adaptive window, at the cost of a few milliseconds of lag and, for the window, of
     # a longer tick.
-    fails = StickSlip(period=1 / rate, quantize=5e-6)
+    fails = Pull(period=1 / rate, quantize=5e-6)
     exact = fails.exact(np.array([0.3]))
     true_time = exact.events[-1].time
     first_stick = next(event for event in fails.events(run(fails, plant="exact")) if event.kind == "stick")
@@ -40,7 +40,7 @@ def test_restick_test_fails_with_differences_over_a_quantized_sensor(rate: int) 
         assert [event.kind for event in cured.scene.events(cured)] == ["slip", "stick"]
         assert cured.figures["stick_time"] == pytest.approx(true_time, abs=0.013)
         assert abs(cured.figures["final_position"] - exact.position[0]) < 1e-4
-    at_200 = run(StickSlip(quantize=5e-6), plant="exact")
+    at_200 = run(Pull(quantize=5e-6), plant="exact")
     assert at_200.figures["stick_time"] == pytest.approx(true_time, abs=0.013)  # the paper's own rate is safe
 
 

@@ -21,7 +21,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.frames import Array
 from maglev_mj.interop.gym import TargetTask
-from maglev_mj.interop.hand_devices import AxisMapping, HandDevice, Reading
+from maglev_mj.interop.hand_devices import AxisMapping, HandDevice, HandState
 from maglev_mj.interop.navigation import Navigation
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.limits import LIMITS, peaks_of
@@ -31,7 +31,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import INERTIA, RANGE
 from tests.all_of import SCENES
@@ -62,7 +62,7 @@ RUNS = [
     *(Drop(force_limit=limit, duration=0.3, stiffness=k, damping=b) for limit in FORCES for k, b in GAINS),
     *(Drop(height=height * RANGE[2], duration=0.05, pulse=0.0) for height in (1.0, 1.0001)),
     *(Press(hits=1, **change) for change in ({"force_limit": 5.5}, {"height": 0.0046})),  # type: ignore[arg-type]
-    *(StickSlip(axis=axis, target=part * RANGE[AXES.index(axis)]) for axis in ("x", "rz") for part in SHARES),
+    *(Pull(axis=axis, target=part * RANGE[AXES.index(axis)]) for axis in ("x", "rz") for part in SHARES),
 ]
 
 
@@ -134,7 +134,7 @@ def test_a_scene_is_judged_by_the_device_in_use(name: str, light: str, device: R
     assert_allclose(
         np.array(Navigation(body=scene.body).edge), [0.0025 * 2.0 / 4.5] * 3 + [math.radians(3.0)] * 3, rtol=1e-5
     )
-    hand, readings = SpringHand(), iter((Reading([0.0] * 6, [2]), Reading([1.0] * 6)))
+    hand, readings = SpringHand(), iter((HandState([0.0] * 6, [2]), HandState([1.0] * 6)))
     stick: Any = HandDevice(SimpleNamespace(read=lambda: next(readings)), hand, AxisMapping())
     for _ in range(2):
         stick.show(Snapshot(scene=scene))

@@ -24,7 +24,7 @@ from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Figure, RunResult, figure
 from maglev_mj.scenes.run import figures_of, run, run_phases, run_variants
 from maglev_mj.scenes.scene import Scene, Start
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.spec import GRAVITY, Spec
 from tests.all_of import SCENES
 from tests.sweeps import sweep
@@ -190,7 +190,7 @@ def test_phases_outside_their_bounds_are_refused() -> None:
         run(Fall(), plant="mujoco", phase=[0.0, 0.5])
     longest: dict[str, Any] = {"duration": 10.0, "period": 1e-5, "delay": 0.0}
     assert Drop(**longest).end == 10.0
-    kinds: list[Any] = [Drop, Press, StickSlip, Twist, LetGo, SixAxes]
+    kinds: list[Any] = [Drop, Press, Pull, Twist, LetGo, SixAxes]
     for cls in kinds:
         with pytest.raises(ParameterError, match=r"duration must be at most 1000000 periods \(got 10\.1 s"):
             cls(**longest | {"duration": 10.1})
@@ -213,15 +213,15 @@ def test_whoever_observes_sees_every_sample_and_the_command_as_applied(plant: st
 
 def test_what_laws_tell_is_kept_with_each_sample() -> None:
     # A batch tells it of every device, and a device of it what that device alone tells.
-    single = run(StickSlip(), plant="exact")
+    single = run(Pull(), plant="exact")
     assert set(single.samples) == {"position", "stick_position", "stuck"}
     assert len(single.sample_time) == len(single.samples["stuck"]) == 61
     assert single.samples["position"].shape == (61, 6) and single.samples["stuck"].shape == (61, 1)
     assert single.samples["stuck"].dtype == bool
-    batch = run(StickSlip(), plant="exact", phase=PHASES)
+    batch = run(Pull(), plant="exact", phase=PHASES)
     assert batch.samples["stick_position"].shape == (60, 1, 3)
     for device, phase in enumerate(PHASES.tolist()):
-        one, alone = batch[device], run(StickSlip(), plant="exact", phase=phase)
+        one, alone = batch[device], run(Pull(), plant="exact", phase=phase)
         count = len(alone.sample_time)
         np.testing.assert_allclose(one.sample_time[:count], alone.sample_time, rtol=1e-12)
         np.testing.assert_array_equal(one.samples["stuck"][:count], alone.samples["stuck"])
@@ -274,7 +274,7 @@ def test_a_diverging_batch_keeps_nothing_and_its_samples_are_those_before() -> N
         run(Drop(force_limit=0.0, delay=0.005, duration=3.0), plant="exact", phase=PHASES)
     assert caught.value.partial is None
     with pytest.raises(DivergenceError) as caught:
-        run(StickSlip(spring=30000.0, duration=2.0), plant="exact")
+        run(Pull(spring=30000.0, duration=2.0), plant="exact")
     partial = caught.value.partial
     assert partial.sample_time[-1] <= partial.trace.time[-1] < 2.0
     assert len(partial.sample_time) == len(partial.samples["stuck"])

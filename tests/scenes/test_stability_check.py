@@ -17,7 +17,7 @@ from maglev_mj.parameters import param
 from maglev_mj.plants.model import model_path
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.interactive import Box, Corner, InteractiveScene, Joystick, Table
+from maglev_mj.scenes.interactive import Box, Corner, InteractiveScene, Joystick, TableTop
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.stability_check import marks, stability_warning, started, wall_loops
 from maglev_mj.session import STEP_FORCE, check_step
@@ -111,7 +111,7 @@ def test_a_step_of_force_is_at_most_the_limit(axis: str, sign: float, limit: flo
 
 def test_a_step_is_that_of_what_acts_now() -> None:
     # Friction that holds 1.9 N would let go; a wall takes the place of one that pushes as much.
-    table = Table(breakaway=3.0)
+    table = TableTop(breakaway=3.0)
     stuck = table.controller()
     for tick, x in enumerate((0.0, 0.0, 0.0, 0.35e-3, 0.35e-3)):
         stuck.step(Sample(tick, 0.005 * tick, [x, 0.0, 0.0, 0.0, 0.0, 0.0]))
@@ -169,7 +169,7 @@ def test_a_scene_is_checked_with_another_delay_or_flotor() -> None:
 def test_every_legal_scene_is_judged(count: int) -> None:
     draw, stable = random.Random(3), 0
     for _ in range(count):
-        cls = draw.choice((Joystick, Table, Box, Corner))
+        cls = draw.choice((Joystick, TableTop, Box, Corner))
         values: dict[str, Any] = {name: draw.random() < 0.5 for name in ("wall", "friction", "pulse", "weightless")}
         values |= {"stiffness": 10 ** draw.uniform(0, 6), "damping": 10 ** draw.uniform(-2, 4)}
         if draw.random() < 0.5:

@@ -18,7 +18,7 @@ from maglev_mj.plants.hand import HANDS
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run_phases
 from maglev_mj.spec import GRAVITY
-from maglev_mj.studies.designed_wall import Contact, hardest_contact
+from maglev_mj.studies.designed_wall import ContactParameters, hardest_contact
 from maglev_mj.theory import DesignedWall, WallRequirements, design_wall, is_stable, worst_case
 from maglev_mj.theory.boundary import ranges_of
 from tests.sweeps import further
@@ -140,7 +140,7 @@ def test_a_wall_is_found_where_few_dampings_admit_one() -> None:
 
 def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:
     wall = design_wall(WallRequirements(**{**EVERYTHING, "hand": ("none",)}))
-    plain, braked = Contact(force_limit=0.0), Contact(force_limit=0.0, pulse=True)
+    plain, braked = ContactParameters(force_limit=0.0), ContactParameters(force_limit=0.0, pulse=True)
     assert braked.pulse_of(wall) == pytest.approx(0.56 / 0.003 - wall.damping)
     assert plain.pulse_of(wall) == 0.0
     (deep, soft), (shallow, hard) = hardest_contact(wall, plain), hardest_contact(wall, braked)

@@ -47,7 +47,7 @@ from maglev_mj.studies.fidelity import (
 )
 from maglev_mj.studies.levels import (
     LEVELS,
-    Motion,
+    LevelMotion,
     _SteppedLoop,
     apart,
     boundary_shift,
@@ -261,7 +261,7 @@ def test_the_shift_of_the_boundary_is_that_of_the_levels_drivers() -> None:
 def test_a_distance_counts_rotations_by_the_radius_of_the_device_s_coils(name: str, radius: float) -> None:
     device, poses = Device.load(name), np.zeros((2, 6))
     poses[1] = [3e-4, 0.0, 4e-4, 0.0, 0.0, 2e-3]
-    turned = Motion(poses, poses, 0.0, False, 0.0)
+    turned = LevelMotion(poses, poses, 0.0, False, 0.0)
     rest = turned._replace(pose=np.zeros((2, 6)))
     assert distance(turned, rest, device) == pytest.approx(5e-4 + radius * 2e-3, rel=1e-12)
     assert distance(None, rest, device) == math.inf
@@ -368,15 +368,15 @@ def test_a_looser_tolerance_takes_a_lower_level_unless_it_diverges(monkeypatch: 
     assert other.level is not None and other.level.level == "body"
 
 
-def moved(place: float, force: float = 0.0) -> Motion:
+def moved(place: float, force: float = 0.0) -> LevelMotion:
     """Return a motion that is nothing but a displacement [m]."""
-    return Motion(np.array([[place, 0.0, 0.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)), force, False, 1.0)
+    return LevelMotion(np.array([[place, 0.0, 0.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)), force, False, 1.0)
 
 
 def test_the_dear_levels_run_in_the_cases_that_are_worst_without_them(monkeypatch: pytest.MonkeyPatch) -> None:
     lacking = [5e-6, 1e-6, 9e-6, 3e-6, 7e-6, 2e-6, 8e-6]
 
-    def run_alone(scene: Any, level: str, case: Any, **_: Any) -> Motion:
+    def run_alone(scene: Any, level: str, case: Any, **_: Any) -> LevelMotion:
         return moved(lacking[case.seed] if level_index(level) > level_index("falloff") else 0.0)
 
     monkeypatch.setattr("maglev_mj.studies.fidelity.run_case", run_alone)
@@ -388,7 +388,7 @@ def test_the_dear_levels_run_in_the_cases_that_are_worst_without_them(monkeypatc
 
 def test_a_level_changes_what_the_level_below_it_did() -> None:
     places = np.cumsum([1e-6 * (place + 1) for place in range(len(LEVELS))])
-    motions: list[dict[int, Motion | None]] = [{0: moved(place, 1e6 * place)} for place in places.tolist()]
+    motions: list[dict[int, LevelMotion | None]] = [{0: moved(place, 1e6 * place)} for place in places.tolist()]
     rows = level_results(Drop(duration=0.01), motions, np.zeros((len(LEVELS), 1)), 1e-3, repeats=1)
     changes = np.diff(places, prepend=places[0])
     assert [row.changes for row in rows] == pytest.approx(changes.tolist(), abs=1e-15)

@@ -10,7 +10,7 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.studies.cells import local_workers
-from maglev_mj.studies.drop_map import SAMPLES, DropMapParameters, Ending, _Quarters, drop_endings, run_drop_map
+from maglev_mj.studies.drop_map import SAMPLES, DropEnding, DropMapParameters, _Quarters, drop_endings, run_drop_map
 from maglev_mj.studies.record import Record
 from maglev_mj.theory import is_stable
 from tests.studies.test_charts import details
@@ -28,7 +28,7 @@ def test_released_at_the_edge_a_wall_settles_where_theory_has_it_stable(delay: f
     assert away.mean() > 0.9 and 0.3 < found.settles.mean() < 0.7
     assert (found.settles == is_stable(radius))[away].all()
     # what leaves the wall by itself has gained energy
-    assert ((found.ending == Ending.RISES) | ~away | found.settles).mean() > 0.97
+    assert ((found.ending == DropEnding.RISES) | ~away | found.settles).mean() > 0.97
 
 
 def test_a_map_of_drops_states_loop_and_drop() -> None:
@@ -38,27 +38,27 @@ def test_a_map_of_drops_states_loop_and_drop() -> None:
     assert details(found.plot()) == f"{loop} released at 1 mm, 60 N"
 
 
-def ending(stiffness: float, damping: float, **values: Any) -> tuple[float, Ending]:
+def ending(stiffness: float, damping: float, **values: Any) -> tuple[float, DropEnding]:
     swing, found = drop_endings(np.array([stiffness]), np.array([damping]), DropMapParameters(**values))
-    return float(swing[0]), Ending(found[0])
+    return float(swing[0]), DropEnding(found[0])
 
 
 def test_endings_of_drops_with_known_answers() -> None:
     # The paper's wall settles, hums within a few steps of the sensor, bounces on where the damping is too low.
     swing, found = ending(6000.0, 80.0)
-    assert found is Ending.SETTLES and swing < 1e-12
+    assert found is DropEnding.SETTLES and swing < 1e-12
     swing, found = ending(6000.0, 80.0, **ALL)
-    assert found is Ending.SETTLES and 0.0 < swing <= 5 * 5e-6
+    assert found is DropEnding.SETTLES and 0.0 < swing <= 5 * 5e-6
     # a sampled spring without damping makes energy at each bounce: with nothing to stop it, it rises ever higher
     swing, found = ending(6000.0, 0.0)
-    assert found is Ending.RISES and swing > 0.1
+    assert found is DropEnding.RISES and swing > 0.1
     # under 60 N it cannot be thrown so far
     assert ending(6000.0, 0.0, force_limit=60.0)[0] < 0.7 * swing
     # far above the boundary at its damping, the limit leaves a cycle below the height of release
     swing, found = ending(12000.0, 88.0, **ALL)
-    assert found is Ending.PERSISTS and 50e-6 < swing < 4.5e-3
+    assert found is DropEnding.PERSISTS and 50e-6 < swing < 4.5e-3
     # 0.2 % below the boundary it still rings, ever less and within the wall
-    assert ending(10000.0, 87.6, height=0.0)[1] is Ending.SETTLES
+    assert ending(10000.0, 87.6, height=0.0)[1] is DropEnding.SETTLES
 
 
 def test_steps_keep_walls_of_much_damping_from_resting_that_theory_has_stable() -> None:
@@ -66,9 +66,9 @@ def test_steps_keep_walls_of_much_damping_from_resting_that_theory_has_stable() 
     k, b = (part.ravel() for part in np.meshgrid(np.linspace(3000.0, 8000.0, 60), np.linspace(120.0, 165.0, 30)))
     p = DropMapParameters(height=0.0)
     stable = p.loop().array().spectral_radius(k, b) < 0.99
-    assert stable.sum() > 250 and (drop_endings(k, b, p)[1][stable] == Ending.SETTLES).all()
+    assert stable.sum() > 250 and (drop_endings(k, b, p)[1][stable] == DropEnding.SETTLES).all()
     swing, found = drop_endings(k, b, DropMapParameters(height=0.0, quantize=5e-6))
-    hums = stable & (found != Ending.SETTLES)
+    hums = stable & (found != DropEnding.SETTLES)
     assert 0 < hums.sum() < 0.05 * stable.sum() and (swing[hums] > 50e-6).all() and (swing[hums] < 200e-6).all()
 
 
@@ -76,7 +76,7 @@ def test_what_grows_without_bound_stays_finite_and_ends_no_other() -> None:
     # An arm pushes the flotor back into a wall that throws it further out each time.
     gains: dict[str, Any] = {"stiffness": (1e3, 1e8), "damping": (0.0, 1e6)}
     found = run_drop_map(DropMapParameters(grid=12, height=0.0, mass=1e-3, hand="0,0,1e6", **gains))
-    assert np.isfinite(found.swing).all() and (found.ending == Ending.RISES).any()
+    assert np.isfinite(found.swing).all() and (found.ending == DropEnding.RISES).any()
 
 
 @pytest.mark.parametrize("count", [0, pytest.param(2, marks=pytest.mark.machine)])
@@ -131,4 +131,4 @@ def test_an_ending_is_that_of_the_last_quarter() -> None:
         quarters(Sample(tick, 0.005 * tick, [0.0, 0.0, heights, 0.0, 0.0, 0.0]), Command(ZERO))
     swing, ending = quarters.endings(DropMapParameters(height=4.5e-3))
     assert swing == pytest.approx([1e-4, 1.1e-3, 5e-3, 6e-3])
-    assert ending.tolist() == [Ending.SETTLES, Ending.PERSISTS, Ending.PERSISTS, Ending.RISES]
+    assert ending.tolist() == [DropEnding.SETTLES, DropEnding.PERSISTS, DropEnding.PERSISTS, DropEnding.RISES]

@@ -21,7 +21,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.recording.export import export
 from maglev_mj.result import number_text
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.interactive import Box, Corner, Joystick, Table
+from maglev_mj.scenes.interactive import Box, Corner, Joystick, TableTop
 from maglev_mj.session import DeviceStatus, Pacer, Session, Snapshot
 from maglev_mj.session.margin import STABILITY
 from maglev_mj.session.replay import Replay
@@ -224,7 +224,7 @@ def test_the_state_of_hand_and_friction_in_words() -> None:
 
 @pytest.mark.parametrize("coupled", [False, True])
 def test_coupled_friction_is_of_the_whole_pull(coupled: bool) -> None:
-    session = Session((Table if coupled else Joystick)(friction=True), pacer=unhurried())
+    session = Session((TableTop if coupled else Joystick)(friction=True), pacer=unhurried())
     now = played(session, [[0.003, 0.003, 0.0, 0.0, 0.0, 0.0]] * 100, 0.005)[-1]
     assert now.anchors is not None
     pulls = now.scene.stiffness * (1.0 if coupled else 0.5) * np.abs(now.anchors - now.pose)[:2]  # type: ignore[attr-defined]

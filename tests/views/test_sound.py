@@ -16,7 +16,7 @@ from maglev_mj.cli import main
 from maglev_mj.recording import Recording
 from maglev_mj.recording.export import write_sound
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.theory.loop_array import LoopArray
 from maglev_mj.views.window import offscreen
 from maglev_mj.views.window.offscreen import render
@@ -61,7 +61,7 @@ def test_a_sine_of_force_has_its_frequency_and_the_documented_amplitude(tmp_path
 
 
 def test_a_scene_of_a_rotation_plays_the_torque_and_nan_is_silent(tmp_path: Path) -> None:
-    (segment,) = record_run(StickSlip(period=PERIOD, delay=0.0, axis="ry", duration=0.1), plant="exact").segments
+    (segment,) = record_run(Pull(period=PERIOD, delay=0.0, axis="ry", duration=0.1), plant="exact").segments
     applied = np.zeros((100, 6))
     applied[:, 2], applied[50:, 4], applied[60:, 4] = np.arange(100.0), -0.5, np.nan
     arrays = {name: values[:100] for name, values in segment.arrays.items()} | {"applied": applied}

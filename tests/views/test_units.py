@@ -14,7 +14,7 @@ from maglev_mj import Hold, Scene, Session, figure, identify, param, record_run,
 from maglev_mj.frames import AXES, unit_of
 from maglev_mj.scenes.pictures import series, spread, stick_slip
 from maglev_mj.scenes.results import Variants
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.session import Snapshot
 from maglev_mj.session.margin import STABILITY
 from maglev_mj.session.snapshot import COLUMNS
@@ -76,7 +76,7 @@ def page_curves(snapshot: Any) -> str:
 
 def window_curves(snapshot: Any) -> str:
     """Return the texts of the window's plots."""
-    shown = window_plots.Plots()
+    shown = window_plots.WindowPlots()
     STABILITY.of(snapshot, wait=True)
     return "\n".join(f"{one.title}\n{one.xlabel}" for one in shown.update(snapshot))
 
@@ -92,7 +92,7 @@ def texts_of(drawn: Any) -> Iterator[str]:
 
 @pytest.mark.parametrize("axis", cases(AXES, every=5))
 def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
-    whole = StickSlip(axis=axis)
+    whole = Pull(axis=axis)
     scene = whole.replace(**SHORT)
     result, phases = run(scene, plant="exact"), run_phases(scene, 2, plant="exact")
     values = [0.9 * scene.stiffness, scene.stiffness]
@@ -128,7 +128,7 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
 
 
 def test_a_sweep_over_axes_names_both_units() -> None:
-    swept = sweep(StickSlip(**SHORT), {"axis": ["x", "rx"]}, plant="exact")
+    swept = sweep(Pull(**SHORT), {"axis": ["x", "rx"]}, plant="exact")
     assert swept.units["peak_speed"] == "m/s or rad/s" and swept.units["stick_time"] == "s"
 
 
@@ -161,7 +161,7 @@ def test_unit_prefixes_are_the_same_for_rotations() -> None:
 def test_a_thinned_chart_ends_with_the_newest_sample() -> None:
     rows = np.zeros((401, COLUMNS))
     rows[:, 0] = rows[:, 1] = np.arange(401) * 0.005
-    line = Charts(200).of(Snapshot(scene=StickSlip(axis="x"), history=rows), 0)[0].lines[-1]
+    line = Charts(200).of(Snapshot(scene=Pull(axis="x"), history=rows), 0)[0].lines[-1]
     assert np.asarray(line.x)[-1] == 0.0 and np.asarray(line.y)[-1] == 1e3 * rows[-1, 1] and np.size(line.x) <= 200
 
 
@@ -169,5 +169,5 @@ def test_a_thinned_chart_ends_with_the_newest_sample() -> None:
 def test_the_time_axis_grows_with_the_elapsed_time(samples: int, across: float) -> None:
     rows = np.zeros((samples, COLUMNS))
     rows[:, 0] = 7.0 + np.arange(samples) * 0.005
-    chart = Charts(200).of(Snapshot(scene=StickSlip(axis="x"), history=rows), 0)[0]
+    chart = Charts(200).of(Snapshot(scene=Pull(axis="x"), history=rows), 0)[0]
     assert chart.across == pytest.approx((-across, 0.0))

@@ -19,7 +19,7 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import numbers
 from maglev_mj.plants.coils import CoilMap
-from maglev_mj.plants.model import Body, body_of
+from maglev_mj.plants.model import Flotor, body_of
 from maglev_mj.plants.sensor import Beams, PoseScale, geometry_of
 
 _DAMPING = 0.3
@@ -119,7 +119,7 @@ class Calibration:
         return replace(device.change("body", **own), name=self.name)
 
     @property
-    def body(self) -> Body:
+    def body(self) -> Flotor:
         """Flotor and limits of the device."""
         return body_of(self.base.keywords | {"mass": self.mass, "inertia": self.inertia, "gravity": self.gravity})
 

@@ -55,7 +55,7 @@ class IdentificationError(MaglevError):
     """The requested values are not identifiable from the motion."""
 
 
-class Motion(NamedTuple):
+class RecordedMotion(NamedTuple):
     """Recorded motion of a device.
 
     Attributes:
@@ -172,7 +172,7 @@ def collect(
     *,
     then: Callable[[], object] | None = None,
     watch: Callable[[], object] | None = None,
-) -> Motion:
+) -> RecordedMotion:
     """Run a controller on a plant and record poses and currents.
 
     Args:
@@ -213,7 +213,7 @@ def collect(
     poses[indices], currents[indices] = ([row[part] for row in rows[settling:]] for part in (1, 2))
     if not math.isnan(median):
         currents[np.array(indices)[~(np.abs(reported - median) <= _ON_TIME * period)]] = np.nan
-    return Motion(poses, currents, median)
+    return RecordedMotion(poses, currents, median)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.conformance.tester import Tester, case, check, fail, same, shown
 from maglev_mj.bridge.connection import draw, profile_of
-from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus, Operation, Result, State, fault_names
+from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus, Operation, Outcome, State, fault_names
 from maglev_mj.frames import ZERO
 
 QUIET = 0.06
@@ -42,7 +42,7 @@ def _hello_again(t: Tester) -> str:
     t.states(1)
     again = t.greet(t.nonce)
     same("status, session, state", (again.body.status, again.session, again.body.state), (0, t.session, State.ACTIVE))
-    t.links[0].send(t.encode(wire.Command(t.last.sequence, 0, NAN, NAN, 0.0), sequence=t.sequence))
+    t.links[0].send(t.encode(wire.CommandFrame(t.last.sequence, 0, NAN, NAN, 0.0), sequence=t.sequence))
     t.answering = True
     t.command(t.last.sequence, ZERO)
     return t.expect(State.ACTIVE) and f"session {t.session}, sequence numbers kept"
@@ -106,7 +106,7 @@ def _takeover(t: Tester) -> str:
     same("status of the HELLO repeated", t.greet(t.nonce).body.status, HelloStatus.WELCOME)  # by whoever recorded it
     t.states(400_000_000 // t.welcome.period + 1)
     same("status after 1.1 s", t.greet(draw()).body.status, HelloStatus.WELCOME)
-    trip = wire.Control(t.request + 1, Operation.TRIP, 0, ZERO)
+    trip = wire.ControlRequest(t.request + 1, Operation.TRIP, 0, ZERO)
     if t.exchange(trip, QUIET, session=old) is not None:
         fail("the old session is still accepted")
     t.join()
@@ -117,7 +117,7 @@ def _takeover(t: Tester) -> str:
 def _bye(t: Tester) -> str:
     old = t.last.sequence
     t.ask(Operation.BYE)
-    body = wire.Control(t.request, Operation.BYE, 0, ZERO)
+    body = wire.ControlRequest(t.request, Operation.BYE, 0, ZERO)
     if t.exchange(body, max(QUIET, 4e-9 * t.welcome.period)) is not None or (t.last.sequence - old) & WRAP > 1:
         fail("the session still answers")
     t.join()
@@ -131,10 +131,12 @@ def _bye(t: Tester) -> str:
 def _requests(t: Tester) -> str:
     t.ask(Operation.RESET)
     t.stopped()
-    again = t.exchange(wire.Control(t.request, Operation.TRIP, Fault.CLOCK, ZERO)) or fail("no answer to a repetition")
-    same("answer to a repetition", again.body[1:], (Operation.RESET, Result.DONE, State.FAULT, Fault.ESTOP))
+    again = t.exchange(wire.ControlRequest(t.request, Operation.TRIP, Fault.CLOCK, ZERO)) or fail(
+        "no answer to a repetition"
+    )
+    same("answer to a repetition", again.body[1:], (Operation.RESET, Outcome.DONE, State.FAULT, Fault.ESTOP))
     for behind in (1, 1000, HALF):
-        body = wire.Control((t.request - behind) & WRAP, Operation.RESET, 0, ZERO)
+        body = wire.ControlRequest((t.request - behind) & WRAP, Operation.RESET, 0, ZERO)
         if t.exchange(body, QUIET) is not None:
             fail(f"an answer to a request {behind} older")
     t.expect(State.FAULT, Fault.ESTOP)
@@ -156,7 +158,7 @@ def _request_numbers(t: Tester) -> str:
 
 @check("each operation leads to the specified state; unknown ones are REFUSED")
 def _operations(t: Tester) -> str:
-    done, refused = Result.DONE, Result.REFUSED
+    done, refused = Outcome.DONE, Outcome.REFUSED
     for state in State:
         off = State.FAULT if state == State.FAULT else State.INACTIVE
         table = {
@@ -186,7 +188,7 @@ def _arm(t: Tester) -> str:
     for field, values, index, value in cases:
         changed: dict[str, Any] = {field: [*values[:index], value, *values[index + 1 :]]}
         answer, name = t.ask(Operation.ARM, **changed), f"{value:g} in {field}[{index}]: result, state"
-        same(name, (answer.result, answer.state), (Result.REFUSED, State.INACTIVE))
+        same(name, (answer.result, answer.state), (Outcome.REFUSED, State.INACTIVE))
     t.expect(State.INACTIVE)
     return f"{len(cases)} of {len(cases)}, hover currents at {above:.3g} A"
 
@@ -196,7 +198,7 @@ def _reset_flowing(t: Tester) -> str:
     t.bring(State.ACTIVE, t.half, answering=False)
     t.ask(Operation.TRIP)
     answer = t.ask(Operation.RESET)
-    if answer.result != Result.REFUSED and not t.is_off(t.last.body.currents):
+    if answer.result != Outcome.REFUSED and not t.is_off(t.last.body.currents):
         fail(f"done with {shown(t.last.body.currents)} A")
     return f"result {answer.result}"
 
@@ -376,7 +378,7 @@ def _bad_commands(name: str, fault: Fault, expected: str, values: Callable[[Test
             with case(f"{value:g} in entry {index} of held, pulsed, width"):
                 t.expect(State.FAULT, fault, 1)
                 t.zero()
-                same("result of ARM", t.ask(Operation.ARM).result, Result.REFUSED)
+                same("result of ARM", t.ask(Operation.ARM).result, Outcome.REFUSED)
                 t.expect(State.FAULT, fault, 2)
         return f"{fault.name}, {len(entries)} entries"
 
@@ -405,7 +407,7 @@ def _far_ahead(t: Tester) -> str:
         with case(f"{end} after a CMD far ahead"):
             t.bring(State.ACTIVE)
             far, t.answering = (t.sequence + HALF) & WRAP, not t.welcome.lockstep
-            t.links[0].send(t.encode(wire.Command(t.last.sequence, 0, ZERO, ZERO, 0.0), sequence=far))
+            t.links[0].send(t.encode(wire.CommandFrame(t.last.sequence, 0, ZERO, ZERO, 0.0), sequence=far))
             if end == "ESTOP":
                 t.stopped()
             elif end == "DISARM":
@@ -434,7 +436,7 @@ def _stale_answers(t: Tester) -> str:
     for _ in range((welcome.watchdog + 1_100_000_000) // welcome.period + 2):
         t.states(1)
         t.command(t.last.sequence - welcome.stale // welcome.period - 1, ZERO)
-        t.links[0].send(t.encode(wire.Command(t.last.sequence, 0, NAN, NAN, 0.0), sequence=t.sequence))
+        t.links[0].send(t.encode(wire.CommandFrame(t.last.sequence, 0, NAN, NAN, 0.0), sequence=t.sequence))
     t.expect(State.FAULT, Fault.WATCHDOG)
     return same("WATCHDOG; status of another host's HELLO", t.greet(draw()).body.status, HelloStatus.BUSY)
 
@@ -452,7 +454,7 @@ def _fading(t: Tester) -> str:
             t.once = [[held]] if held else []
             t.states(1) if held else t.ask(Operation.TRIP, faults=faults)
             frames = t.states(150_000_000 // period)
-            same("result of RESET", t.ask(Operation.RESET).result, Result.REFUSED)
+            same("result of RESET", t.ask(Operation.RESET).result, Outcome.REFUSED)
             frames += t.states(50_000_000 // period + 8)
             on = [frame for frame in frames if frame.body.flags & Flag.STOPPING] or fail("STOPPING is never set")
             if abs((span := on[-1].time - on[0].time) - 200_000_000) > 2 * period:
@@ -528,9 +530,9 @@ def ignored(
         peer: Index of the sending address.
     """
     t.bring(State.ACTIVE)
-    bodies: list[Any] = [wire.Command(0, 0, NAN, NAN, 0.0)]
+    bodies: list[Any] = [wire.CommandFrame(0, 0, NAN, NAN, 0.0)]
     if back is None and not answers:
-        bodies.append(wire.Control((t.request + 1) & WRAP, Operation.TRIP, 0, ZERO))
+        bodies.append(wire.ControlRequest((t.request + 1) & WRAP, Operation.TRIP, 0, ZERO))
     if change is not bytes:
         bodies.append(wire.Estop(draw()))
     for body in bodies:
@@ -541,7 +543,7 @@ def ignored(
         t.sequence = (t.sequence + (back is None)) & WRAP
         last = t.last.sequence
         t.wait(wait * 1e-9)
-        if isinstance(body, wire.Command):
+        if isinstance(body, wire.CommandFrame):
             body = body._replace(answers=(last - answers) & WRAP)
         frame = t.encode(body, session=session, sequence=(t.sequence - (back or 0)) & WRAP)
         t.links[peer].send(change(frame))

@@ -16,7 +16,7 @@ from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.connection import RETRY_INTERVAL, TAKEOVER, draw, exchange, profile_of
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight_guards import shown as pose_shown
-from maglev_mj.bridge.landing import Leader, Motion, straight
+from maglev_mj.bridge.landing import Leader, RecentMotion, straight
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.safety import OutputLimiter, are_off, at_most
 from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer
@@ -25,12 +25,16 @@ from maglev_mj.frames import ZERO, Sample
 from maglev_mj.plants.sensor import tracker_of
 
 _PATIENCE = 2.0  # [s]
-_ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}
+_ANSWERS: dict[type, type] = {
+    wire.Hello: wire.HelloAck,
+    wire.ControlRequest: wire.ControlAck,
+    wire.Estop: wire.EstopAck,
+}
 _TRIES = 10  # repetitions of a check if this host was late
 _LED = 0.6  # [s] of takeoff and landing
 _OFF_CENTRE = 0.5  # from the centre, as a share of the largest error of a takeoff
 _Numbers: TypeAlias = Sequence[float]
-_Walls: TypeAlias = tuple[wire.Wall, ...]
+_Walls: TypeAlias = tuple[wire.WallMessage, ...]
 _Law: TypeAlias = Callable[[Any], _Numbers]
 
 
@@ -172,7 +176,7 @@ class Tester:
     ) -> None:
         """Send currents under the next sequence number."""
         self.sequence = (self.sequence + 1) & WRAP
-        body = wire.Command(answers & WRAP, 0, tuple(held), tuple(pulsed or held), width, walls or self.walls)
+        body = wire.CommandFrame(answers & WRAP, 0, tuple(held), tuple(pulsed or held), width, walls or self.walls)
         data, chance = self.encode(body, sequence=self.sequence), self._random.random()
         if self.loss <= chance < 2.0 * self.loss:
             self.links[0].send(data[:43] + bytes([data[43] ^ 255]) + data[44:])
@@ -231,7 +235,8 @@ class Tester:
         welcomes = kind is wire.HelloAck and body.status == HelloStatus.WELCOME
         self._sessions |= {frame.session} if welcomes else set()
         wrong = {
-            "type": kind in (wire.Hello, wire.Control, wire.Command, wire.Estop) or (reports and source > 0),
+            "type": kind in (wire.Hello, wire.ControlRequest, wire.CommandFrame, wire.Estop)
+            or (reports and source > 0),
             "padding": self.codec.encode(*frame) != data,
             "sequence number": frame.sequence > 0 and not reports,
             "session": (frame.session not in self._sessions) if ours else (frame.session != 0) != welcomes,
@@ -324,7 +329,7 @@ class Tester:
     ) -> wire.ControlAck:
         """Send a new request and return its answer."""
         self.request = (self.request + 1) & WRAP
-        body = wire.Control(self.request, operation, faults, tuple(hover or self.half), tuple(stop))
+        body = wire.ControlRequest(self.request, operation, faults, tuple(hover or self.half), tuple(stop))
         frame = self.exchange(body, **header) or fail(f"no answer to {shown(operation, Operation.ARM)}")
         answer: wire.ControlAck = frame.body
         self.asked_at = frame.time
@@ -471,7 +476,7 @@ class Tester:
 
     def _rest(self) -> list[float]:
         """Wait until the flotor is at rest and return its pose."""
-        motion, end = Motion(self.welcome.period * 1e-9, self._scale), self.now() + 10_000_000_000
+        motion, end = RecentMotion(self.welcome.period * 1e-9, self._scale), self.now() + 10_000_000_000
         while not (motion.full and motion.at_rest):
             frame = self.states(1)[0]
             motion.add(Sample(frame.sequence, frame.time * 1e-9, self.locate(frame)))

@@ -16,7 +16,7 @@ _PRESS = 0.44
 """Force of a wall that presses the flotor on its stop, as a share of the weight."""
 
 
-def _pressing(t: Tester) -> tuple[wire.Wall, list[float]]:
+def _pressing(t: Tester) -> tuple[wire.WallMessage, list[float]]:
     """Bring the device to ACTIVE; return a wall that presses the flotor on its stop, and its currents [A]."""
     t.bring(State.ACTIVE)
     depth = 0.8e-9 * t.welcome.edge_speed * t.welcome.period
@@ -25,7 +25,7 @@ def _pressing(t: Tester) -> tuple[wire.Wall, list[float]]:
     stiffness = min(force / depth, t.welcome.stiffness_limit) if depth else 0.0
     edge = t.calibration.wall_maps.pose(t.last.body.spots)[2] - depth
     per_force = t.calibration.coils.current_per_wrench[:, 2]
-    return wire.Wall(2, -1, edge, stiffness, 0.0, 0.0), (-stiffness * depth * per_force).tolist()
+    return wire.WallMessage(2, -1, edge, stiffness, 0.0, 0.0), (-stiffness * depth * per_force).tolist()
 
 
 @check("walls of a CMD add their force at the diodes' pose, end with the CMDs that name them, and stand in silence")
@@ -77,11 +77,11 @@ def _wall_limits(t: Tester) -> str:
     return f"INVALID_COMMAND, {len(bad) + 4} walls"
 
 
-def _clear(t: Tester, side: int = -1) -> wire.Wall:
+def _clear(t: Tester, side: int = -1) -> wire.WallMessage:
     """Bring the device to ACTIVE; return a wall without gains, 1 mm off the flotor, or at it if on both sides."""
     t.bring(State.ACTIVE)
     edge = t.calibration.wall_maps.pose(t.last.body.spots)[2] - 1e-3 * side
-    return wire.Wall(2, side, edge, 0.0, 0.0, 0.0)
+    return wire.WallMessage(2, side, edge, 0.0, 0.0, 0.0)
 
 
 @check("walls that push the same way along an axis are within the limits together, or end in INVALID_COMMAND")

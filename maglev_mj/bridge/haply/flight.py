@@ -16,7 +16,7 @@ from maglev_mj.control.laws.base import Answer, Face, Gains, as_law
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import ZERO, Command, Component, Sample, Six
-from maglev_mj.plants.model import Body
+from maglev_mj.plants.model import Flotor
 from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import Scene
 from maglev_mj.session import begin_scene, device_controller
@@ -58,7 +58,7 @@ def on_arm(scene: Scene, plant: HaplyPlant) -> Scene:
 
     class OnArm(cls):  # type: ignore[misc, valid-type]
         name, title = scene.name, scene.title
-        body = Body(inertia, np.zeros(3), np.append(plant.arm.range, [np.inf] * 3), plant.arm.force_limit[2])
+        body = Flotor(inertia, np.zeros(3), np.append(plant.arm.range, [np.inf] * 3), plant.arm.force_limit[2])
 
         def laws(self) -> list[Law]:
             return [ForcesOnly(law) for law in map(as_law, super().laws()) if not law.carried().any()]

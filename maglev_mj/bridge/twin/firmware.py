@@ -10,7 +10,18 @@ from typing import Any, NamedTuple, Protocol
 
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, Profile, SpotGuard, ThermalModel, are_off, command_fault
-from maglev_mj.bridge.wire import MOST_WALLS, NEVER, WRAP, Codec, Fault, HelloStatus, Operation, State, Wall, newer
+from maglev_mj.bridge.wire import (
+    MOST_WALLS,
+    NEVER,
+    WRAP,
+    Codec,
+    Fault,
+    HelloStatus,
+    Operation,
+    State,
+    WallMessage,
+    newer,
+)
 from maglev_mj.frames import ZERO
 
 _SOFT = sum((fault for fault in Fault if wire.ending_of(fault) is wire.Ending.STOP), Fault(0)) & ~Fault.WALL_ENERGY
@@ -116,13 +127,13 @@ class Firmware:
             off = profile.limits.off_current
             answer = wire.EstopAck(body.request, self.state, profile.lockstep, self.faults, *sampled, off)
             return codec.encode(0, 0, now, answer)
-        if not isinstance(body, (wire.Command, wire.Control)):
+        if not isinstance(body, (wire.CommandFrame, wire.ControlRequest)):
             self.counts["direction"] += 1
             return None
         if self.session == 0 or frame.session != self.session or peer != self.peer:
             self.counts["session"] += 1
             return None
-        if isinstance(body, wire.Control):
+        if isinstance(body, wire.ControlRequest):
             return self._control(body, now)
         if not newer(frame.sequence, self._sequence):
             self.counts["old"] += 1
@@ -262,7 +273,7 @@ class Firmware:
         session = self.session if status == HelloStatus.WELCOME else 0
         return self._codec.encode(session, 0, now, body)
 
-    def _apply(self, command: wire.Command, now: int) -> None:
+    def _apply(self, command: wire.CommandFrame, now: int) -> None:
         # wraps to a huge age for a future sample
         age = ((self._sampled - command.answers) & WRAP) * self.profile.period
         if not self.profile.lockstep:
@@ -287,21 +298,21 @@ class Firmware:
         self._newest = newest
         self._amplifiers.drive(now, command.held, command.pulsed if command.width else None, command.width)
 
-    def _control(self, control: wire.Control, now: int) -> bytes | None:
+    def _control(self, control: wire.ControlRequest, now: int) -> bytes | None:
         last = self._acknowledgement
         if last is None or control.request != last.request:
             if last is not None and not newer(control.request, last.request):
                 self.counts["old"] += 1
                 return None
             self._heard = now
-            result = 0 if self._do(control, now) else wire.Result.REFUSED
+            result = 0 if self._do(control, now) else wire.Outcome.REFUSED
             last = self._acknowledgement = wire.ControlAck(control.request, control.operation, result, 0, 0)
         answer = self._codec.encode(self.session, 0, now, last._replace(state=self.state, faults=self.faults))
         if last.operation == Operation.BYE:
             self.session, self.peer = 0, None
         return answer
 
-    def _do(self, control: wire.Control, now: int) -> bool:
+    def _do(self, control: wire.ControlRequest, now: int) -> bool:
         """Execute an operation; return True if done."""
         operation = control.operation
         if operation == Operation.TRIP:
@@ -320,7 +331,7 @@ class Firmware:
             return False
         return True
 
-    def _arm(self, control: wire.Control, now: int) -> bool:
+    def _arm(self, control: wire.ControlRequest, now: int) -> bool:
         hover, stop, limits = control.hover, control.stop, self.profile.limits
         if self.state != State.INACTIVE or not all(abs(x) <= limits.hover_limit for x in hover):
             return False
@@ -363,8 +374,8 @@ class Walls:
     def clear(self) -> None:
         """Remove all walls at once: the currents are cut."""
         self.active, self.guard = False, SpotGuard(self._profile.limits, self._profile.wall_period * 1e-9)
-        self._walls: Sequence[Wall] = ()
-        self._pending: Sequence[Wall] | None = None
+        self._walls: Sequence[WallMessage] = ()
+        self._pending: Sequence[WallMessage] | None = None
         self._due = self._sampled_at = 0  # [ns]
         self._pose: Sequence[float] | None = None  # at the last sample
         self._speeds, self._forces = [0.0] * MOST_WALLS, [0.0] * MOST_WALLS
@@ -378,7 +389,7 @@ class Walls:
         """True if the walls have returned more energy than they took, by more than allowed."""
         return self._energy - self._stored > self._profile.limits.energy
 
-    def fault(self, walls: Sequence[Wall], spots: Sequence[float] | None, periods: int) -> Fault:
+    def fault(self, walls: Sequence[WallMessage], spots: Sequence[float] | None, periods: int) -> Fault:
         """Return the fault of a command's walls, if any.
 
         Args:
@@ -394,7 +405,7 @@ class Walls:
         moved = profile.edge_problem(walls, latest, profile.wall_maps.pose(spots), periods)
         return Fault.INVALID_COMMAND if moved else Fault(0)
 
-    def command(self, walls: Sequence[Wall], due: int, currents: Sequence[Sequence[float]]) -> None:
+    def command(self, walls: Sequence[WallMessage], due: int, currents: Sequence[Sequence[float]]) -> None:
         """Replace the walls at a time [ns].
 
         A replacement that is still pending is made now, but replaced by that of the same answer, repeated.
@@ -410,7 +421,7 @@ class Walls:
 
     def _switch(self) -> None:
         """Let the pending walls take effect; a wall on the same axis and side continues."""
-        pending: Sequence[Wall] = self._pending or ()
+        pending: Sequence[WallMessage] = self._pending or ()
         for index, wall in enumerate(pending):
             if index >= len(self._walls) or wall[:2] != self._walls[index][:2]:
                 self._speeds[index] = self._forces[index] = 0.0

@@ -105,7 +105,7 @@ _DOT, _DIAMOND = np.array([0.018, 0.045]), np.array([[-1, 0], [0, 1], [1, 0], [0
 _MARKS = 80
 
 
-class Plots:
+class WindowPlots:
     """Live plots as MjvFigures: position, force, stability map, phase plane; and the two of the magnified wall."""
 
     def __init__(self) -> None:
@@ -238,7 +238,7 @@ _RED: Colour = (0.80, 0.05, 0.05)
 _STOP_LABEL = "ESC: EMERGENCY STOP"
 
 
-class Box(NamedTuple):
+class TextBox(NamedTuple):
     """Filled rectangle with a centred line of text.
 
     Attributes:
@@ -266,8 +266,8 @@ class Overlay(NamedTuple):
 
     layout: Layout
     figures: Sequence[tuple[Area, Any]]
-    boxes: Sequence[Box]
-    bars: Sequence[Box]
+    boxes: Sequence[TextBox]
+    bars: Sequence[TextBox]
     upper: Sequence[Row]
     lower: Sequence[Row]
 
@@ -299,7 +299,7 @@ class Screen:
     """
 
     def __init__(self, *, keys: bool = True, plots: bool = True) -> None:
-        self._plots, self._has_keys, self._late = Plots(), keys, Note()
+        self._plots, self._has_keys, self._late = WindowPlots(), keys, Note()
         self._axis: int | None = None
         self._page = 0
         self.plots = plots
@@ -323,11 +323,11 @@ class Screen:
         layout = Layout(view, scale)
         text, plots = layout.text, layout.plots
         figures = self._plots.update(snapshot, self._axis, letters(plots[0].width, scale)) if plots else []
-        boxes = [Box(text, _PANEL), *self._bar(snapshot, layout.bar)]
+        boxes = [TextBox(text, _PANEL), *self._bar(snapshot, layout.bar)]
         if self._has_keys and EMERGENCY_STOP in snapshot.actions:
-            boxes.append(Box(layout.label, _RED, _STOP_LABEL))
+            boxes.append(TextBox(layout.label, _RED, _STOP_LABEL))
         boxes += self._banner(snapshot, layout, scale)
-        pictures, bars = list(zip(plots, figures)), list[Box]()
+        pictures, bars = list(zip(plots, figures)), list[TextBox]()
         if self._page:
             keys = self._page == 1
             table = help_rows(snapshot.actions, hand=moved_by_mouse(snapshot)) if keys else number_rows(snapshot)
@@ -345,16 +345,16 @@ class Screen:
         """Return the rows at the lower left; those that stay are last."""
         return _HINTS[1:] if self._page == 1 else [*message_rows(snapshot, notes), *(_HINTS if self._has_keys else [])]
 
-    def _bar(self, snapshot: Snapshot, area: Area) -> list[Box]:
+    def _bar(self, snapshot: Snapshot, area: Area) -> list[TextBox]:
         """Return the time bar of a recording with event marks; empty for none."""
         if snapshot.duration is None:
             return []
         pixels = area.width / (snapshot.duration or 1.0)
         marks = [area._replace(left=area.left + int(mark * pixels), width=2) for mark in snapshot.marks[:_MARKS]]
         done = area._replace(width=int(min(snapshot.time * pixels, area.width)))
-        return [Box(area, STOP), Box(done, MEASURED), *(Box(mark, BAD) for mark in marks)]
+        return [TextBox(area, STOP), TextBox(done, MEASURED), *(TextBox(mark, BAD) for mark in marks)]
 
-    def _banner(self, snapshot: Snapshot, layout: Layout, scale: int) -> list[Box]:
+    def _banner(self, snapshot: Snapshot, layout: Layout, scale: int) -> list[TextBox]:
         """Return the strip of a device, and the lines of the banner, the heading first; empty if there is neither."""
         if snapshot.overloaded:
             self._late.say("late")
@@ -371,24 +371,26 @@ class Screen:
         area = layout.device
         lines = [(colour, line) for colour, text in texts for _, line in wrapped([("", text)], area.width, scale)]
         strips = (area._replace(bottom=area.top - index * layout.row, height=layout.row) for index in count(1))
-        return [Box(strip, colour, line) for strip, (colour, line) in zip(strips, lines)]
+        return [TextBox(strip, colour, line) for strip, (colour, line) in zip(strips, lines)]
 
 
 _FULL, _FORCE_LETTERS = 10.0, len("12.3 N, peak 123.4 N")
 """Force of a full bar [N], and letters of a force."""
 
 
-def _bars(snapshot: Snapshot, layout: Layout, name: int, scale: int) -> list[Box]:
+def _bars(snapshot: Snapshot, layout: Layout, name: int, scale: int) -> list[TextBox]:
     """Return bars beside the numbers of the forces: extremes as a thin band, mean above it; empty without room."""
     left = layout.text.left + int((_MARGIN + _GLYPH * (name + 2 + _FORCE_LETTERS)) * scale)
-    width, bars = layout.text.left + layout.text.width - left - layout.row // 3, list[Box]()
+    width, bars = layout.text.left + layout.text.width - left - layout.row // 3, list[TextBox]()
     if width < _LEAST_BAR * scale or snapshot.hand_estimated:  # the word is where the bar would be
         return []
     measured = [(force, FORCES[name]) for name, force in forces(snapshot).items() if force_text(force)]
     for row, (force, colour) in enumerate(measured):
         low, mean, high = (int(width * min(size / _FULL, 1.0)) for size in (force.least, force.size, force.most))
         bottom, height = layout.text.top - int((row + 0.75) * layout.row), layout.row // 2
-        bars.append(Box(Area(left, bottom, width, height), _TRACK))
-        bars.append(Box(Area(left, bottom, max(mean, 1), height), on_dark(colour, 3.0)))
-        bars.append(Box(Area(left + low, bottom + height // 3, max(high - low, 1), height // 3), on_dark(colour, 9.0)))
+        bars.append(TextBox(Area(left, bottom, width, height), _TRACK))
+        bars.append(TextBox(Area(left, bottom, max(mean, 1), height), on_dark(colour, 3.0)))
+        bars.append(
+            TextBox(Area(left + low, bottom + height // 3, max(high - low, 1), height // 3), on_dark(colour, 9.0))
+        )
     return bars
