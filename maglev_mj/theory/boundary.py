@@ -43,25 +43,53 @@ from maglev_mj.theory.loop_array import (
     sampled_fields,
 )
 
-_HIGHEST, _HIGHER = 8.0, 64.0
-"""Largest stiffness searched, and largest one beside a device law [m/T²]."""
-_NEAR = np.array([-1e-4, -1e-7, 1e-7, 1e-4])
-_CLOSE = np.array([-1e-4, -2e-7, 2e-7, 1e-4])
-_ALIKE = 2e-15  # spectral radii equal to within rounding
-_EVEN = np.array([0.0, 0.3, 0.7, 1.0])
-_LOWEST, _ROUGH, _FINEST = 8e-5, 1e-5, 1e-7
-_SCANNED, _HALVINGS = 240, 40
-_MODES, _RATES, _FINE_RATES, _STEPS, _COARSER = 20.0, 25, 16, 8, 8
-_ALIASES, _CLUSTER = 12, np.linspace(-0.03, 0.03, 25)
-_GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 720)])
-_FINER, _FLAT = 16, 1e-10
-_SOFTEST = 1e-9
-"""Least stiffness distinguishable from zero [m/T²]."""
-_AROUND, _BESIDE, _FALL = 1e-2 * np.linspace(-1.0, 1.0, 9), 1e-6 * np.linspace(-1.0, 1.0, 5), 1e-3
-_LEAST, _TRIM = 1e-11, 1e-10
-_ANGLES = np.geomspace(1e-5, np.pi, 1000)
-_PER_TURN, _TURNS, _BESIDES, _CROSSINGS, _ILLINOIS, _LEAST_ANGLE = 0.25, 300.0, 40, 6, 60, 1e-7
-_PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
+# Units: stiffness in m/T², damping in m/T, angles of the unit circle in rad.
+# -- ranges of the searches
+_MOST_STIFFNESS, _MOST_BESIDE_DEVICE_LAW = 8.0, 64.0
+"""Largest stiffness searched: no wall of a free mass is stable above 8; a damper on the device allows more."""
+_LEAST_OF_GRID = 8e-5
+"""Least damping, or stiffness, of a grid: softer walls are 1e-5 of the largest."""
+_DAMPING_GRID = np.array([0.0, *np.geomspace(_LEAST_OF_GRID, _MOST_STIFFNESS, 720)])
+_EVERY_NTH = 8
+"""Every so many points of that grid are enough where the boundary is a single hill."""
+_LEAST_ANGLE = 1e-7
+"""Least angle of a crossing: below it, poles at 1 hide it."""
+_PASSIVITY_ANGLES = np.geomspace(1e-5, np.pi, 1000)
+
+# -- a stiffest wall
+_ROUGH_ACCURACY, _FINE_ACCURACY = 1e-5, 1e-7
+"""Relative width of damping at which a search for a maximum ends, before and after refinement by eigenvalues."""
+_POINTS_OF_REFINEMENT, _FLAT_PEAK = 16, 1e-10
+"""Points of each refinement, and relative difference below which heights are rounding."""
+_AROUND_PEAK, _BESIDE_PEAK = 1e-2 * np.linspace(-1.0, 1.0, 9), 1e-6 * np.linspace(-1.0, 1.0, 5)
+"""Relative offsets by which a rough maximum is refined, and at which a jump of the boundary is looked for."""
+_JUMP = 1e-3
+"""Relative fall within `_BESIDE_PEAK` that is a jump; documented in `StiffestWall`."""
+
+# -- crossings of the unit circle
+_GAIN_PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
+"""Stiffnesses and dampings at which a polynomial that is linear in both is read; the last pair tests that it is."""
+_STEP_OF_TURN, _MOST_TURNS, _BESIDE_POLE = 0.25, 300.0, 40
+"""Angle step of a delayed loop as a share of a turn, turns covered, and steps to either side of a pole of its own."""
+_MOST_CROSSINGS, _MOST_STEPS = 6, 60
+"""Crossings kept for each damping, and most steps of the Illinois method."""
+_SCAN_POINTS, _SCAN_HALVINGS = 240, 40
+"""Stiffnesses of a scan where no polynomial is known, and bisections of a change: to rounding."""
+_BESIDE_ROUGH = np.array([-1e-4, -1e-7, 1e-7, 1e-4])
+_BESIDE_INTERPOLATED, _EVEN_SHARES = np.array([-1e-4, -2e-7, 2e-7, 1e-4]), np.array([0.0, 0.3, 0.7, 1.0])
+"""Offsets at which a crossing is bracketed by eigenvalues: relative; as shares of the bracket, and even ones."""
+
+# -- what counts as zero
+_EQUAL_RADII = 2e-15
+"""Difference of two spectral radii that is rounding."""
+_LEAST_STIFFNESS, _ZERO_STIFFNESS, _ZERO_COEFFICIENT = 1e-9, 1e-11, 1e-10
+"""Least stiffness that is called stable, that of a crossing above 0, and least coefficient relative to the largest."""
+
+# -- rates beside a flexible mode
+_FASTEST_OF_MODE, _COARSE_RATES, _FINE_RATES, _RATE_HALVINGS = 20.0, 25, 16, 8
+"""Highest rate as a multiple of the mode's frequency; walls up to it, rates between two, bisections of a change."""
+_MOST_ALIASES, _BESIDE_ALIAS = 12, np.linspace(-0.03, 0.03, 25)
+"""Aliases of a mode that are tried, and relative offsets beside each: unstable ranges of rates are narrow there."""
 
 
 class StiffestWall(NamedTuple):
@@ -102,7 +130,7 @@ def spans(loop: LoopArray, damping: Array, limit: float) -> tuple[Array, Mask]:
         damping: (N,).
         limit: Spectral radius allowed.
     """
-    (stiff, damp), highest = scales(loop), _HIGHEST if loop.device is None else _HIGHER
+    (stiff, damp), highest = scales(loop), _MOST_STIFFNESS if loop.device is None else _MOST_BESIDE_DEVICE_LAW
     if _is_delayed(loop):
         crossed = np.minimum(_delayed(loop, damping, limit) / np.broadcast_to(stiff, damping.shape)[:, None], highest)
     elif loop.affine:
@@ -146,16 +174,16 @@ def _delayed(loop: LoopArray, damping: Array, limit: float) -> Array:
 def _lowest(loop: LoopArray, damping: Array, limit: float) -> Array:
     """Return the crossings of one loop, (N, c); see `_delayed`."""
     stiff, damp = (float(np.asarray(unit).reshape(-1)[0]) for unit in scales(loop))
-    cut, periods, _ = loop.cut_at_delay(_PAIRS[0] * stiff, _PAIRS[1] * damp)
+    cut, periods, _ = loop.cut_at_delay(_GAIN_PAIRS[0] * stiff, _GAIN_PAIRS[1] * damp)
     free, first, second, both = give = cut.give
     whole, alike = float(periods[0]), np.ptp(cut.advance, axis=0).max() == np.ptp(cut.take, axis=0).max() == 0.0
     if not alike or not np.allclose(both + 3.0 * free, 2.0 * (first + second), atol=1e-9 * np.abs(give).max()):
         raise ParameterError("design must have a characteristic polynomial that is linear in its gains")
     parts = np.stack([free, (first - free) / stiff, (second - free) / damp])
-    step = _PER_TURN / max(whole, 1.0)
+    step = _STEP_OF_TURN / max(whole, 1.0)
     own = np.abs(np.angle(np.linalg.eigvals(cut.advance[0])))
-    beside = own[own > 2.0 * _LEAST_ANGLE, None] + step * np.arange(-_BESIDES, _BESIDES + 1)
-    even = step * np.arange(1, math.ceil(min(np.pi, _TURNS * 2.0 * np.pi / whole) / step))
+    beside = own[own > 2.0 * _LEAST_ANGLE, None] + step * np.arange(-_BESIDE_POLE, _BESIDE_POLE + 1)
+    even = step * np.arange(1, math.ceil(min(np.pi, _MOST_TURNS * 2.0 * np.pi / whole) / step))
     grid = np.concatenate([np.geomspace(_LEAST_ANGLE, step, 60)[:-1], even, beside.reshape(-1)])
     grid = np.append(np.unique(grid[(grid > 0.0) & (grid < np.pi)]), np.pi)
 
@@ -183,10 +211,10 @@ def _lowest(loop: LoopArray, damping: Array, limit: float) -> Array:
     rows, column, rough = rows[kept], column[kept], rough[kept]
     order = np.lexsort((rough, rows))
     rank = np.arange(len(rows)) - np.searchsorted(rows[order], rows[order])
-    chosen = order[rank < _CROSSINGS]
+    chosen = order[rank < _MOST_CROSSINGS]
     rows, column = rows[chosen], column[chosen]
     low, high, below, above = grid[column], grid[column + 1], imaginary[rows, column], imaginary[rows, column + 1]
-    for _ in range(_ILLINOIS):
+    for _ in range(_MOST_STEPS):
         middle = (low * above - high * below) / (above - below)
         value, _ = held(middle, damping[rows])
         beyond = np.sign(value) == np.sign(below)
@@ -195,12 +223,12 @@ def _lowest(loop: LoopArray, damping: Array, limit: float) -> Array:
         if not ((high - low > 1e-15 * high) & (value != 0.0)).any():
             break
     _, exact = held(middle if len(rows) else low, damping[rows])
-    result = np.full((len(damping), _CROSSINGS + 2), np.inf)
+    result = np.full((len(damping), _MOST_CROSSINGS + 2), np.inf)
     result[:, -1] = stiffness[:, -1]
     if limit < 1.0:  # a real pole; at 1 the stiffness is 0
         result[:, -2:-1] = held(np.zeros(1), damping[:, None])[1]
-    result[rows, rank[rank < _CROSSINGS]] = exact
-    return np.sort(np.where(result > _LEAST * stiff, result, np.inf), axis=-1)
+    result[rows, rank[rank < _MOST_CROSSINGS]] = exact
+    return np.sort(np.where(result > _ZERO_STIFFNESS * stiff, result, np.inf), axis=-1)
 
 
 def _scanned(loop: LoopArray, damping: Array, limit: float) -> Array:
@@ -208,11 +236,11 @@ def _scanned(loop: LoopArray, damping: Array, limit: float) -> Array:
 
     By a grid and bisection, for a polynomial that is not linear in the gains: a narrower range may be missed.
     """
-    grid = np.geomspace(_LOWEST, _HIGHER, _SCANNED)
+    grid = np.geomspace(_LEAST_OF_GRID, _MOST_BESIDE_DEVICE_LAW, _SCAN_POINTS)
     stiff = np.broadcast_to(scales(loop)[0], damping.shape)
     good = is_stable(loop.widened().spectral_radius(stiff[:, None] * grid, damping[:, None]), limit)
     rows, columns = np.nonzero(good[:, 1:] != good[:, :-1])
-    result = np.full((len(damping), int(np.bincount(rows, minlength=1).max(initial=0))), _HIGHER)
+    result = np.full((len(damping), int(np.bincount(rows, minlength=1).max(initial=0))), _MOST_BESIDE_DEVICE_LAW)
     if rows.size:
         part, was = loop.part(damping.shape, rows), good[rows, columns]
 
@@ -220,7 +248,7 @@ def _scanned(loop: LoopArray, damping: Array, limit: float) -> Array:
             return np.asarray(is_stable(part.spectral_radius(stiffness * stiff[rows], damping[rows]), limit) != was)
 
         places = np.arange(rows.size) - np.searchsorted(rows, rows)
-        result[rows, places] = bisect(changed, grid[columns], grid[columns + 1], _HALVINGS)
+        result[rows, places] = bisect(changed, grid[columns], grid[columns + 1], _SCAN_HALVINGS)
     return result
 
 
@@ -308,7 +336,7 @@ def boundary_of(loop: LoopArray, damping: Array) -> Array:
     low, high = midpoints[rows, np.maximum(last - 1, 0)], midpoints[rows, last]
     bracketed = (first > 0) & (first < good.shape[-1])
     # a crossing with a small slope is less accurate than the eigenvalues, so refine by them
-    near = np.clip(rough[:, None] * (1.0 + _NEAR), low[:, None], high[:, None])
+    near = np.clip(rough[:, None] * (1.0 + _BESIDE_ROUGH), low[:, None], high[:, None])
     middle = np.concatenate([low[:, None], near, high[:, None]], axis=1)
     while True:
         spectral_radii = wide.spectral_radius(middle, b)
@@ -317,20 +345,22 @@ def boundary_of(loop: LoopArray, damping: Array) -> Array:
         part = np.where(steady.all(axis=-1), steady.shape[-1], np.argmin(steady, axis=-1))
         low, high = middle[rows, part], middle[rows, part + 1]
         below, above = spectral_radii[rows, part], spectral_radii[rows, part + 1]
-        if not (bracketed & (high - low > 1e-13 * high) & (above - below > _ALIKE)).any():
+        if not (bracketed & (high - low > 1e-13 * high) & (above - below > _EQUAL_RADII)).any():
             break
         # dense around the interpolated crossing, and an even grid because the radius is not linear
         with np.errstate(divide="ignore", invalid="ignore"):
             crossing = (1.0 - ROUNDING - below) / (above - below)
-        shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _CLOSE
-        shares = np.sort(np.concatenate([np.clip(shares, 0.0, 1.0), np.tile(_EVEN, (rows.size, 1))], axis=1))
+        shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _BESIDE_INTERPOLATED
+        shares = np.sort(np.concatenate([np.clip(shares, 0.0, 1.0), np.tile(_EVEN_SHARES, (rows.size, 1))], axis=1))
         middle = low[:, None] + (high - low)[:, None] * shares
     return np.where(bracketed, low, rough).reshape(shape)
 
 
 def highest_of(loop: LoopArray) -> Array:
     """Return the stiffness at which the search for a boundary ends, less rounding [N/m], (...,)."""
-    return np.asarray((_HIGHEST if loop.device is None else _HIGHER) * scales(loop)[0] * (1.0 - 1e-9))
+    return np.asarray(
+        (_MOST_STIFFNESS if loop.device is None else _MOST_BESIDE_DEVICE_LAW) * scales(loop)[0] * (1.0 - 1e-9)
+    )
 
 
 def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
@@ -366,7 +396,7 @@ def stiffest_of(loop: LoopArray, finest: float | None = None) -> StiffestWall:
 def _stiffest(loop: LoopArray, finest: float | None = None) -> tuple[float, float, bool]:
     """Return stiffness, damping and `on_jump` of one loop's stiffest wall."""
     stiff, damp = scales(loop)
-    grid = _GRID * float(damp) * loop.narrowed
+    grid = _DAMPING_GRID * float(damp) * loop.narrowed
 
     def beside(positions: Array, shares: Array) -> Array:
         return np.unique(np.maximum(positions + np.maximum(positions, grid[1]) * shares, 0.0))
@@ -375,18 +405,18 @@ def _stiffest(loop: LoopArray, finest: float | None = None) -> tuple[float, floa
         return first_end(*spans(loop, dampings, 1.0))[0]
 
     if finest is not None or not loop.affine or _is_delayed(loop):
-        rough = maxima(crossing, grid[::_COARSER], finest or _ROUGH, peaks=1)
+        rough = maxima(crossing, grid[::_EVERY_NTH], finest or _ROUGH_ACCURACY, peaks=1)
         top = float(crossing(rough)[0])
-        return (top, float(rough[0]), False) if top > _SOFTEST * float(stiff) else (0.0, 0.0, False)
+        return (top, float(rough[0]), False) if top > _LEAST_STIFFNESS * float(stiff) else (0.0, 0.0, False)
     # crossings of an almost undamped pole are accurate to 1e-3 only; refine by the eigenvalues
-    rough = maxima(crossing, grid, _ROUGH)
-    best = maxima(partial(boundary_of, loop), beside(rough[:, None], _AROUND), _FINEST, peaks=1)
-    near = beside(best, _BESIDE)
+    rough = maxima(crossing, grid, _ROUGH_ACCURACY)
+    best = maxima(partial(boundary_of, loop), beside(rough[:, None], _AROUND_PEAK), _FINE_ACCURACY, peaks=1)
+    near = beside(best, _BESIDE_PEAK)
     exact = boundary_of(loop, near)
     most = float(exact.max())
-    if not most > _SOFTEST * float(stiff):
+    if not most > _LEAST_STIFFNESS * float(stiff):
         return 0.0, 0.0, False
-    return most, float(near[np.argmax(exact)]), bool(exact.min() < most * (1.0 - _FALL))
+    return most, float(near[np.argmax(exact)]), bool(exact.min() < most * (1.0 - _JUMP))
 
 
 def rates_beside(mode: Mode) -> Array:
@@ -394,8 +424,8 @@ def rates_beside(mode: Mode) -> Array:
 
     Loops may be unstable in a narrow range of rates there.
     """
-    aliased = 2.0 * float(mode.values[0]) / np.arange(1.0, _ALIASES + 1.0)
-    return np.asarray(np.unique(aliased[:, None] * (1.0 + _CLUSTER)))
+    aliased = 2.0 * float(mode.values[0]) / np.arange(1.0, _MOST_ALIASES + 1.0)
+    return np.asarray(np.unique(aliased[:, None] * (1.0 + _BESIDE_ALIAS)))
 
 
 def rigid_note(loop: LoopArray) -> str:
@@ -408,13 +438,13 @@ def rigid_note(loop: LoopArray) -> str:
     mode, loop = loop.mode, replace(loop, device=None)
     assert mode is not None
     rigid, own = replace(loop, mode=None), 1.0 / float(np.asarray(loop.period))
-    fastest = max(min(_MODES * float(mode.values[0]), 1.0 / MIN_PERIOD), own)
-    coarse = np.geomspace(own, fastest, _RATES if fastest > own else 1)
+    fastest = max(min(_FASTEST_OF_MODE * float(mode.values[0]), 1.0 / MIN_PERIOD), own)
+    coarse = np.geomspace(own, fastest, _COARSE_RATES if fastest > own else 1)
     text = "rigid device: half of its stiffness limit is"
 
     def half(rate: float) -> Array:
         """Return the gains of half of the stiffest wall."""
-        stiffness, damping, _ = stiffest_of(replace(rigid, period=1.0 / rate), _ROUGH)
+        stiffness, damping, _ = stiffest_of(replace(rigid, period=1.0 / rate), _ROUGH_ACCURACY)
         return np.array([0.5 * stiffness, damping])
 
     def unstable(rate: Array) -> Mask:
@@ -435,7 +465,7 @@ def rigid_note(loop: LoopArray) -> str:
         if not good.all():
             first = int(np.argmin(good))
             below = rates[first - 1] if first else np.asarray(last)
-            edge = float(bisect(unstable, below, rates[first], _STEPS))
+            edge = float(bisect(unstable, below, rates[first], _RATE_HALVINGS))
             return f"{text} unstable with this mode above {edge:.0f} Hz at this delay"
         last = float(rates[-2])
     return f"{text} stable with this mode up to {fastest:.0f} Hz at this delay"
@@ -458,10 +488,10 @@ def maxima(function: Callable[[Array], Array], grid: Array, finest: float, peaks
         finer, heights = grid, values
         while True:
             low, high = finer[max(best - 1, 0)], finer[min(best + 1, finer.size - 1)]
-            if high - low <= finest * max(high, grid[1]) or heights.min() >= (1.0 - _FLAT) * heights.max():
+            if high - low <= finest * max(high, grid[1]) or heights.min() >= (1.0 - _FLAT_PEAK) * heights.max():
                 break
             # keep the best point: at a jump all the others may be lower
-            finer = np.unique([*np.linspace(low, high, _FINER), finer[best]])
+            finer = np.unique([*np.linspace(low, high, _POINTS_OF_REFINEMENT), finer[best]])
             heights = function(finer)
             best = int(np.argmax(heights))
         arguments.append(finer[best])
@@ -493,7 +523,7 @@ def characteristic(loop: LoopArray, radius: float) -> _Characteristic:
         ParameterError: If the polynomial is not linear in the gains.
     """
     stiff, damp = (np.asarray(unit)[..., None] for unit in scales(loop))
-    matrices = loop.widened().matrix(_PAIRS[0] * stiff, _PAIRS[1] * damp)
+    matrices = loop.widened().matrix(_GAIN_PAIRS[0] * stiff, _GAIN_PAIRS[1] * damp)
     size = matrices.shape[-1]
     turns = radius * np.exp(2j * np.pi * np.arange(size + 1) / (size + 1))
     values = np.linalg.det(turns[:, None, None] * np.eye(size) - matrices[..., None, :, :])
@@ -521,7 +551,7 @@ def _stiffness(damped: Array, stiff: Array, angles: Array) -> Array:
     held, sprung = (np.matmul(powers, part[..., None])[..., 0] for part in (damped, stiff))
     with np.errstate(divide="ignore", invalid="ignore"):
         stiffness = -(held * sprung.conj()).real / np.abs(sprung) ** 2
-    return np.where(stiffness > _LEAST, stiffness, np.inf)
+    return np.where(stiffness > _ZERO_STIFFNESS, stiffness, np.inf)
 
 
 def _sine_series(p: Array, q: Array) -> Array:
@@ -543,7 +573,7 @@ def _roots(series: Array) -> Array:
     count, most = series.shape
     result = np.full((count, most + 1), np.nan)
     result[:, -2:] = 0.0, np.pi
-    significant = np.abs(series) > _TRIM * np.abs(series).max(axis=-1, keepdims=True)
+    significant = np.abs(series) > _ZERO_COEFFICIENT * np.abs(series).max(axis=-1, keepdims=True)
     degrees = np.where(significant.any(axis=-1), most - 1 - np.argmax(significant[:, ::-1], axis=-1), 0)
     for degree in np.unique(degrees[degrees > 0]):
         rows = np.flatnonzero(degrees == degree)
@@ -605,5 +635,5 @@ def least_passive_damping(
 
     shape = np.broadcast_shapes(k.shape, b.shape, step.shape, late.shape, law.direct.shape)[:-1]
     poles = np.asarray(np.linalg.eigvals(law.advance))  # of the law; those of all gains have one axis more
-    grid = angles_of(poles if poles.ndim == 1 else poles[..., 0, :], _ANGLES)
+    grid = angles_of(poles if poles.ndim == 1 else poles[..., 0, :], _PASSIVITY_ANGLES)
     return peak(needed, np.broadcast_to(grid, (*shape, grid.shape[-1])))[1]
