@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -102,16 +103,21 @@ def chart(path: Path, *command: str) -> None:
         shutil.copyfile(Path(folder) / path.name, path)
 
 
+def assume_mass(file: Path, mass: float) -> None:
+    """State another mass in the metadata of a recording, which its simulation takes."""
+    recording = Recording.load(file)
+    setup = recording.segments[0].setup
+    setup["parameters"]["mass"] = setup["plant"]["mass"] = mass
+    recording.save(file)
+
+
 def analysed(path: Path, scene: str, *options: str, assumed_mass: float | None = None) -> None:
     """Record a run, state another mass in its metadata if asked, and keep a chart of its analysis."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "run.maglev"
         _maglev("run", scene, *options, "--record", str(file))
         if assumed_mass is not None:
-            recording = Recording.load(file)
-            setup = recording.segments[0].setup
-            setup["parameters"]["mass"] = setup["plant"]["mass"] = assumed_mass
-            recording.save(file := Path(folder) / "assumed.maglev")
+            assume_mass(file, assumed_mass)
         _maglev("analyse", str(file), "--out", folder)
         shutil.copyfile(Path(folder) / path.name, path)
 
@@ -145,6 +151,7 @@ def shown(
         def run(seconds: float) -> bytes:
             session.tick(seconds)
             for _ in range(4):  # until the browser has drawn it
+                page._apply()
                 page._pose = np.empty(0)  # a sign of life, also of a scene at rest
                 page._show()
                 page._plots.show(session.snapshot())
@@ -153,6 +160,9 @@ def shown(
 
         # a slow screenshot must not look like a lost connection
         view.add_style_tag(content="#root { filter: none !important } #gone { display: none }")
+        view.evaluate(
+            "Object.defineProperty(document.querySelector('#root'), 'inert', { get: () => false, set: () => {} })"
+        )
         end = time.monotonic() + 10.0
         while time.monotonic() < end:  # the first look takes long
             run(0.0)
@@ -180,16 +190,29 @@ def page_home(path: Path) -> None:
         path.write_bytes(run(0.5))
 
 
+_TYPED = re.compile(r"(\d+) into (?:the box of the slider|that of) `(\w+)`(?: in the folder `(\w+)`)?")
+"""A step of a page: number, label of the slider, and of its folder."""
+
+
 def page_buzz(path: Path) -> None:
-    """Write the page when a wall above its critical stiffness has been stopped."""
-    session = _live(stiffness=12_000.0)
-    session.change({"hand_stiffness": 1000.0})
-    with shown(session, 1280, 720) as (_, run):
+    """Type what the first steps say on the page, by their labels, pull, and write the page when it has been stopped."""
+    text = " ".join((ROOT / "docs/tutorials/first_steps.md").read_text("utf-8").split())
+    session = _live()
+    with shown(session, 1280, 720) as (view, run):
+        for number, label, folder in _TYPED.findall(text):
+            if folder:
+                view.get_by_role("button", name=folder, exact=True).click()
+            box = view.locator(f"input[aria-label^='{label} [']")
+            box.fill(number)
+            box.press("Enter")
+            run(0.05)
         session.hand.target = [0.016, 0.0, 0.0, 0.0, 0.0, 0.0]
         for _ in range(400):
             session.tick(0.05)
             if session.snapshot().state == "stopped":
                 break
+        else:
+            raise RuntimeError("the steps of the page must make the wall unstable")
         for _ in range(4):  # the page has had no sign of life meanwhile
             picture = run(0.0)
         path.write_bytes(picture)
@@ -222,11 +245,16 @@ _WALLS: Mapping[str, dict[str, Any]] = {
 """Scenes of the chart of walls on the device, each at most at half its critical stiffness but the first."""
 
 
-def device_walls(path: Path) -> None:
-    """Write drops on three walls over all sampling phases, and the critical stiffness of each kind."""
+def critical_stiffness() -> list[float]:
+    """Return the critical stiffness of each kind of wall in the chart, at its best damping [N/m]."""
     host = {"period": 0.005, "delay": 0.0015, "mass": 0.7}
     loops = host, host | {"device": DeviceLaw(damping=200.0)}, host | {"period": DEVICE_PERIOD, "delay": DEVICE_DELAY}
-    critical = [float(stiffest_wall(**loop).stiffness) for loop in loops]
+    return [float(stiffest_wall(**loop).stiffness) for loop in loops]
+
+
+def device_walls(path: Path) -> None:
+    """Write drops on three walls over all sampling phases, and the critical stiffness of each kind."""
+    critical = critical_stiffness()
     head = [f"A wall on the device may have {critical[2] / critical[0]:.0f} times the stiffness of one on the host"]
     head += ["0.7 kg, host 200 Hz, delay 1.5 ms, device 1 kHz, 0.2 ms, damper 200 N s/m, bands: all sampling phases"]
     figure, (left, right) = new_figure(head, 1, 2, 3.0)
