@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import ast
-import io
-import math
+import json
 import re
 import shlex
 import subprocess
@@ -12,15 +11,12 @@ import sys
 import tempfile
 import threading
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import (
     AbstractContextManager,
-    ExitStack,
     chdir,
     contextmanager,
     nullcontext,
-    redirect_stderr,
-    redirect_stdout,
 )
 from functools import cache
 from pathlib import Path
@@ -37,10 +33,9 @@ from maglev_mj.bridge.connection import estop
 from maglev_mj.bridge.links import UdpServer
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
-from maglev_mj.cli import main, parse
+from maglev_mj.cli import parse
 from maglev_mj.cli.declare import joined
 from maglev_mj.scenes import names
-from tests.processes import lockstep_twin
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
@@ -50,8 +45,16 @@ PAGES = [
 ]
 
 
+LESSONS = [str(path.relative_to(ROOT)) for path in sorted(ROOT.glob("docs/lessons/*.ipynb"))]
+
+
+@cache
 def text_of(page: str) -> str:
-    return (ROOT / page).read_text(encoding="utf-8")
+    """Return the text of a page; of a lesson, that of its cells in words."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    if not page.endswith(".ipynb"):
+        return text
+    return "\n\n".join("".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["cell_type"] == "markdown")
 
 
 def blocks(page: str, language: str) -> list[tuple[int, str]]:
@@ -124,16 +127,20 @@ FULL = ["docs/howto/compare.md"]
 
 
 class PageRun(NamedTuple):
-    """Output lines of a page's Python, and the names of the files that it writes."""
+    """Output lines of a page's Python, names of the files that it writes, and results that a comment states.
+
+    Each of those is the comment behind a statement, with what the statement prints or its value.
+    """
 
     lines: list[str]
     files: set[str]
+    comments: list[tuple[str, str]]
 
 
 @cache
 def run_page(page: str, thinned: bool = True) -> PageRun:
     """Run the Python of a page, block after block in one namespace and an empty folder; once per process."""
-    lines: list[str] = []
+    lines, comments = list[str](), list[tuple[str, str]]()
     namespace: dict[str, Any] = {"__name__": page, "print": lambda *words: lines.append(" ".join(map(str, words)))}
     beside = BESIDE[page](lines) if page in BESIDE else nullcontext({})
     quick = patch("maglev_mj.studies.levels._LONG", 1e-9)  # computing times are taken once
@@ -143,8 +150,15 @@ def run_page(page: str, thinned: bool = True) -> PageRun:
             code = "\n" * before + block  # a traceback tells the line of the page
             for written, meant in {**replaced, **(THINNED.get(page, {}) if thinned else {})}.items():
                 code = code.replace(written, meant)
-            exec(compile(code, page, "exec", dont_inherit=True), namespace)
-        return PageRun(lines, {path.name for path in Path().iterdir()})
+            for node in ast.parse(code).body:
+                start, value = len(lines), None
+                if isinstance(node, ast.Expr):
+                    value = eval(compile(ast.Expression(node.value), page, "eval", dont_inherit=True), namespace)
+                else:
+                    exec(compile(ast.Module([node], []), page, "exec", dont_inherit=True), namespace)
+                if comment := re.search(r"  # (.*\d.*)$", code.splitlines()[(node.end_lineno or 1) - 1]):
+                    comments.append((comment[1], "\n".join([*lines[start:], repr(value)])))
+        return PageRun(lines, {path.name for path in Path().iterdir()}, comments)
 
 
 def shared(page: str) -> list[pytest.MarkDecorator]:
@@ -163,7 +177,7 @@ RUNNING = [page for page in PAGES if code_of(page)]
     ],
 )
 def test_the_python_of_a_page_runs(page: str, thinned: bool) -> None:
-    lines, files = run_page(page, thinned)
+    lines, files, _ = run_page(page, thinned)
     if page == "docs/explanation/drop.md":
         assert len(code_of(page)[0][1].strip().splitlines()) <= 12  # a drop in ten lines
         assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]
@@ -204,10 +218,10 @@ def typed(command: str) -> list[str]:
     return joined(words if words[1:] else [*words, "--help"])  # one alone is spoken of, not typed
 
 
-COMMANDS = {page: sorted({*written_commands(page)}) for page in PAGES}
+COMMANDS = {page: sorted({*written_commands(page)}) for page in [*PAGES, *LESSONS]}
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if COMMANDS[page]])
+@pytest.mark.parametrize("page", [page for page, commands in COMMANDS.items() if commands])
 def test_the_commands_of_a_page_are_understood(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(names, "installed_scenes", cache(names.installed_scenes))
@@ -269,105 +283,3 @@ def test_the_emergency_stop_says_what_the_drill_waits_for() -> None:
     assert [(re.sub(r"[\d.]+", "0", stopped), failed) for stopped, failed in quoted] == [
         (re.sub(r"[\d.]+", "0", str(report)), str(report._replace(confirmed=False)).partition(" (")[0])
     ]
-
-
-PRESS = "press --plant exact --hits 1 --quantize 5e-6 --record run.maglev", "analyse run.maglev"
-"""A press over a sensor of 5 µm, as two pages say in words."""
-
-BEFORE: dict[tuple[str, int], Sequence[str]] = {
-    ("docs/howto/record.md", 0): PRESS,
-    ("docs/explanation/analysis.md", 1): PRESS,
-    ("docs/howto/drive_an_inverse3.md", 0): (),  # its Python alone
-}
-NOT_TYPED = {
-    ("docs/howto/law.md", 0): "errors of laws that the page does not show",
-    ("docs/explanation/analysis.md", 0): "a recording of another flotor",
-    ("docs/explanation/bridge.md", 1): "checks of three devices",
-    ("docs/howto/fly.md", 0): "a flight of a minute",
-    ("docs/explanation/bridge.md", 0): "a flight of a minute",
-}
-"""Quotes that no line above them gives."""
-
-SHOWN = re.compile(r"view|tour|twin|.*--(?:web|help)")
-_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-
-
-def quotes(page: str) -> Iterator[tuple[int, list[str], str]]:
-    """Yield place, commands since the one before, and text of each quote."""
-    lines: list[str] = []
-    for place, (before, quoted) in enumerate(blocks(page, "text")):
-        between = text_of(page).splitlines()[len(lines) : before]
-        lines += [*between, *quoted.splitlines()]
-        typed_in = [match[1] for line in between if (match := re.match(r"    maglev-mj (.*?)(?: *#.*)?$", line))]
-        yield place, [line for line in typed_in if not SHOWN.match(line)], quoted
-
-
-LONG = {
-    ("docs/howto/compare.md", 0),
-    ("docs/howto/compare.md", 1),
-    ("docs/tutorials/own_law.md", 4),
-    ("docs/tutorials/own_law.md", 5),
-}
-"""Quotes of commands that take seconds: studies; `docs/howto/fly.md` has a flight here."""
-
-QUOTED = [
-    pytest.param(
-        page,
-        [*BEFORE.get((page, place), commands)],
-        quoted,
-        id=f"{page} {place}",
-        marks=[pytest.mark.study] if (page, place) in LONG else shared("press" if (page, place) in BEFORE else page),
-    )
-    for page in PAGES
-    if page != "docs/gallery.md"  # scripts, see test_examples
-    for place, commands, quoted in quotes(page)
-    if (page, place) not in NOT_TYPED
-]
-
-
-@cache
-def said_by(*commands: str, page: str = "") -> str:
-    """Return all that commands print beside the files of a page, once per process.
-
-    A device is one in lockstep, with the delay of a line.
-    """
-    out = io.StringIO()
-    with ExitStack() as flight, redirect_stdout(out), redirect_stderr(out):
-        flight.enter_context(chdir(flight.enter_context(tempfile.TemporaryDirectory())))
-        if page:
-            write_files(page, Path())
-        for command in commands:
-            if command.startswith("bridge"):
-                address = flight.enter_context(lockstep_twin(TwinParameters(delay=0.0025)))
-                command = re.sub(r"udp://\S+", address, command)
-            main(re.sub(r"(?<=--workers )\d+", "0", re.sub(r" --out (?!\S+\.maglev)\S+", "", command)).split())
-    return out.getvalue()
-
-
-def alike(quoted: str, said: str, numbers: bool) -> bool:
-    """Tell whether two words are the same, numbers within rounding."""
-    if _NUMBER.sub("0", quoted) != _NUMBER.sub("0", said):
-        return quoted == "..."
-    pairs = zip(map(float, _NUMBER.findall(quoted)), map(float, _NUMBER.findall(said)), strict=True)
-    return not numbers or all(math.isclose(one, other, rel_tol=1e-3, abs_tol=1e-12) for one, other in pairs)
-
-
-@pytest.mark.parametrize(("page", "commands", "quoted"), QUOTED)
-def test_what_a_page_quotes_is_what_its_commands_print(page: str, commands: list[str], quoted: str) -> None:
-    own = "" if commands == [*PRESS] else page  # which two pages have
-    words = (said_by(*commands, page=own) if commands else "\n".join(run_page(page).lines)).split()
-    numbers, start = "latency [ms]" not in quoted, 0  # of a flight, times
-    for line in quoted.splitlines():
-        wanted = line.split()
-        if line.startswith("  sample age"):  # has none in lockstep
-            continue
-        places = range(start, len(words) - len(wanted) + 1)
-        found = [place for place in places if all(map(alike, wanted, words[place:], [numbers] * len(wanted)))]
-        assert found, f"{page}: {line!r} is not in {' '.join(words)}"
-        start = found[0] + len(wanted)
-
-
-def test_the_roots_of_the_first_steps_are_those_of_the_commands_beside_them() -> None:
-    beside = re.findall(r"`maglev-mj ([^`]*)` \| ([\d.]+) \|", text_of("docs/tutorials/first_steps.md"))
-    roots = [re.findall(r"(?<!no) contact +([\d.]+)", said_by(command)) for command, _ in beside]
-    assert roots == [[written] for _, written in beside] and len(beside) == 3
