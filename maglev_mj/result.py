@@ -80,8 +80,8 @@ class Table(NamedTuple):
     def __str__(self) -> str:
         """Return the table for a terminal, at most 80 characters wide.
 
-        Texts are left-aligned, numbers right-aligned. Columns that do not fit continue below; the last text column is
-        wrapped.
+        Texts are left-aligned, numbers right-aligned. Columns that do not fit continue below, after a blank line; the
+        last text column is wrapped.
         """
         warnings = [line for text in self._warning_lines() for line in wrapped(printable(text), further=2 * _INDENT)]
         heads = filter(None, (self.headline, self.title))
@@ -96,12 +96,12 @@ class Table(NamedTuple):
         around = [index for index in range(len(columns)) if not max(first, 1) <= index < last]
         groups = {gap: _fitting(range(max(first, 1), last), around, widths, gap) for gap in _GAPS}
         gap = min(_GAPS, key=lambda gap: len(groups[gap]))
-        block: list[str] = []
+        blocks: list[list[str]] = []
         for group in groups[gap]:
             shown = [*around[: max(first, 1)], *group, *around[max(first, 1) :]]
-            block += _block([columns[index] for index in shown], [left[index] for index in shown], gap)
+            blocks.append(_block([columns[index] for index in shown], [left[index] for index in shown], gap))
         notes = [line for remark in self.note.splitlines() for line in wrapped(printable(remark), further=2 * _INDENT)]
-        parts = ["\n".join(lines) for lines in (warnings, title, block, notes) if lines]
+        parts = ["\n".join(lines) for lines in (warnings, title, *blocks, notes) if lines]
         return "\n\n".join([*parts, *map(str, self.below)])
 
     def _repr_html_(self) -> str:

@@ -460,6 +460,15 @@ def test_text_in_a_table_is_no_markup() -> None:
     assert "<td>-</td>" in html and "<td>123457</td>" in html and "<td>0.0001234</td>" in html
 
 
+@pytest.mark.parametrize("count", range(1, 30))
+def test_columns_that_continue_below_follow_a_blank_line(count: int) -> None:
+    head = ["law", *(f"figure {index} [m]" for index in range(count))]
+    lines = str(Table("", head, [("pd", *[0.25] * count), ("pulse", *[0.5] * count)])).splitlines()
+    starts = [index for index, line in enumerate(lines) if line.startswith("  law")]
+    assert [index for index, line in enumerate(lines) if not line] == [start - 1 for start in starts[1:]]
+    assert sum(line.count("figure") for line in lines) == count and (len(starts) > 1) == (count > 8)
+
+
 def test_a_representation_is_short_and_fits_a_terminal() -> None:
     for name, found in results().items():
         said = repr(found)
