@@ -26,7 +26,7 @@ from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, c
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.keywords import checked, with_period
 from maglev_mj.parameters import parsed_number
-from maglev_mj.result import Result, Table, capitalised, plain
+from maglev_mj.result import Result, Table, capitalised, plain, with_unit
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, reference_of, scene_from_reference, text_of
 from maglev_mj.scenes.names import installed_scenes
@@ -158,13 +158,13 @@ class Sweep(Result):
         return f"{self.scene.name}: {', '.join([*plant, *parameter_texts(scene, without=several)])}"
 
     def table(self) -> Table:
-        """Return the spread of each figure over the cells."""
+        """Return the spread of each figure over the cells; without numbers to vary, the figures of each cell."""
         over = ", ".join(f"{name} ({len(values)})" for name, values in self.varied.items())
         failed = self.results.failed
         choices = [name for name, values in self.varied.items() if any(isinstance(value, str) for value in values)]
         kinds = [", ".join(map(str, row)) for row in itertools.product(*(self.varied[name] for name in choices))]
         first = [[*self.varied].index(name) for name in choices]
-        rows = []
+        rows = list[tuple[Any, ...]]()
         for name in filter(self.is_number, self.names):
             one, values = self.shown(name), np.moveaxis(self.figure(name), first, range(len(first)))
             for kind, some in zip(kinds, values.reshape(len(kinds), -1), strict=True):
@@ -177,9 +177,21 @@ class Sweep(Result):
             place = f"in {self.record}, {self.resumed} resumed" if self.resumed else f"written to {self.record}"
             notes.append(f"{total} {place}")
         notes += [f"{_count(len(failed))} failed, first error: {self.results[failed[0]]['error']}"] if failed else []
-        head = "", *([", ".join(choices)] if choices else []), "min", "median", "max", "unit", "cells"
+        head = ["", *[", ".join(choices)] * bool(choices), "min", "median", "max", "unit", "cells"]
+        if len(kinds) == len(self.results):
+            head, rows = self._each_cell()
         title = f"Sweep of {self.scene.name} over {over}: {_count(len(self.results))}"
         return Table(title, head, rows, "\n".join(notes), warnings=self.warnings)
+
+    def _each_cell(self) -> tuple[list[str], list[tuple[Any, ...]]]:
+        """Return the head and a row for each cell: varied values and figures."""
+        head, columns, units = [*self.varied], [*zip(*itertools.product(*self.varied.values()))], self.units
+        for name in filter(self.is_number, self.names):
+            one = self.shown(name)
+            head.append(figure_head(name))
+            units[head[-1]] = self.unit_along(one.unit, one.along)
+            columns.append(tuple(map(one.text, self.figure(name).ravel())))
+        return [with_unit(name, units.get(name)) for name in head], [*zip(*columns)]
 
     @property
     def warnings(self) -> Sequence[str]:
