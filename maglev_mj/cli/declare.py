@@ -14,7 +14,7 @@ from types import NoneType
 from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args, get_origin
 
 from maglev_mj.errors import choice_message, meant
-from maglev_mj.terminal import WIDTH
+from maglev_mj.terminal import WIDTH, wrapped
 
 Container: TypeAlias = argparse._ActionsContainer
 """A parser, or a group of its options."""
@@ -179,6 +179,7 @@ class Option(NamedTuple):
     const: object
     default: Callable[[], Any] | None
     several: bool
+    meanings: Mapping[str, str]
     bounds: Mapping[str, float]
 
 
@@ -206,6 +207,7 @@ def option(
     const: object = None,
     default: Callable[[], Any] | None = None,
     several: bool = False,
+    meanings: Mapping[str, str] = {},
     **bounds: float,
 ) -> Option:
     """Declare an option; a positional argument if the group is empty.
@@ -221,9 +223,10 @@ def option(
         const: Value of the option without an argument; None if it requires one.
         default: Function that returns the default, if that needs a slow import.
         several: True for a list of which each use of the option takes one or more.
+        meanings: Meaning of each value, listed at the end of the help.
         bounds: Bounds of a number; see `number`.
     """
-    return Option(help, group, metavar, name, kind, take, inverse, const, default, several, bounds)
+    return Option(help, group, metavar, name, kind, take, inverse, const, default, several, meanings, bounds)
 
 
 def declare(function: Callable[..., int], parser: Parser) -> None:
@@ -270,6 +273,13 @@ def describe(function: Callable[..., object], parser: Parser) -> None:
     parser.epilog = " ".join(status.split()) or None
 
 
+def listed(title: str, texts: Mapping[str, str]) -> str:
+    """Return names with their texts as a list under a title, for the end of the help."""
+    width = max(map(len, texts)) + 2
+    lines = [line for name, text in texts.items() for line in wrapped(text, f"  {name:<{width}}", " " * (width + 2))]
+    return "\n".join([f"{title}:", *lines])
+
+
 def _add(parser: Parser, name: str, kind: Any, about: Option, default: Any) -> None:
     flag = f"--{(about.name or name).replace('_', '-')}"
     if flag in parser.declared:
@@ -283,6 +293,9 @@ def _add(parser: Parser, name: str, kind: Any, about: Option, default: Any) -> N
         settings["required"] = default is Parameter.empty and about.take is None and get_origin(kind) is not list
     elif default is not Parameter.empty:
         settings |= {"nargs": "?", "default": default}
+    if about.meanings:
+        values = listed(f"values of {flag if about.group else about.metavar}", about.meanings)
+        parser.epilog = f"{parser.epilog}\n{values}" if parser.epilog else values
     if kind is bool:
         into.add_argument(flag, action=argparse.BooleanOptionalAction if default else "store_true", **settings)
         return

@@ -67,7 +67,8 @@ def _add_scene(parser: Parser) -> None:
     from maglev_mj.scenes.find import find_scene
 
     scene = find_scene(name)()
-    parser.description, _, parser.epilog = str(getdoc(scene)).partition("\n\n")
+    parser.description, *paragraphs = [" ".join(part.split()) for part in str(getdoc(scene)).split("\n\n")]
+    parser.epilog = "\n\n".join(paragraphs) or None
     parser.set_defaults(scene_class=scene)
     add_parameters(parser.group("parameters of the scene"), scene)
     _add_sampling(parser, type(scene))
@@ -257,7 +258,7 @@ def render(
             plots=not plain,
             progress=progress,
         )
-    print(f"wrote {out}" + (f", {frames} frames" if frames > 1 else ""))
+    print(f"  wrote {out}" + (f": {frames} frames" if frames > 1 else ""))
     return 0
 
 

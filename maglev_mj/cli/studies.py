@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maglev_mj.cli.declare import Option, Parser, Shared, declare, declared, option
+from maglev_mj.cli.declare import Option, Parser, Shared, declare, declared, listed, option
 from maglev_mj.cli.options import (
     Json,
     Picture,
@@ -121,8 +121,7 @@ def _list_parameters(parser: Parser, cls: type[Scene]) -> None:
     if cls.takes_phase:
         texts["phase"] = "sampling phase in [0, 1) (default 0)"
     texts |= {item.name: described(item, getattr(cls(), item.name)) for item in cls.parameters()}
-    lines = [line for name, text in texts.items() for line in wrapped(text, f"  {name:<15}", " " * 17)]
-    parser.epilog = "\n".join([f"parameters of {cls.name}:", *lines])
+    parser.epilog = listed(f"parameters of {cls.name}", texts)
 
 
 _SweptScene: TypeAlias = Annotated[
@@ -199,8 +198,8 @@ _LAWS = ", ".join(f"{name} ({law.status})" for name, law in LAWS.items())
 
 def _add_compared(parser: Parser) -> None:
     """Add the scene, and the table of laws to the end of the help."""
-    lines = [line for name, law in LAWS.items() for line in wrapped(law.text, f"  {name:<17}", " " * 19)]
-    parser.epilog = "\n".join(["laws, force f on the flotor at depth x and velocity v:", *lines])
+    texts = {name: law.text for name, law in LAWS.items()}
+    parser.epilog = listed("laws, force f on the flotor at depth x and velocity v", texts)
     add_scene(parser)
 
 

@@ -29,7 +29,7 @@ _ADDRESS = "udp://127.0.0.1:5678"
 
 
 _WATCHDOG = 0.05
-_FAULTS = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
+_FAULTS = {f"{name}:K": effect.words for name, effect in INJECTED_FAULTS.items()}
 
 
 def twin(
@@ -66,7 +66,9 @@ def twin(
     seed: Annotated[int, option("seed of the noise", _DEVICE)] = 0,
     lockstep: Annotated[bool, option("wait for each command instead of running in real time", _DEVICE)] = False,
     plant: Annotated[str, option("mujoco or exact; exact runs without MuJoCo", _DEVICE, "NAME")] = "mujoco",
-    fault: Annotated[list[str], option(f"injected fault and its start: {_FAULTS}", _HANDS, "NAME:K@SECONDS")],
+    fault: Annotated[
+        list[str], option("injected fault and its start; repeatable", _HANDS, "NAME:K@SECONDS", meanings=_FAULTS)
+    ],
     push: Annotated[
         list[str],
         option(

@@ -5,6 +5,7 @@ All within 80 columns.
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -45,6 +46,14 @@ def test_a_help_says_each_default_once(command: str, capsys: pytest.CaptureFixtu
     text = said(capsys, command, "--help")[1]
     for option in re.split(r"\n  (?=-)", text):
         assert len(re.findall(r"\(default\b", " ".join(option.split("\n\n")[0].split()))) <= 1, option
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_lines_of_a_paragraph_in_a_help_are_full(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = said(capsys, command, "--help")[1].splitlines()
+    for line, following in itertools.pairwise(lines[lines.index("") :]):  # after the usage
+        if line[:1].strip() and following[:1].strip() and not line.endswith((":", ".")):
+            assert len(line) + 1 + len(following.split()[0]) > 78, line
 
 
 def test_every_kept_table_fits_80_columns() -> None:

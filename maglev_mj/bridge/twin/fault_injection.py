@@ -91,7 +91,7 @@ INJECTED_FAULTS = {
     "nan-spot": Effect("spot coordinate K is NaN", 5, read=_put("spots", math.nan)),
     "nan-current": Effect("the measured current of coil K is NaN", 5, read=_put("measured", math.nan)),
     "nan-temperature": Effect("the reported temperature of coil K is NaN", 5, report=_NAN),
-    "hot-report": Effect("the reported temperature of coil K is 5", 5, report=_HOT),
+    "hot-report": Effect("coil K reports five times its temperature limit", 5, report=_HOT),
     "clock-jump": Effect("the device's clock jumps ahead by K milliseconds", 10_000, _clock_jump),
     "silence": Effect("no frame is sent or received for K milliseconds", 60_000, _silence),
     "late-sensor": Effect("the diodes are read K milliseconds late", 100, _late_sensor),
