@@ -206,7 +206,8 @@ class FaultRecord(Result):
     picture: ClassVar = "maglev_mj.bridge.pictures:last_cycles"
 
     def _headline(self) -> str:
-        return f"{self.message} ({len(self.time)} cycles at {1.0 / self.period:g} Hz)"
+        fault = "" if math.isnan(self.fault_time) else f"{self.faults}: "
+        return f"{fault}{self.message} ({len(self.time)} cycles at {1.0 / self.period:g} Hz)"
 
     def columns(self) -> Mapping[str, Array]:
         """Return the values by name, (N,) each."""
@@ -243,6 +244,7 @@ class FaultRecord(Result):
         # the host counts from the handshake, the device from its start
         since = "these cycles" if math.isnan(self.fault_time) else "since the handshake, with the preflight check"
         remarks = [
+            "cmd, meas, warm: largest commanded current, measured current and temperature of a coil",
             *([f"last {_ROWS} of {count} cycles; --all shows all"] if first else []),
             *states,
             f"{1.0 / self.period:g} Hz; {since}: {self.lost} samples lost, {self.skipped} skipped",

@@ -75,7 +75,7 @@ class ReplayCheck(NamedTuple):
         return min((field.first for field in self.fields.values() if field.first is not None), default=None)
 
     def __str__(self) -> str:
-        """Return the report: one line for the equal fields, one for each field that differs."""
+        """Return the report: the verdict, one line for the equal fields, one for each field that differs."""
         same: dict[int, list[str]] = {}
         remarks = []
         for name, field in self.fields.items():
@@ -90,7 +90,8 @@ class ReplayCheck(NamedTuple):
         if inputs:
             remarks.append(f"recorded only, not replayed: {', '.join(inputs)}")
         lines = [line for remark in remarks for line in wrapped(remark, further="    ")]
-        return "\n".join([f"  {self.ticks} samples replayed, compared bitwise", *lines])
+        verdict = f"Replay of {self.ticks} samples: {'bit-identical' if self.first is None else 'not bit-identical'}"
+        return "\n".join([verdict, *lines])
 
 
 @checked(own="recording")

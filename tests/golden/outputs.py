@@ -50,7 +50,7 @@ Differences between equal runs, growing walls at the limit, errors of exact fits
 _FITTED = 1e-5, 1e-9
 """Tolerances of identified values, whose normal equations are near singular while a flotor is stuck."""
 
-_EQUALITY = re.compile(r"  \d+ of \d+ equal|    ")
+_EQUALITY = re.compile(r"Replay of \d+ samples: |  \d+ of \d+ equal|    ")
 """Lines of a check that depend on the last bit."""
 
 _LONG, _SOME = 24, 8
