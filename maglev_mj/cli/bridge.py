@@ -49,6 +49,7 @@ from maglev_mj.device import PUBLISHED
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingFile, open_recording
+from maglev_mj.result import Table
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICE_PARAMETERS, UNKNOWN, DeviceStatus, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
@@ -210,12 +211,10 @@ def _check(modes: Mapping[str, bool], mass: bool, flying: Sequence[str]) -> None
 def _print_check(result: Preflight, period: float, mass: float) -> int:
     """Print link latency and stability of the scene; return the exit status."""
     print(result.report.table())
-    walls = (
-        f"{hand} {stiffness:.0f} N/m with {damping:.0f} N s/m"
-        for hand, (stiffness, damping) in stiffest_walls(result.report, period, mass, scene_lag(result.scene)).items()
-    )
-    head = f"critical stiffness at {result.report.required_delay * 1e3:.2f} ms ({MARGIN:g} times the latency), by hand"
-    print("\n".join(wrapped(f"{head}: {', '.join(walls)}")))
+    walls = stiffest_walls(result.report, period, mass, scene_lag(result.scene))
+    rows = [(hand, f"{stiffness:.0f}", f"{damping:.0f}") for hand, (stiffness, damping) in walls.items()]
+    title = f"Critical stiffness at {result.report.required_delay * 1e3:.2f} ms ({MARGIN:g} times the latency)"
+    print("", Table(title, ("hand", "stiffness [N/m]", "at damping [N s/m]"), rows), "", sep="\n")
     critical = result.critical_delay
     limit = f"up to {critical * 1e3:.2f} ms"
     if isinstance(critical, Bound) and critical.beyond:
@@ -319,9 +318,9 @@ def _fly(plant: RemotePlant, flown: _Flown, front: ViewerFunction | None, watch:
             except BaseException:
                 if text := str(flight.timing.table()):
                     with suppress(OSError):  # a closed output must not hide the fault
-                        print(text, flush=True)
+                        print("", text, "", sep="\n", flush=True)
                 raise
-            print(report, flight.timing.table(), sep="\n", flush=True)
+            print(report, "", flight.timing.table(), "", sep="\n", flush=True)
     return 1 if report.landing.reason else 0
 
 

@@ -22,10 +22,22 @@ if TYPE_CHECKING:
     from maglev_mj.bridge.commissioning.coil_check import CoilCheck
     from maglev_mj.bridge.conformance import CheckResult
     from maglev_mj.bridge.remote import RemotePlant
+    from maglev_mj.result import Table
 
 _WORDS = {True: "pass", False: "FAIL", None: "skip"}
+_COIL_ROW = "  {:<4} {:>4} {:>6} {:>6}  {:>5} {:>5} {:>5}  {:>5} {:>5} {:>5}  {}"
+_COIL_HEAD = (
+    f"{'currents [A]':^32}{'moved [µm]':^12}{'calibrated force [N]':>20}",
+    _COIL_ROW.format("coil", "set", "actual", "others", *"xyz", *"xyz", "verdict"),
+)
 _FORMAT = "maglev_mj conformance 1"
 _SHOWN = 0.25  # interval between printed lines of spots [s]
+_TESTS = {
+    "spots": "spots and pose, currents off, flotor moved by hand",
+    "coils": "polarity and position of each coil, flotor blocked by soft foam",
+    "step": "step response of a coil, flotor blocked by soft foam",
+    "offsets": "offsets of the spots, currents off, flotor clamped upright at the centre",
+}
 _BLOCKED = "  block the flotor with soft foam; hands off: this test does not detect a hand"
 
 
@@ -111,6 +123,7 @@ def conform(
             progress(len(results), total)
 
         conform(links, calibration, key, flight=not no_flight, tell=tell)
+    say("")
     counts = {word: sum(result.passed is value for result in results) for value, word in _WORDS.items()}
     say("  " + ", ".join(f"{count} {word}" for word, count in counts.items()))
     if json is not None:
@@ -119,7 +132,8 @@ def conform(
 
 
 def _print_check(result: CheckResult) -> None:
-    for line in wrapped(f"{_WORDS[result.passed]}  {result.name}: {result.expected}; {result.seen}", further=" " * 8):
+    requirement = wrapped(f"{_WORDS[result.passed]}  {result.name}: {result.expected}", further=" " * 8)
+    for line in [*requirement, *wrapped(f"result: {result.seen}", " " * 8)]:
         say(line)
 
 
@@ -139,12 +153,7 @@ def commission(
     address: Address,
     test: Annotated[
         Literal["spots", "coils", "step", "offsets"],
-        option(
-            "spots: print spots and pose, currents off, flotor moved by hand; coils: check polarity and position of "
-            "each coil, flotor blocked; step: a coil's step response, flotor blocked; offsets: measure the spot "
-            "offsets, currents off, flotor clamped upright at the centre",
-            "",
-        ),
+        option("spots, coils, step or offsets", "", "TEST", meanings=_TESTS),
     ],
     coil: Annotated[
         int | None, option("coil index, 0 to 5 (default: all; for step, 0)", "test", "K", at_least=0, at_most=5)
@@ -213,8 +222,7 @@ def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
 def _check_coils(plant: RemotePlant, coils: Sequence[int], current: float | None) -> int:
     from maglev_mj.bridge.commissioning.coil_check import check_coil
 
-    print("      currents [A]         displacement [µm]   calibrated force [N]")
-    print("coil   set actual others      x     y     z      x      y      z  verdict")
+    print(*_COIL_HEAD, sep="\n")
     worst = 0
     with Progress("commission") as progress:
         for index, coil in enumerate(coils):
@@ -229,13 +237,14 @@ def _check_coils(plant: RemotePlant, coils: Sequence[int], current: float | None
 def _coil_row(check: CoilCheck) -> str:
     from maglev_mj.result import number_text
 
-    currents = " ".join(f"{part:6.2f}" for part in (check.current, check.measured, check.others))
-    moved = " ".join(f"{number_text(part * 1e6, 3, 2):>5}" for part in check.displacement[:3])
-    force = " ".join(f"{part:6.2f}" for part in check.expected[:3])
-    return f"  {check.coil} {currents}  {moved} {force}  {check.verdict}"
+    currents = [f"{part:.2f}" for part in (check.current, check.measured, check.others)]
+    moved = [number_text(part * 1e6, 3, 2) for part in check.displacement[:3]]
+    force = [f"{part:.2f}" for part in check.expected[:3]]
+    return _COIL_ROW.format(str(check.coil), *currents, *moved, *force, check.verdict)
 
 
-def _step_table(rows: np.ndarray[Any, Any]) -> str:
-    lines = ["  time      current"]
-    lines += [f"  {time * 1e3:6.2f} ms  {current:7.3f} A" for time, current in rows]
-    return "\n".join(lines)
+def _step_table(rows: np.ndarray[Any, Any]) -> Table:
+    from maglev_mj.result import Table
+
+    texts = [(f"{time * 1e3:.2f}", f"{current:.3f}") for time, current in rows]
+    return Table("", ("time [ms]", "current [A]"), texts)

@@ -189,7 +189,9 @@ def test_the_command_reports_each_check_and_fails_where_one_does(
         passed = len(checks()) - len(skipped) - failing
         assert report["counts"] == {"pass": passed, "FAIL": failing, "skip": len(skipped)}
         words = {True: "pass", False: "FAIL", None: "skip"}
-        told = [f"{words[one['passed']]} {one['name']}: {one['expected']}; {one['seen']}" for one in report["checks"]]
+        told = [
+            f"{words[one['passed']]} {one['name']}: {one['expected']} result: {one['seen']}" for one in report["checks"]
+        ]
         assert " ".join(" ".join(lines[:-1]).split()) == " ".join(" ".join(told).split())
         assert [line.split()[1] for line in lines if "FAIL  " in line] == ["operations:"] * failing
 
