@@ -29,7 +29,7 @@ from maglev_mj.session.replay import Replay
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import SteadyRange, banner, fitted_range, stop_contacts
 from maglev_mj.views.window.keys import KEYS, help_rows
-from maglev_mj.views.window.painter import Scenery, default_view, project, zoom
+from maglev_mj.views.window.painter import Scenery, default_view, label_area, project, zoom
 from maglev_mj.views.window.screen import Area, Layout, Screen, letters, message_rows, number_rows, status_rows
 from maglev_mj.views.window.window import _font_scale, _Window, _work_area, fitted_size
 from tests.sweeps import sweep
@@ -75,6 +75,17 @@ def test_no_element_covers_another(scale: int) -> None:
         for inner in (layout.bar, layout.label):
             assert layout.device.left <= inner.left and inner.width <= layout.device.width
         assert layout.device.width >= 0.4 * view.width and len(layout.plots) >= 2 * (width >= 800)
+
+
+def test_a_label_lies_beside_the_tip_of_its_arrow_and_inside_the_view() -> None:
+    view, random = Area(300, 40, 700, 500), np.random.default_rng(7)
+    for angle, scale in product(random.uniform(0.0, 2.0 * np.pi, 40), (100, 150)):
+        tip, way = np.array([600.0, 300.0]), np.array([np.cos(angle), np.sin(angle)])
+        label = label_area("12.3 N", tip, tip + 8.0 * way, view, scale)
+        assert not overlap(label, Area(int(tip[0]) - 3, int(tip[1]) - 3, 6, 6)), angle
+        far = label_area("12.3 N", tip + 900.0 * way, tip + 908.0 * way, view, scale)
+        assert view.left < far.left and far.left + far.width < view.left + view.width
+        assert view.bottom < far.bottom and far.top < view.top
 
 
 STOPPED = {"state": "stopped", "reason": "unstable: the wall generated 100 mJ"}

@@ -151,6 +151,8 @@ _HIGH, _WIDE = 0.92, 0.95
 _MAX_GEOMS, _TURN = 2000, 180.0  # [deg] per height of the picture
 _LABEL, _LETTER, _PADDING = 0.21, 0.07, 0.1
 """Height, width of a letter and padding of a label [pixels], at a font scale of 1 %."""
+_EDGE_GAP = 6
+"""Distance of a label from the edge of its area [pixels]."""
 _PAPER: Colour = (0.93, 0.94, 0.96)
 
 
@@ -222,15 +224,15 @@ class Painter:
 
     def _number(self, snapshot: Snapshot, area: Area) -> None:
         """Write forces and names of axes on light labels: MuJoCo's own labels in a scene are hard to read."""
-        texts = [(arrow.text, arrow.place, FORCES[name]) for name, arrow in force_arrows(snapshot).items()]
-        if self._screen.plots:  # past the tips
-            texts += [(name, _ORIGIN + 1.25 * _AXIS * way, STOP) for name, way in zip(AXES[:3], np.eye(3), strict=True)]
-        height, font = int(_LABEL * self._scale), int(mujoco.mjtFont.mjFONT_NORMAL)
-        for text, place, colour in texts:
+        arrows = [(arrow.text, arrow.end, arrow.place, FORCES[name]) for name, arrow in force_arrows(snapshot).items()]
+        if self._screen.plots:
+            ends = zip(AXES[:3], _ORIGIN + _AXIS * np.eye(3), _ORIGIN + 1.25 * _AXIS * np.eye(3), strict=True)
+            arrows += [(name, end, place, STOP) for name, end, place in ends]
+        for text, end, place, colour in arrows:
             if text:
-                centre, _, _ = project(self.scenery.model, self.camera, area, place)
-                width = int((len(text) * _LETTER + _PADDING) * self._scale)
-                label = mujoco.MjrRect(*(int(part) for part in centre - (0.5 * width, 0.5 * height)), width, height)
+                tip, centre = (project(self.scenery.model, self.camera, area, point)[0] for point in (end, place))
+                label = mujoco.MjrRect(*label_area(text, tip, centre, area, self._scale))
+                font = int(mujoco.mjtFont.mjFONT_NORMAL)
                 mujoco.mjr_label(label, font, text, *_PAPER, 1.0, *on_white(colour), self._context)
 
     def pixels(self, view: Area) -> NDArray[np.uint8]:
@@ -259,6 +261,24 @@ class Painter:
         """Free the OpenGL resources."""
         if self._context is not None:
             self._context.free()
+
+
+def label_area(text: str, tip: Array, place: Array, area: Area, scale: int) -> Area:
+    """Return the area of a label beside the tip of an arrow, whatever the direction, and inside the 3D view.
+
+    Args:
+        text: The label.
+        tip: Tip of the arrow [pixels], (2,).
+        place: Nearest point of the label [pixels], (2,).
+        area: Area of the 3D view.
+        scale: Font scale [%].
+    """
+    size = np.array([int((len(text) * _LETTER + _PADDING) * scale), int(_LABEL * scale)])
+    way = (place - tip) / max(float(np.linalg.norm(place - tip)), 1.0)
+    centre = place + way * (0.5 * size / np.maximum(np.abs(way), 0.1)).min()
+    low = np.array(area[:2])
+    left, bottom = np.clip(centre - 0.5 * size, low + _EDGE_GAP, low + area[2:] - size - _EDGE_GAP).astype(int).tolist()
+    return Area(left, bottom, *size.tolist())
 
 
 def default_view(model: Any, camera: Any) -> None:
