@@ -210,7 +210,7 @@ def _check(modes: Mapping[str, bool], mass: bool, flying: Sequence[str]) -> None
 
 def _print_check(result: Preflight, period: float, mass: float) -> int:
     """Print link latency and stability of the scene; return the exit status."""
-    print(result.report.table())
+    print("", result.report.table(), sep="\n")
     walls = stiffest_walls(result.report, period, mass, scene_lag(result.scene))
     rows = [(hand, f"{stiffness:.0f}", f"{damping:.0f}") for hand, (stiffness, damping) in walls.items()]
     title = f"Critical stiffness at {result.report.required_delay * 1e3:.2f} ms ({MARGIN:g} times the latency)"
