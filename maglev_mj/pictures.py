@@ -373,7 +373,7 @@ def _columns(names: Sequence[str], width: float) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Panel:
+class ChartPanel:
     """Panel of curves.
 
     Attributes:
@@ -398,7 +398,7 @@ class Panel:
 
 
 @drawn
-def small_multiples(head: Sequence[str], panels: Sequence[Panel], path: Path) -> Path:
+def small_multiples(head: Sequence[str], panels: Sequence[ChartPanel], path: Path) -> Path:
     """Draw panels of curves in two columns.
 
     Args:

@@ -26,7 +26,7 @@ _MEAN_SPAN = 0.1
 _ROUNDING = 1e-9
 
 
-class Force(NamedTuple):
+class ForceRange(NamedTuple):
     """Force of hand or device over the averaging time; NaN if it is not measured.
 
     Attributes:
@@ -51,25 +51,25 @@ def averaging_time(snapshot: Snapshot) -> float:
     return period if snapshot.state == "paused" else max(_MEAN_SPAN * min(snapshot.time_scale, 1.0), period)
 
 
-def forces(snapshot: Snapshot) -> Mapping[str, Force]:
+def forces(snapshot: Snapshot) -> Mapping[str, ForceRange]:
     """Return the forces of "hand" and "device" over `averaging_time`, up to the newest sample."""
     rows = snapshot.history
     if not len(rows):
         pairs = ("hand", snapshot.hand), ("device", snapshot.force)
-        return {name: Force(wrench, *[float(np.linalg.norm(wrench[:3]))] * 2) for name, wrench in pairs}
+        return {name: ForceRange(wrench, *[float(np.linalg.norm(wrench[:3]))] * 2) for name, wrench in pairs}
     rows = rows[rows[:, 0] > rows[-1, 0] - averaging_time(snapshot) + _ROUNDING]
     held, extra, width = rows[:, DEVICE], rows[:, PULSE], rows[:, WIDTH]
     share = np.minimum(width / snapshot.scene.period, 1.0)[:, None]
     hand, size = np.linalg.norm(rows[:, HAND][:, :3], axis=1), np.linalg.norm(held[:, :3], axis=1)
     return {
-        "hand": Force(rows[:, HAND].mean(axis=0), float(hand.min()), float(hand.max())),
-        "device": Force(
+        "hand": ForceRange(rows[:, HAND].mean(axis=0), float(hand.min()), float(hand.max())),
+        "device": ForceRange(
             (held + share * extra).mean(axis=0), float(size.min()), float(peak_forces(held, extra, width).max())
         ),
     }
 
 
-def force_text(force: Force) -> str:
+def force_text(force: ForceRange) -> str:
     """Return a force as text, such as "3.4 N, peak 95.6 N"; empty if it is not measured."""
     return "" if math.isnan(force.most) else f"{force.size:.1f} N, peak {force.most:.1f} N"
 

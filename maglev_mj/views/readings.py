@@ -29,7 +29,7 @@ _LEAST_TIME = 0.2  # time axis of a run that has just begun [s]
 Range: TypeAlias = tuple[float, float]
 
 
-class Line(NamedTuple):
+class Curve(NamedTuple):
     """One line of a chart.
 
     Attributes:
@@ -60,7 +60,7 @@ class Chart(NamedTuple):
     """
 
     title: Sequence[tuple[str, Colour | None]]
-    lines: Sequence[Line]
+    lines: Sequence[Curve]
     across: Range
     up: Range
     foot: str = ""
@@ -102,14 +102,15 @@ class Charts:
         name, unit = AXES[axis], unit_of("mm", axis)
         place = f"{'angle about' if axis > 2 else 'position along'} {name[-1]} [{unit}]"
         kind = f"{'torque about' if axis > 2 else 'force along'} {name[-1]} [{unit_of('N', axis)}]"
-        original = Line(FIRST, first[:, 0] - now, 1e3 * first[:, 1 + axis], dot=True)
-        run = Line(MEASURED, *outline(time, all_positions, points), dot=True)
+        original = Curve(FIRST, first[:, 0] - now, 1e3 * first[:, 1 + axis], dot=True)
+        run = Curve(MEASURED, *outline(time, all_positions, points), dot=True)
         pulls = [
-            Line(colour, *outline(time, values, points), dot=True) for colour, values in ((DEVICE, peaks), (HAND, hand))
+            Curve(colour, *outline(time, values, points), dot=True)
+            for colour, values in ((DEVICE, peaks), (HAND, hand))
         ]
-        heights = [Line(BOUNDARY, across, (wall, wall), dashed=True) for wall in walls]
-        edges = [Line(BOUNDARY, (wall, wall), speeds, dashed=True) for wall in walls]
-        phase = Line(MEASURED, position, speed, dot=True)
+        heights = [Curve(BOUNDARY, across, (wall, wall), dashed=True) for wall in walls]
+        edges = [Curve(BOUNDARY, (wall, wall), speeds, dashed=True) for wall in walls]
+        phase = Curve(MEASURED, position, speed, dot=True)
         title = [(place, MEASURED), *[("walls", None)] * bool(walls), *[("first attempt", FIRST)] * bool(len(first))]
         legend = [(kind, None), (pulsed, DEVICE), ("hand, estimated" if snapshot.hand_estimated else "hand", HAND)]
         return [
@@ -140,9 +141,9 @@ class Charts:
         switches, steps = np.append(strip.switches, 0.0).repeat(2)[1:-1], strip.force.repeat(2)
         origin = "the wall's edge" if strip.normal else "the stick position" if strip.sticks else "the mean"
         kind = f"{'torque' if axis > 2 else 'force'}, {name} [{unit_of('N', axis)}]"
-        pulls = [Line(BOUNDARY, strip.time, strip.ideal)] * bool(ideal) + [Line(DEVICE, switches, steps)]
-        ground = [Line(STUCK if strip.sticks else BOUNDARY, across, (0.0, 0.0), dashed=True)]
-        run = Line(MEASURED, strip.time, place, dot=True)
+        pulls = [Curve(BOUNDARY, strip.time, strip.ideal)] * bool(ideal) + [Curve(DEVICE, switches, steps)]
+        ground = [Curve(STUCK if strip.sticks else BOUNDARY, across, (0.0, 0.0), dashed=True)]
+        run = Curve(MEASURED, strip.time, place, dot=True)
         title = [(f"{name} from {origin} [{unit_of('mm', axis)}]", MEASURED)]
         legend = [(kind, None), ("acts", DEVICE), *[("ideal", None)] * bool(ideal)]
         finite = strip.ideal[np.isfinite(strip.ideal)]
@@ -163,11 +164,11 @@ class Charts:
         boundary, stiffness = factor * stiffnesses, factor * loop.stiffness
         width = max(float(dampings.max(initial=0.0)), 1.1 * loop.damping, _LEAST_GAIN)
         height = max(float(boundary.max(initial=0.0)), 1.1 * stiffness, factor * _LEAST_GAIN)
-        here = Line(margin.colour or BOUNDARY, [loop.damping], [stiffness], dot=True)
+        here = Curve(margin.colour or BOUNDARY, [loop.damping], [stiffness], dot=True)
         (wall, damper), parts = gain_parts(snapshot.scene, loop)
         x, y = [damper, loop.damping], [factor * wall, stiffness]
-        own = [Line(PULL, x, y, dashed=True), Line(PULL, x[:1], y[:1], dot=True)] if parts else []
-        lines = [Line(BOUNDARY, dampings, boundary), *own, here]
+        own = [Curve(PULL, x, y, dashed=True), Curve(PULL, x[:1], y[:1], dot=True)] if parts else []
+        lines = [Curve(BOUNDARY, dampings, boundary), *own, here]
         foot, side = f"damping [{unit_of('N s/m', axis)}], {axis}", f"stiffness [{prefix}{unit_of('N/m', axis)}]"
         return Chart(title, lines, (0.0, round_up(width)), (0.0, round_up(height)), foot, side)
 
@@ -308,12 +309,12 @@ def acts(snapshot: Snapshot) -> bool:
     return not snapshot.idle and snapshot.state != "stopped"
 
 
-def law_status(snapshot: Snapshot) -> Reading:
+def law_status(snapshot: Snapshot) -> ReadingRow:
     """Return the verdict on the scene's laws; why they do not act otherwise, without a colour."""
     if not acts(snapshot):
-        return Reading("margin", snapshot.idle or "stopped: nothing is rendered")
+        return ReadingRow("margin", snapshot.idle or "stopped: nothing is rendered")
     margin = STABILITY.of(snapshot)
-    return Reading("margin", margin.words, margin.colour)
+    return ReadingRow("margin", margin.words, margin.colour)
 
 
 def _loop_words(snapshot: Snapshot) -> str:
@@ -325,7 +326,7 @@ _WARM = 0.8
 """Share of a coil's temperature limit from which the strip of a device warns."""
 
 
-def device_strip(snapshot: Snapshot) -> Reading | None:
+def device_strip(snapshot: Snapshot) -> ReadingRow | None:
     """Return address and state of the device, and the colour of their strip; None for a simulation.
 
     The name is "DEVICE", or "SIMULATED DEVICE" for a twin.
@@ -344,7 +345,7 @@ def device_strip(snapshot: Snapshot) -> Reading | None:
     ]
     colour = BAD if snapshot.state == "stopped" or device.warmth > _WARM else PULL if snapshot.idle else GOOD
     name = "SIMULATED DEVICE" if device.simulated else "DEVICE"
-    return Reading(name, f"{device.address}: {', '.join(filter(None, parts))}", colour)
+    return ReadingRow(name, f"{device.address}: {', '.join(filter(None, parts))}", colour)
 
 
 def pace(snapshot: Snapshot) -> str:
@@ -398,7 +399,7 @@ def grouped(parameters: Iterable[Parameter]) -> dict[str, list[Parameter]]:
     return {name: items for name, items in groups.items() if items}
 
 
-class Reading(NamedTuple):
+class ReadingRow(NamedTuple):
     """One reading.
 
     Attributes:
@@ -412,7 +413,7 @@ class Reading(NamedTuple):
     colour: Colour | None = None
 
 
-def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
+def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[ReadingRow]:
     """Return the readings of a session that have a value.
 
     Args:
@@ -432,26 +433,28 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
     delay = scene.delay if measured is None else measured  # the one of the margin
     active, felt = snapshot.taken < -_LEAST_ENERGY, forces(snapshot)
     laws = [
-        Reading("gains", "  ".join(gains)),
-        Reading("active", ", ".join(enabled) or "none" * any(item.kind is bool for item in live)),
-        Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {1e3 * delay:.1f} ms"),
+        ReadingRow("gains", "  ".join(gains)),
+        ReadingRow("active", ", ".join(enabled) or "none" * any(item.kind is bool for item in live)),
+        ReadingRow("rate", f"{1.0 / scene.period:.0f} Hz, delay {1e3 * delay:.1f} ms"),
     ]
     strip = device_strip(snapshot)
     rows = [
-        Reading("scene", "" if snapshot.idle else f"{scene.name}: {scene.describe()}"),
+        ReadingRow("scene", "" if snapshot.idle else f"{scene.name}: {scene.describe()}"),
         law_status(snapshot),
-        Reading("loop", _loop_words(snapshot)),
+        ReadingRow("loop", _loop_words(snapshot)),
         *([] if strip is None else [strip]),
-        Reading("state", state_words(snapshot), STUCK),
-        *(Reading("", note) for note in (stop_contacts(snapshot)[1], *snapshot.notes, *notes)),
+        ReadingRow("state", state_words(snapshot), STUCK),
+        *(ReadingRow("", note) for note in (stop_contacts(snapshot)[1], *snapshot.notes, *notes)),
         *([] if snapshot.idle else laws),
-        Reading("time", f"{snapshot.time:.{digits}f}{total} s"),
-        Reading("speed", pace(snapshot)),
-        Reading("position", ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", position)) + " mm"),
-        Reading("hand", (text := force_text(felt["hand"])) + " (estimated)" * bool(text and snapshot.hand_estimated)),
-        Reading("device", force_text(felt["device"])),
-        Reading("energy", _energy(snapshot, active), BAD if active else None),
-        Reading("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} skipped" if snapshot.cost else ""),
+        ReadingRow("time", f"{snapshot.time:.{digits}f}{total} s"),
+        ReadingRow("speed", pace(snapshot)),
+        ReadingRow("position", ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", position)) + " mm"),
+        ReadingRow(
+            "hand", (text := force_text(felt["hand"])) + " (estimated)" * bool(text and snapshot.hand_estimated)
+        ),
+        ReadingRow("device", force_text(felt["device"])),
+        ReadingRow("energy", _energy(snapshot, active), BAD if active else None),
+        ReadingRow("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} skipped" if snapshot.cost else ""),
     ]
     return [row for row in rows if row.value]
 

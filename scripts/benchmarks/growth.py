@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import Controller, Hold, Timing, Wall
-from maglev_mj.pictures import Panel, PictureFolder, small_multiples
+from maglev_mj.pictures import ChartPanel, PictureFolder, small_multiples
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
@@ -225,14 +225,14 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
     taken = [(name, cells, row["start (s)"] + cells / row["cells a second"]) for name, row in workers.items()]
     taken.append((f"estimate, {MANY}", cells, [estimate(workers, MANY, int(count))["seconds"] for count in cells]))
     panels = [
-        Panel(
+        ChartPanel(
             title="a tick of many devices in one process",
             labels=("devices at once", "µs per tick and device"),
             curves=_curves(found["µs a tick and device"]),
             log="xy",
             marked=True,
         ),
-        Panel(
+        ChartPanel(
             title="one device, faster samples",
             labels=("samples per second", "simulated seconds per second"),
             curves=_curves(found["simulated seconds a second"]),
@@ -240,14 +240,14 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
             marked=True,
             level=1.0,
         ),
-        Panel(
+        ChartPanel(
             title="a sweep in the engine, over its workers",
             labels=("workers", "cells per second"),
             curves=rates,
             log="xy",
             marked=True,
         ),
-        Panel(
+        ChartPanel(
             title="the same with its start-up, over its cells",
             labels=("cells", "seconds"),
             curves=taken,

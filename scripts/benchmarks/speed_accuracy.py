@@ -29,7 +29,7 @@ from maglev_mj import Controller, drive
 from maglev_mj.cli.declare import Parser
 from maglev_mj.cli.output import script_options
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.pictures import Panel, PictureFolder, small_multiples
+from maglev_mj.pictures import ChartPanel, PictureFolder, small_multiples
 from maglev_mj.plants import INTEGRATORS, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Scene, Start
@@ -430,7 +430,7 @@ def peer_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
     return points
 
 
-def step_panels(data: Mapping[str, Any]) -> list[Panel]:
+def step_panels(data: Mapping[str, Any]) -> list[ChartPanel]:
     """Return the step's effect on boundary and bounce energy."""
     boundary = data["boundary"]
     shifts = [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
@@ -444,7 +444,7 @@ def step_panels(data: Mapping[str, Any]) -> list[Panel]:
         "energy of a bounce": ("largest error, relative to the fall", [curve for curve in energies if curve[1]]),
     }
     return [
-        Panel(title=title, labels=("time step (s)", label), curves=merged(curves), log="xy", marked=True)
+        ChartPanel(title=title, labels=("time step (s)", label), curves=merged(curves), log="xy", marked=True)
         for title, (label, curves) in tables.items()
         if curves
     ]

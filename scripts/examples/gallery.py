@@ -6,7 +6,7 @@ import numpy as np
 from gym_environment import AXES, ENVIRONMENT, spring_and_damper
 from maglev_mj import Timing, run, run_phases
 from maglev_mj.cli.output import script_options
-from maglev_mj.pictures import Panel, small_multiples
+from maglev_mj.pictures import ChartPanel, small_multiples
 from maglev_mj.scenes.drop import Drop
 from own_law import Button, press
 from own_sensor import AveragedDrop
@@ -40,10 +40,10 @@ times = np.arange(len(observations)) * Timing().period
 episode = [("flotor", times, heights), ("target", times, targets)]
 
 panels = [
-    Panel(title="own_law: a button that clicks", labels=("depth (mm)", "force (N)"), curves=button),
-    Panel(title="own_sensor: averaging adds delay", labels=("time (s)", "height (mm)"), curves=falls, level=0.0),
-    Panel(title="phases: depth of 100 drops", labels=("sampling phase", "depth (mm)"), curves=depths),
-    Panel(title="gym_environment: PD, constant disturbance", labels=("time (s)", "height (mm)"), curves=episode),
+    ChartPanel(title="own_law: a button that clicks", labels=("depth (mm)", "force (N)"), curves=button),
+    ChartPanel(title="own_sensor: averaging adds delay", labels=("time (s)", "height (mm)"), curves=falls, level=0.0),
+    ChartPanel(title="phases: depth of 100 drops", labels=("sampling phase", "depth (mm)"), curves=depths),
+    ChartPanel(title="gym_environment: PD, constant disturbance", labels=("time (s)", "height (mm)"), curves=episode),
 ]
 pulsed, plain = (np.median(values) for _, _, values in depths)
 head = f"A braking pulse makes the median drop {pulsed:.2f} mm deep instead of {plain:.2f} mm", "four examples"

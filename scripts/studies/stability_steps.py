@@ -6,7 +6,7 @@ import numpy as np
 
 from maglev_mj.cli.output import script_options
 from maglev_mj.frames import Array
-from maglev_mj.pictures import Panel, small_multiples
+from maglev_mj.pictures import ChartPanel, small_multiples
 from maglev_mj.plants import INTEGRATORS
 from maglev_mj.spec import Spec
 from maglev_mj.studies.levels import boundary_shift
@@ -43,11 +43,11 @@ for delay in (DELAY,) if options.quick else (0.0, DELAY, PERIOD):
             curves.append((f"delay {delay * 1e3:g} ms", steps * 1e3, percent))
 labels = ("time step (ms)", "error of critical stiffness (%)")
 title = "Euler, implicit, discrete; steps end\nat switches (RK4: 0)"
-panels = [Panel(title=title, labels=labels, curves=curves, log="xy", marked=True)]
+panels = [ChartPanel(title=title, labels=labels, curves=curves, log="xy", marked=True)]
 names = {"rk4": "RK4", "euler": "Euler"}
 fixed = [(name, steps * 1e3, shift(kind, DELAY, aligned=False)) for kind, name in names.items()]
 title = "fixed step that misses the switch\n(delay 1.5 ms)"
-panels.append(Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
+panels.append(ChartPanel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
 data = {"integrators": shifts, "versions": versions()}
 pictures.path("stability_steps", "json").write_text(json.dumps(data, indent=1) + "\n")
 print("wrote", pictures.path("stability_steps", "json"))

@@ -14,7 +14,7 @@ import numpy as np
 
 from maglev_mj import Timing, Wall
 from maglev_mj.cli.output import script_options
-from maglev_mj.pictures import Panel, small_multiples
+from maglev_mj.pictures import ChartPanel, small_multiples
 from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.studies.designed_wall import hum
@@ -43,12 +43,12 @@ CHATTER, RATTLES, DROP, HUM = SECONDS
 PHASES = np.arange(32)[:: 8 if options.quick else 1] / 32
 
 
-def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> Panel:
+def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> ChartPanel:
     """Return a panel of curves with its axes named."""
-    return Panel(title=title, labels=(x, y), curves=curves, **options)
+    return ChartPanel(title=title, labels=(x, y), curves=curves, **options)
 
 
-def just_above_the_boundary() -> Panel:
+def just_above_the_boundary() -> ChartPanel:
     """Return the panel of samples to grow ten-thousandfold just above the boundary, predicted and simulated."""
     best = stiffest_wall(period=T, delay=T)
     over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
@@ -68,7 +68,7 @@ def just_above_the_boundary() -> Panel:
     )
 
 
-def jitter() -> Panel:
+def jitter() -> ChartPanel:
     """Return the panel of delays drawn anew each sample, spread evenly around their mean."""
     means = np.linspace(0.0025, 0.004, COUNT)
     curves = [("no jitter", means * 1e3, spectral_radius(6000.0, 80.0, period=T, delay=means))]
@@ -83,7 +83,7 @@ def jitter() -> Panel:
     )
 
 
-def chatter() -> Panel:
+def chatter() -> ChartPanel:
     """Return the panel of pulses at the edge of the paper's wall, over a noisy sensor."""
     presses = np.geomspace(0.003, 1.0, 2 if options.quick else 16)
     curves, gated = [], np.zeros(presses.size)
@@ -108,7 +108,7 @@ def chatter() -> Panel:
     )
 
 
-def gaps() -> Panel:
+def gaps() -> ChartPanel:
     """Return the panel of rattling starts between two walls, of 128 under 60 N."""
     widths = np.geomspace(1e-5, 5e-3, COUNT + 2)
     speeds = np.arange(1, 17) * 0.02
@@ -137,7 +137,7 @@ def gaps() -> Panel:
     )
 
 
-def saturation() -> Panel:
+def saturation() -> ChartPanel:
     """Return the panel of drops under a force limit: the furthest of the worst phase."""
     heights = np.geomspace(5e-5, RANGE[2], COUNT + 4)
     paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
@@ -158,7 +158,7 @@ def saturation() -> Panel:
     )
 
 
-def quantization() -> Panel:
+def quantization() -> ChartPanel:
     """Return the panel of swings at a coarse sensor, over the share of friction."""
     shares = np.linspace(0.0, 1.2, COUNT + 3)
     curves = []
@@ -174,7 +174,7 @@ def quantization() -> Panel:
     )
 
 
-def hands() -> Panel:
+def hands() -> ChartPanel:
     """Return the panel of walls held and released."""
     share = np.linspace(0.0, 1.0, 60)
     clamp = Hand(stiffness=20000.0 * share)
@@ -186,7 +186,7 @@ def hands() -> Panel:
     return panel("hands too stiff, and hands that let go", "share of the hand", "spectral radius", curves, level=1.0)
 
 
-def corners() -> Panel:
+def corners() -> ChartPanel:
     """Return the panel of kinetic energy of a flotor thrown into a corner."""
     curves = []
     for plant, spin in itertools.product(("exact", "mujoco"), (0.0, 0.5)):
@@ -196,7 +196,7 @@ def corners() -> Panel:
     return panel("a corner: x, z and ry at once", "time (s)", "kinetic energy (J)", curves, log="y")
 
 
-def timing_finding(growth: Panel, delays: Panel) -> str:
+def timing_finding(growth: ChartPanel, delays: ChartPanel) -> str:
     """Return the headline of growth near the boundary and of delays that vary."""
     (_, _, predicted), *simulated = growth.curves
     (_, _, steady), *varied = delays.curves
@@ -205,7 +205,7 @@ def timing_finding(growth: Panel, delays: Panel) -> str:
     return f"Growth is as predicted within {100 * off:.0f} %; delay jitter changes it by {moved:.1g} per sample"
 
 
-def pulse_finding(presses: Panel, walls: Panel) -> str:
+def pulse_finding(presses: ChartPanel, walls: ChartPanel) -> str:
     """Return the headline of pulses at the edge and of two walls."""
     *free, gated = (pulses.max() for _, _, pulses in presses.curves)
     name, _, shares = max(walls.curves, key=lambda curve: curve[2].sum())
@@ -215,14 +215,14 @@ def pulse_finding(presses: Panel, walls: Panel) -> str:
     )
 
 
-def limits_finding(drops: Panel, sensors: Panel) -> str:
+def limits_finding(drops: ChartPanel, sensors: ChartPanel) -> str:
     """Return the headline of force limits and of a coarse sensor."""
     name, _, depths = max(drops.curves, key=lambda curve: curve[2].max())
     swing = max(swing.max() for _, _, swing in sensors.curves)
     return f"{name}: up to {depths.max():.0f} mm from the centre; friction ends a swing of {swing:.0f} µm"
 
 
-def hands_finding(held: Panel, thrown: Panel) -> str:
+def hands_finding(held: ChartPanel, thrown: ChartPanel) -> str:
     """Return the headline of hands and of a corner."""
     _, shares, radii = held.curves[0]
     rest = max(energy[-1] for _, _, energy in thrown.curves)

@@ -29,7 +29,7 @@ from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
-from maglev_mj.pictures import FORMATS, Panel, broken, new_figure, new_grid, save, small_multiples
+from maglev_mj.pictures import FORMATS, ChartPanel, broken, new_figure, new_grid, save, small_multiples
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run
 from maglev_mj.studies.pictures import _even
@@ -292,7 +292,7 @@ def test_panels_of_curves_can_be_read(figures: list[Any]) -> None:
     x = np.geomspace(1e-3, 0.22, 20)
     names = [f"a rather long name of curve {index}" for index in range(8)]
     panels = [
-        Panel(
+        ChartPanel(
             title=f"panel {index} with a title that is\nas long as two lines",
             labels=("a quantity (unit)", "another quantity (unit)"),
             curves=[(name, x, x * (place + 1)) for place, name in enumerate(names)],

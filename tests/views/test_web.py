@@ -45,7 +45,7 @@ from maglev_mj.session.replay import ACTIONS
 from maglev_mj.views.page.page import Endpoint, Page, PageServer
 from maglev_mj.views.page.panel import Choice, Control, Slider, control, drawn, ticks
 from maglev_mj.views.page.stage import Grab, solid
-from maglev_mj.views.readings import Chart, Line
+from maglev_mj.views.readings import Chart, Curve
 from maglev_mj.views.viewer_process import SILENCE, Glide, RemoteSession
 from tests.interop.test_teleoperation import BALL, follow
 from tests.processes import PATIENCE, started
@@ -252,7 +252,7 @@ def test_a_shape_is_closed_faces_outward_and_has_its_volume(kind: str) -> None:
 
 
 def test_a_chart_contains_its_points_and_escapes_markup() -> None:
-    line = Line((1.0, 0.0, 0.0), [0.0, 1.0], [0.0, 2.0], dot=True)
+    line = Curve((1.0, 0.0, 0.0), [0.0, 1.0], [0.0, 2.0], dot=True)
     made = drawn(Chart([("a<b", None)], [line], (0.0, 1.0), (0.0, 2.0)))
     assert "a&lt;b" in made and 'points="44.0,126.0 308.0,20.0"' in made and "#ff0000" in made
     assert made.index("<circle") > made.index("</svg>")  # whole: the inner element clips

@@ -22,7 +22,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
 from maglev_mj.views.forces import force_text, forces
 from maglev_mj.views.handle import FORCES
-from maglev_mj.views.readings import GROUPS, RESUME, Chart, Charts, Line, Range, banner, device_strip, readings
+from maglev_mj.views.readings import GROUPS, RESUME, Chart, Charts, Curve, Range, banner, device_strip, readings
 from maglev_mj.views.window.keys import AXIS, HAND, KEYS, help_rows, key_of
 
 Row: TypeAlias = tuple[str, str]
@@ -185,7 +185,7 @@ def _new_figure() -> Any:
     return figure
 
 
-def _shapes(line: Line, across: Range, up: Range) -> list[tuple[Colour, Array]]:
+def _shapes(line: Curve, across: Range, up: Range) -> list[tuple[Colour, Array]]:
     """Return the colours and points, (N, 2), of a line and of the outlines of the dot at its last point."""
     points = np.column_stack((line.x, line.y))
     shapes = [(line.colour, points[np.isfinite(points[:, 1])])]
