@@ -568,6 +568,9 @@ def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:
         value = float(scene.body.inertia[2]) if name == "mass" else value  # of the device in use
         if name in ("period", "delay", *without) or parameter.kind in (object, bool) or value is None:
             continue
+        if name == "force_limit" and not value:  # "0 N" would read as no force
+            texts.append("no force limit")
+            continue
         if name == "device" and hasattr(scene, "hardware"):
             texts += [] if scene.hardware.published else [f"device {scene.hardware.name}"]
             continue

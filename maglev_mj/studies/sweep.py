@@ -181,7 +181,7 @@ class Sweep(Result):
         if len(kinds) == len(self.results):
             head, rows = self._each_cell()
         title = f"Sweep of {self.scene.name} over {over}: {_count(len(self.results))}"
-        return Table(title, head, rows, "\n".join(notes), warnings=self.warnings)
+        return Table(title, tuple(head), rows, "\n".join(notes), warnings=self.warnings)
 
     def _each_cell(self) -> tuple[list[str], list[tuple[Any, ...]]]:
         """Return the head and a row for each cell: varied values and figures."""
