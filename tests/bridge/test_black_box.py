@@ -131,7 +131,7 @@ def test_a_file_without_a_cycle_is_read_and_drawn(tmp_path: Path) -> None:
     record = load_fault(boxed(tmp_path, "at\x1b[2J once"))
     assert record.time.shape == (0,) and record.six("pose").shape == (0, 6)
     said = str(record.table())
-    assert "\x1b" not in said and said.startswith("at\\x1b[2J once (") and not record.table().rows
+    assert "\x1b" not in said and said.startswith("CLOCK: at\\x1b[2J once (") and not record.table().rows
     record.plot(tmp_path / "empty.png")
 
 

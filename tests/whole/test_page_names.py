@@ -200,7 +200,8 @@ def options() -> frozenset[str]:
         parser = command_parser(name, words)
         add_options(parser, name)
         found |= {*parser._option_string_actions}
-    scripts = "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("scripts/**/*.*[pyc]"))
+    sources = (path for path in ROOT.glob("scripts/**/*.*") if path.suffix in (".py", ".c"))  # not compiled ones
+    scripts = "".join(path.read_text(encoding="utf-8") for path in sources)
     sections = re.findall(r"def measure\((.*?)\) ->", scripts, re.DOTALL)  # of scripts/benchmarks/system
     found |= {f"--{name}" for name in re.findall(r"(\w+):", "".join(sections))}
     return frozenset(found | {*re.findall(r'"(--[a-z][\w-]*)"', scripts)})
