@@ -8,6 +8,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import wraps
 from io import BytesIO
@@ -18,8 +19,9 @@ import numpy as np
 
 from maglev_mj import errors
 from maglev_mj.colours import GRID, REFERENCE, SERIES, WALL
-from maglev_mj.errors import check_one_of
+from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.files import atomic_path
+from maglev_mj.parameters import flag, number
 
 FIRST, SECOND = SERIES[:2]
 SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
@@ -30,11 +32,14 @@ _LIMIT: dict[str, Any] = {"color": "black", "linestyle": (0, (6, 3)), "linewidth
 BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False, "fontsize": 9.0}
 """Style of a legend to the right of its panel."""
 
-TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10.0}
+TITLE: dict[str, Any] = {"loc": "left", "fontsize": "medium"}
 """Style of a panel title."""
 
 WIDTH = 8.0
-"""Width of every chart [inch]; pages show up to 8.6 (830 px) without scaling."""
+"""Default width of a chart [inch]; pages show up to 8.6 (830 px) without scaling."""
+
+_NARROW, _LEAST_PANEL = 5.0, 2.4
+"""Width of a chart with smaller letters, and of a panel beside others [inch]."""
 
 FORMATS = "png", "pdf", "svg"
 """Chart formats."""
@@ -52,8 +57,12 @@ _COLUMNS = 3  # per row of a grid
 _LARGE, _MANY = 300_000, 1000  # SVG size [bytes] above which curves of this many points are rasterised
 _NOTEBOOK_DPI = 100.0
 _LEGEND_SIZE = 9.0  # [pt]
-_HEADLINE, _DETAIL = (11.0, 84), (9.0, 108)  # size [pt] and letters across a chart
+_HEADLINE, _DETAIL = (11.0, 81), (9.0, 108)  # size [pt] and letters across a chart
 _SHRUNK = 1.3  # a headline longer than a line by this factor is wrapped
+_SMALL, _SMALLEST = 8.5, 8.0
+"""Sizes of letters, and of those of ticks and legends, in a narrow chart [pt]."""
+_LEAST_ROW = 3.0
+"""Height of a row that narrow panels keep, with labels and legend [inch]."""
 _UNDER = 36.0  # gap between a panel and its legend, for ticks, tick labels and axis label [pt]
 
 
@@ -64,16 +73,32 @@ class PictureFolder:
     Attributes:
         folder: The folder; created with the first file.
         format: One of `FORMATS`.
+        width: Width of each chart [inch]; None for the default.
+        bare: True to omit headline and conditions.
 
     Raises:
-        ParameterError: If the format is unknown.
+        ParameterError: If the format is unknown, or the width is outside its bounds.
     """
 
     folder: Path
     format: str = FORMATS[0]
+    width: float | None = None
+    bare: bool = False
 
     def __post_init__(self) -> None:
         check_one_of("format", FORMATS, self.format)
+        _checked_width(self.width)
+
+    def plot(self, result: Any, name: str = "", **keywords: Any) -> Path:
+        """Draw a chart of a result in this format and width.
+
+        Args:
+            result: The result.
+            name: File stem; that of the picture by default.
+            keywords: Further keywords of the result's `plot`, such as `picture`.
+        """
+        path = self.path(name or keywords["picture"])
+        return Path(result.plot(path, width=self.width, bare=self.bare, **keywords))
 
     def path(self, name: str, ending: str | None = None) -> Path:
         """Return the path of a file; create its folder.
@@ -88,6 +113,58 @@ class PictureFolder:
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class _Page:
+    """Where a chart is drawn: width [inch], without headline if bare, into other axes if there are some."""
+
+    width: float = WIDTH
+    bare: bool = False
+    ax: Any = None
+
+
+_DEFAULT = _Page()
+_page = ContextVar("page", default=_DEFAULT)
+
+
+def _checked_width(width: float | None) -> float:
+    return WIDTH if width is None else number("width", width, at_least=2.5, at_most=20.0)
+
+
+def plotted(draw: Callable[[], Any], path: Path | str | None, *, ax: Any, width: float | None, bare: bool) -> Any:
+    """Draw a chart and save it; see `Result.plot`.
+
+    Args:
+        draw: Function that draws it and returns its figure.
+        path: See `Result.plot`, as all others.
+        ax: See there.
+        width: See there.
+        bare: See there.
+    """
+    require()
+    if ax is not None:
+        from matplotlib.axes import Axes
+
+        check_instance("ax", ax, Axes, "matplotlib axes")
+        if path is not None or width is not None:
+            raise ParameterError("ax must be omitted with path or width: its own figure has a size and is saved by you")
+    before = _page.set(_Page(_checked_width(width), flag("bare", bare), ax))
+    try:
+        figure = draw()
+    finally:
+        _page.reset(before)
+    return save(figure, path)
+
+
+def fitting(columns: int) -> int:
+    """Return how many of some panels fit beside one another."""
+    return max(min(columns, int(_page.get().width / _LEAST_PANEL)), 1)
+
+
+def wide_share() -> float:
+    """Return the width of the chart, relative to the default."""
+    return _page.get().width / WIDTH
 
 
 def require() -> None:
@@ -117,6 +194,8 @@ def own_style() -> Iterator[None]:
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # all but the backend
         matplotlib.rcParams.update({"pdf.fonttype": 42, "ps.fonttype": 42})  # TrueType
+        if _page.get().width < _NARROW:
+            matplotlib.rcParams["font.size"] = _SMALL
         yield
 
 
@@ -132,15 +211,21 @@ def drawn(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 @drawn
-def new_figure(head: Sequence[str], rows: int, columns: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
+def new_figure(
+    head: Sequence[str], rows: int, columns: int, height: float, *, least: float = _LEAST_ROW, **options: Any
+) -> tuple[Any, list[Any]]:
     """Return a figure and its panels, row by row.
 
     Args:
         head: Headline, the finding in one sentence; then smaller lines: scene, timing and constant parameters.
         rows: Rows of panels.
         columns: Columns of panels.
-        height: Height without the head [inch].
+        height: Height without the head, of panels of the default width [inch].
+        least: Height of a row that narrower panels keep [inch].
         options: Options of matplotlib's `Figure.subplots`.
+
+    Raises:
+        ParameterError: If there are several panels, and axes for one were passed to `plot`.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -157,18 +242,41 @@ def new_figure(head: Sequence[str], rows: int, columns: int, height: float, **op
             self.savefig(file, dpi=_NOTEBOOK_DPI)
             return file.getvalue()
 
-    figure = NotebookFigure(figsize=(WIDTH, height), layout="constrained")
+    page = _page.get()
+    if page.ax is not None:
+        if rows * columns > 1:
+            raise ParameterError("ax must be omitted: this chart has several panels, and a figure of its own")
+        _style(page.ax, 1)
+        return page.ax.figure, [page.ax]
+    fit = fitting(columns)
+    lines = -(-rows * columns // fit)
+    if fit < columns:  # below one another, in the order of reading
+        ratios = options.pop("height_ratios", None)
+        options |= {} if ratios is None else {"height_ratios": np.repeat(ratios, columns)}
+        options["sharey"] = options.get("sharey") is True
+    row = height / rows
+    row = min(max(row * page.width / WIDTH * columns / fit, least), row)
+    figure = NotebookFigure(figsize=(page.width, row * lines), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = list(np.atleast_1d(figure.subplots(rows, columns, **options)).ravel())
+    axes = list(np.atleast_1d(figure.subplots(lines, fit, **options)).ravel())
     for panel in axes:
-        panel.grid(color=GRID, linewidth=0.8)
-        panel.set_axisbelow(True)
-        panel.tick_params(labelsize=9.0)
-        panel.locator_params(axis="x", nbins=max(12 // columns, 4))  # avoid overlapping tick labels
-        for side in ("top", "right"):
-            panel.spines[side].set_visible(False)
-    _add_head(figure, *head)
-    return figure, axes
+        _style(panel, fit)
+    if not page.bare:
+        _add_head(figure, *head)
+    for panel in axes[rows * columns :]:
+        panel.set_axis_off()
+    return figure, axes[: rows * columns]
+
+
+def _style(panel: Any, columns: int) -> None:
+    """Give axes the style of a panel, with ticks that do not overlap in a number of columns."""
+    small = _page.get().width < _NARROW
+    panel.grid(color=GRID, linewidth=0.8)
+    panel.set_axisbelow(True)
+    panel.tick_params(labelsize=_SMALLEST if small else 9.0)
+    panel.locator_params(axis="x", nbins=max(int(12 * wide_share()) // columns, 4))
+    for side in ("top", "right"):
+        panel.spines[side].set_visible(False)
 
 
 def _add_head(figure: Any, headline: str, *details: str) -> None:
@@ -178,7 +286,8 @@ def _add_head(figure: Any, headline: str, *details: str) -> None:
     """
     from matplotlib.text import Annotation
 
-    (large, wide), (small, narrow) = _HEADLINE, _DETAIL
+    (large, wide), (small, narrow) = ((size, int(letters * wide_share())) for size, letters in (_HEADLINE, _DETAIL))
+    details = tuple(filter(None, details))
     if wide < len(headline) <= _SHRUNK * wide:
         large, wide = large * wide / len(headline), len(headline)
     lines = textwrap.wrap(headline, wide)
@@ -188,8 +297,26 @@ def _add_head(figure: Any, headline: str, *details: str) -> None:
     title = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=large, fontweight="bold")
     place: dict[str, Any] = {"xytext": (0.0, down), "textcoords": "offset points", "va": "top"}
     style: dict[str, Any] = {"fontsize": small, "color": REFERENCE, "annotation_clip": False}
-    figure.add_artist(Annotation("\n".join(below), (0.0, 1.0), xycoords=title, **place, **style))
+    note = Annotation("\n".join(below), (0.0, 1.0), xycoords=title, **place, **style)
+    note.set_figure(figure)
+    figure.texts.append(note)
     figure.set_figheight(figure.get_figheight() + len(lines) * 1.3 * large / 72.0)
+
+
+def label_rows(*rows: tuple[Sequence[Any], str]) -> None:
+    """Label the y axes of rows of panels that share them: the first of each row, or all of panels below one another.
+
+    Of the latter, which share an x axis too, the lowest keeps its label.
+    """
+    panels = [panel for row, _ in rows for panel in row]
+    stacked = panels[0].get_gridspec().ncols == 1
+    for row, label in rows:
+        for panel in row if stacked else row[:1]:
+            panel.set_ylabel(label)
+            if stacked:
+                panel.sharey(row[0]) if panel is not row[0] else None
+    for panel in panels[:-1] if stacked else ():
+        panel.set_xlabel("")
 
 
 @drawn
@@ -219,7 +346,7 @@ def new_grid(
     ranges = {name: _range(values) for name, (values, _) in quantities.items()}
     least = {name: max(_NOISE.get(unit, 0.0), _FLAT * abs(ranges[name][0])) for name, (_, unit) in quantities.items()}
     names = [name for name in quantities if ranges[name][1] > least[name] or name == always] or list(quantities)[:1]
-    columns = -(-len(names) // (high or -(-len(names) // _COLUMNS)))
+    columns = fitting(-(-len(names) // (high or -(-len(names) // _COLUMNS))))
     rows = -(-len(names) // columns)
     others = ", ".join(name.replace("_", " ") for name in quantities if name not in names)
     head = [*head, *[f"not shown (constant): {others}"] * bool(others)]
@@ -341,8 +468,13 @@ def name_curves(target: Any, panels: Sequence[Any] = ()) -> None:
         entries |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in entries}
     if not entries:
         return
+    page = _page.get()
+    size = _SMALLEST if page.width < _NARROW else _LEGEND_SIZE
+    if page.ax is not None:  # where the user's own layout leaves room
+        page.ax.legend(entries.values(), entries.keys(), loc="best", fontsize=_SMALLEST)
+        return
     options: dict[str, Any] = {"loc": "outside lower center"}
-    width = WIDTH
+    width = page.width
     if not panels:
         width = _width(target.get_gridspec().ncols)
         down = moves.ScaledTranslation(0.0, -_UNDER / 72.0, target.figure.dpi_scale_trans)
@@ -353,14 +485,15 @@ def name_curves(target: Any, panels: Sequence[Any] = ()) -> None:
         "columnspacing": 1.2,
         "handlelength": 2.4,
         "frameon": False,
-        "fontsize": _LEGEND_SIZE,
+        "fontsize": size,
     }
     target.legend(entries.values(), entries.keys(), **options)
 
 
 def _width(columns: int) -> float:
     """Return the width of a legend under a panel [inch]."""
-    return WIDTH if columns == 1 else WIDTH / columns - 0.4
+    width = _page.get().width
+    return width if columns == 1 else width / columns - 0.4
 
 
 def _columns(names: Sequence[str], width: float) -> int:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from html import escape
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
-from maglev_mj.errors import MaglevError, require
+from maglev_mj.errors import MaglevError, check_one_of, require
 from maglev_mj.lazy import loaded
 from maglev_mj.terminal import WIDTH, printable, wrapped
 
@@ -25,6 +25,7 @@ _MAX_ROWS, _MAX_COLUMNS = 8, 9
 _MAX_REPR = 2000  # [bytes]
 _INDENT, _GAPS, _NARROWEST = "  ", ("  ", " "), 24
 _Method = TypeVar("_Method", bound=Callable[..., Any])
+_ALL_AXES, _TURNS, _FAR = 6, ("rx", "ry", "rz"), 100.0
 _IN_NUMBERS = re.compile(r"\bto\b|(?<=\d)e(?=[-+]?\d)")
 
 
@@ -54,6 +55,39 @@ def number_text(value: float, digits: int = 4, decimals: int | None = None) -> s
         return f"{value:.0f}" if 10.0**digits <= abs(value) < 1e7 else f"{value:z.{digits}g}"
     whole = math.floor(math.log10(abs(value))) + 1 if value else 0
     return f"{value:z.{min(max(digits - whole, 0), decimals)}f}"
+
+
+def conditions_text(
+    subject: str, axes: Iterable[str], periods: Iterable[float], delays: Iterable[float], *details: str
+) -> str:
+    """Return scene, axes, rate and delay in words, then further details: the line under the headline of each chart.
+
+    Args:
+        subject: Name of the scene, or of the loop.
+        axes: Names of the axes; those of the contact first.
+        periods: Sample periods [s], equal ones named once.
+        delays: Delays [s]; empty for a controller alone.
+        details: Plant, gains and so on.
+    """
+    rates = span_text([1.0 / period for period in periods]) + " Hz"
+    delayed = [*delays]
+    delay = f"delay {span_text([1e3 * delay for delay in delayed])} ms" if delayed else "without delay"
+    named = [*dict.fromkeys(axes)]
+    place = (
+        "on all axes" if len(named) == _ALL_AXES else f"{'about' if named[0] in _TURNS else 'along'} {', '.join(named)}"
+    )
+    return ", ".join([f"{subject} {place}", rates, delay, *filter(None, details)])
+
+
+def span_text(values: Iterable[float]) -> str:
+    """Return one value, or the smallest and the largest of several."""
+    texts = [*dict.fromkeys(f"{value:.6g}" for value in sorted(values))]
+    return texts[0] if len(texts) == 1 else f"{texts[0]} to {texts[-1]}"
+
+
+def radius_text(radius: float) -> str:
+    """Return a spectral radius in words; far above 1 its size says nothing more."""
+    return f"spectral radius {f'{radius:.3f}' if radius < _FAR else f'above {_FAR:g}'}"
 
 
 class Table(NamedTuple):
@@ -140,15 +174,13 @@ class Result:
     """Base class of result dataclasses.
 
     A subclass defines `columns` and `units`, optionally `headline`, `table` (default: first rows of the columns), and
-    `picture` or `plot`.
+    for charts `pictures` and `conditions`.
 
     Class attributes:
         derived: Names of properties to include in the JSON.
-        picture: Function that draws the result, as "module:function"; empty for no chart.
     """
 
     derived: ClassVar[Sequence[str]] = ()
-    picture: ClassVar[str] = ""
 
     @property
     def headline(self) -> str:
@@ -171,6 +203,16 @@ class Result:
     def warnings(self) -> Sequence[str]:
         """Verdicts printed above the table: an unstable wall, and force or motion above the limits of the device."""
         return ()
+
+    @property
+    def conditions(self) -> str:
+        """Scene, axis, rate and delay in words, under the headline of each chart; see `conditions_text`."""
+        return ""
+
+    @property
+    def pictures(self) -> Mapping[str, str]:
+        """Drawing functions as "module:function", by file name without suffix; empty for no chart."""
+        return {}
 
     @_with_headline
     def table(self) -> Table:
@@ -202,21 +244,54 @@ class Result:
         frame.attrs["units"] = {name: unit for name, unit in self.units.items() if name in frame}
         return frame
 
-    def plot(self, path: Path | str | None = None) -> Any:
+    def plot(
+        self,
+        path: Path | str | None = None,
+        picture: str | None = None,
+        *,
+        ax: Any = None,
+        width: float | None = None,
+        bare: bool = False,
+    ) -> Any:
         """Draw a chart; return the matplotlib figure, or the path of the file.
 
         Args:
             path: File to write; None to return the figure.
+            picture: One of `pictures` by name; the first by default.
+            ax: matplotlib axes to draw into, for a chart with one panel; None for a new figure.
+            width: Width of the figure [inch], at most 8 by default.
+            bare: True to omit headline and conditions, as above a caption.
 
         Raises:
             MissingPackageError: If matplotlib is not installed.
             NotImplementedError: If the result has no chart.
+            ParameterError: If there is no such picture, a value is outside its bounds, or the chart has several panels
+                and cannot be drawn into one axes.
         """
-        if not self.picture:
-            raise NotImplementedError(f"{type(self).__name__} has no chart")
-        from maglev_mj.pictures import save  # imported here: slow
+        return self._plotted(self._draw, path, picture, ax, width, bare)
 
-        return save(loaded(self.picture)(self), path)
+    def _plotted(
+        self,
+        draw: Callable[[Callable[..., Any]], Any],
+        path: Path | str | None,
+        picture: str | None,
+        ax: Any,
+        width: float | None,
+        bare: bool,
+    ) -> Any:
+        """Return what `plot` does, of a function that calls the drawing function."""
+        names = self.pictures
+        if not names:
+            raise NotImplementedError(f"{type(self).__name__} has no chart")
+        from maglev_mj.pictures import plotted  # imported here: slow
+
+        chosen = next(iter(names)) if picture is None else picture
+        check_one_of("picture", names, chosen)
+        return plotted(lambda: draw(loaded(names[chosen])), path, ax=ax, width=width, bare=bare)
+
+    def _draw(self, function: Callable[..., Any]) -> Any:
+        """Return the figure of a drawing function."""
+        return function(self)
 
     def __repr__(self) -> str:
         try:

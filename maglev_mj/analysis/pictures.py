@@ -57,11 +57,12 @@ def whole_run(report: SegmentReport, axis: int) -> Any:
 
 
 @drawn
-def sticks(report: SegmentReport) -> Any:
+def sticks(report: SegmentReport, axis: int) -> Any:
     """Draw position and stick position by axis (figure 9).
 
     Args:
         report: A recording with friction.
+        axis: Index into AXES, of the panel without any friction.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -71,8 +72,9 @@ def sticks(report: SegmentReport) -> Any:
     anchors = np.full_like(positions, np.nan) if run.anchors is None else run.anchors
     slips = {axis: friction.slips for axis, friction in run.figures.friction.items()}
     titles = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
-    head = f"Slips in {np.ptp(run.motion.time):.3g} s: {sum(slips.values())}", report.run_title
-    return staircases(head, run.motion.time, positions, anchors, titles or {0: "no friction"})
+    conditions = report.conditions_on([*slips] or [AXES[axis]])
+    head = f"Slips in {np.ptp(run.motion.time):.3g} s: {sum(slips.values())}", conditions
+    return staircases(head, run.motion.time, positions, anchors, titles or {axis: "no friction"})
 
 
 @drawn
@@ -111,7 +113,8 @@ def _over_time(report: SegmentReport, axis: int, window: tuple[float, float], *,
         coordinate: ([1e3 * one.pose[rows, axis] for one, rows in inside], unit_of("mm", axis)),
         f"actuator {effort}": ([one.wrench[rows, axis] for one, rows in inside], unit_of("N", axis)),
     }
-    wall = f"{report.run_title}{'' if report.wall is None else f', wall {report.wall.words}'}"
+    conditions = report.conditions_on([AXES[axis]])
+    wall = f"{conditions}{'' if report.wall is None else f', wall {report.wall.words}'}"
     figure, panels = new_grid((report.headline, wall), curves, "time (s)", high=2, more=0.8, always=coordinate)
     upper, *lower = panels.values()
     sides = [("recording", report.recorded, FIRST, "-", 3), ("simulation", report.simulated, SECOND, "--", 4)]

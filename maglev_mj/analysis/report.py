@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +18,12 @@ from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import flag, number
-from maglev_mj.pictures import save
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Segment
 from maglev_mj.recording.recording import SEGMENT_TYPE
 from maglev_mj.recording.setup import MEASURED, UNCONTROLLED, scripted
-from maglev_mj.result import Result, Table, capitalised, number_text, plain
+from maglev_mj.result import Result, Table, capitalised, conditions_text, number_text, plain
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import recorded_scene
 from maglev_mj.scenes.stability_check import wall_loops
@@ -193,19 +193,49 @@ class SegmentReport(Result):
             f"{self.run_title}: {span}", [], [], below=[*below, self.identified.table()], warnings=self.warnings
         )
 
-    def plot(self, path: Path | str | None = None, axis: str | None = None) -> Any:
-        """Draw recording and simulation of the run on an axis; see `Result.plot`.
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return self.conditions_on([AXES[self.axis()]])
+
+    def conditions_on(self, axes: Sequence[str]) -> str:
+        """Return the conditions with other axes than the most significant one."""
+        run = self.metadata
+        return conditions_text(run.name, axes, [run.period], [run.delay])
+
+    @property
+    def pictures(self) -> Mapping[str, str]:
+        """Drawing functions, see `Result`: `contact` if there was one, `sticks` with friction."""
+        chosen = {"run": "whole_run"}
+        chosen |= {"contact": "first_contact"} if self.recorded.figures.faces else {}
+        chosen |= {"sticks": "sticks"} if self.recorded.anchors is not None else {}
+        return {name: f"maglev_mj.analysis.pictures:{function}" for name, function in chosen.items()}
+
+    def plot(
+        self,
+        path: Path | str | None = None,
+        picture: str | None = None,
+        *,
+        axis: str | None = None,
+        ax: Any = None,
+        width: float | None = None,
+        bare: bool = False,
+    ) -> Any:
+        """Draw recording and simulation on an axis; see `Result.plot`.
 
         Args:
             path: File to write; None to return the figure.
+            picture: One of `pictures` by name; the run by default.
             axis: Name from AXES; the most significant one by default, see `SegmentReport.axis`.
+            ax: See `Result.plot`, as the others.
+            width: See there.
+            bare: See there.
 
         Raises:
-            ParameterError: If the axis does not move.
+            ParameterError: If the axis does not move, and as `Result.plot`.
         """
-        from maglev_mj.analysis.pictures import whole_run
-
-        return save(whole_run(self, self.axis(axis)), path)
+        index = self.axis(axis)
+        return self._plotted(lambda function: function(self, index), path, picture, ax, width, bare)
 
     def axis(self, name: str | None = None) -> int:
         """Return the index of the named axis, or of the most significant one.

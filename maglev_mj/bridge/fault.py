@@ -25,7 +25,7 @@ from maglev_mj.parameters import flag, whole
 from maglev_mj.recording import journal
 from maglev_mj.recording.recording import refused
 from maglev_mj.recording.sample import value_in
-from maglev_mj.result import Result, Table, number_text
+from maglev_mj.result import Result, Table, conditions_text, number_text
 from maglev_mj.terminal import printable
 from maglev_mj.versions import versions
 
@@ -203,11 +203,17 @@ class FaultRecord(Result):
     values: Mapping[str, Array]
     damage: str = ""
     units: ClassVar = _UNITS
-    picture: ClassVar = "maglev_mj.bridge.pictures:last_cycles"
+    pictures: ClassVar = {"fault": "maglev_mj.bridge.pictures:last_cycles"}
 
     def _headline(self) -> str:
         fault = "" if math.isnan(self.fault_time) else f"{self.faults}: "
         return f"{fault}{self.message} ({len(self.time)} cycles at {1.0 / self.period:g} Hz)"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`; the delay is the median measured by the device."""
+        delays = self.values["delay"][np.isfinite(self.values["delay"])]
+        return conditions_text("flight", AXES, [self.period], [np.median(delays)] if delays.size else ())
 
     def columns(self) -> Mapping[str, Array]:
         """Return the values by name, (N,) each."""

@@ -10,8 +10,10 @@ import numpy as np
 from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.frames import AXES, Array
-from maglev_mj.pictures import BESIDE, drawn, new_figure
+from maglev_mj.pictures import BESIDE, drawn, new_figure, wide_share
 from maglev_mj.terminal import printable
+
+_TICKS = 8
 
 
 @drawn
@@ -27,7 +29,7 @@ def last_cycles(record: FaultRecord) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     faults = textwrap.shorten(printable(record.faults), 70, placeholder="…")
-    head = printable(record.headline), f"{faults}, {1.0 / record.period:g} Hz"
+    head = printable(record.headline), record.conditions, faults
     figure, axes = new_figure(head, 4, 1, 8.6, sharex=True, height_ratios=[2, 2, 3, 2])
     time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.values
     _curves(axes[0], time, pose[:, :3], AXES[:3], "position (mm)")
@@ -43,6 +45,7 @@ def last_cycles(record: FaultRecord) -> Any:
         if len(time) and time[0] <= first <= time[-1]:
             axis.axvline(first, color=REFERENCE, linewidth=1.0, linestyle="--")
     axes[3].set_xlabel("time relative to the last cycle (ms)")
+    axes[3].locator_params(axis="x", nbins=max(int(_TICKS * wide_share()), 2))  # beside the legends
     return figure
 
 

@@ -76,5 +76,5 @@ def diagnose(
     For a wall, a spring or a controller with stiffness and damping on one axis, of any mass or inertia. The exit status
     is 0 for an unstable wall too; `stable` in the JSON is the verdict.
     """
-    write_result(json, diagnose_loop(what, on_axis=on_axis, **loop), pictures, "diagnosis")
+    write_result(json, diagnose_loop(what, on_axis=on_axis, **loop), pictures)
     return 0

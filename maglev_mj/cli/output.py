@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TextIO
 
-from maglev_mj.cli.declare import Parser
+from maglev_mj.cli.declare import Parser, number_option
 from maglev_mj.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -236,7 +236,6 @@ def write_result(
     json: str | None,
     result: Result,
     pictures: PictureFolder | None = None,
-    picture: str = "",
     written: Sequence[Path] = (),
 ) -> None:
     """Write a result as JSON and charts if requested, and print its table.
@@ -245,13 +244,11 @@ def write_result(
         json: JSON file, or "-" for standard output; None for none.
         result: The result.
         pictures: Output folder for charts; None for none.
-        picture: File stem of the chart; empty for all `pictures` of the result.
         written: Files already written, to be listed too.
     """
 
     def draw() -> Sequence[Path]:
-        calls = {picture: {}} if picture else {name: {"picture": name} for name in getattr(result, "pictures", ())}
-        return [] if pictures is None else [result.plot(pictures.path(name), **kw) for name, kw in calls.items()]
+        return [] if pictures is None else [pictures.plot(result, picture=name) for name in result.pictures]
 
     with Progress("stability"):  # of a law without declared gains
         warnings = {"warnings": list(result.warnings)} if result.warnings else {}
@@ -263,7 +260,7 @@ FORMATS = "png", "pdf", "svg"
 
 
 def add_pictures(parser: Parser, help: str = "output folder for charts", default: Path | None = None) -> None:
-    """Add --out and --format.
+    """Add --out, --format, --width and --bare.
 
     Args:
         parser: Parser of the command.
@@ -277,6 +274,9 @@ def add_pictures(parser: Parser, help: str = "output folder for charts", default
     output.add_argument(
         "--format", metavar="NAME", choices=FORMATS, help=f"chart format: {', '.join(FORMATS)} (default {FORMATS[0]})"
     )
+    text = "width of a chart [inch], such as 3.4 for a column of a journal (default 8)"
+    output.add_argument("--width", metavar="X", type=number_option, help=text)
+    output.add_argument("--bare", action="store_true", help="omit headline and conditions, which a caption states")
 
 
 def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
@@ -288,14 +288,15 @@ def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
     """
     folder = options.out
     if folder is None:
-        if options.format is not None:
-            raise ParameterError(f"format requires out, the output folder (got format {options.format!r} alone)")
+        for name in ("format", "width", "bare"):
+            if value := getattr(options, name):
+                raise ParameterError(f"{name} requires out, the output folder (got {name} {value!r} alone)")
         return None
     from maglev_mj.pictures import PictureFolder, require  # imported here: --help does not need NumPy
 
     require()
     check_folder("out", folder)
-    return PictureFolder(folder, options.format or FORMATS[0])
+    return PictureFolder(folder, options.format or FORMATS[0], options.width, options.bare)
 
 
 def script_options(

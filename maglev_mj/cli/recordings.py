@@ -168,13 +168,14 @@ def analyse(
             reports.append((index, _report(part, begin or 0.0, end, compare, own)))
             if len(segments) > 1:
                 progress(len(reports), len(segments))
-    axes = [report.axis(axis) for _, report in reports]  # before any file is written
+    for _, report in reports:
+        report.axis(axis)  # before any file is written
     if json is not None:
         write_json(json, _as_json(file, recording, reports))
     drawn = []
     if pictures is not None:
-        for (index, report), number in zip(reports, axes, strict=True):
-            drawn += _draw(report, number, pictures, f"segment_{index}_" if several else "analysis_")
+        for index, report in reports:
+            drawn += _draw(report, axis, pictures, f"segment_{index}_" if several else "analysis_")
     if json != "-":
         heads = [f"segment {index} of {len(recording.segments)}\n" if several else "" for index, _ in reports]
         print("\n\n".join(f"{head}{report.table()}" for head, (_, report) in zip(heads, reports)))
@@ -229,22 +230,20 @@ def _report(segment: Segment, begin: float, end: float | None, compare: bool, ow
     return analyse(segment, rebuilt, anchors=anchors, scene=scene, begin=begin, end=end, simulated=simulated)
 
 
-def _draw(analysed: SegmentReport, axis: int, pictures: PictureFolder, stem: str) -> list[str]:
+def _draw(analysed: SegmentReport, axis: str | None, pictures: PictureFolder, stem: str) -> list[str]:
     """Draw the charts of a segment; return a line for each written or omitted chart."""
-    from maglev_mj.analysis.pictures import first_contact, sticks, whole_run
     from maglev_mj.frames import AXES
-    from maglev_mj.pictures import save
 
-    lines = [f"wrote {save(whole_run(analysed, axis), pictures.path(f'{stem}run'))}"]
-    if any(face.axis == AXES[axis] for face in analysed.recorded.figures.faces):
-        lines.insert(0, f"wrote {save(first_contact(analysed, axis), pictures.path(f'{stem}contact'))}")
-    else:
-        lines.append(f"no wall contact on {AXES[axis]}: contact chart omitted")
-    if analysed.recorded.anchors is not None:
-        lines.append(f"wrote {save(sticks(analysed), pictures.path(f'{stem}sticks'))}")
-    else:
-        lines.append("no friction: chart of stick positions omitted")
-    return lines
+    drawn, name = analysed.pictures, AXES[analysed.axis(axis)]
+    touched = any(face.axis == name for face in analysed.recorded.figures.faces)
+    omitted = {"contact": f"no wall contact on {name}: contact chart omitted"} if not touched else {}
+    omitted |= {} if "sticks" in drawn else {"sticks": "no friction: chart of stick positions omitted"}
+    lines = [
+        f"wrote {pictures.plot(analysed, f'{stem}{kind}', picture=kind, axis=axis)}"
+        for kind in drawn
+        if kind not in omitted
+    ]
+    return [*lines, *omitted.values()]
 
 
 def export(
@@ -284,5 +283,5 @@ def fault(
     record = load_fault(file)
     print(record.table(whole=all))
     if pictures is not None:
-        print(f"  wrote {record.plot(path=pictures.path(file.stem))}")
+        print(f"  wrote {pictures.plot(record, file.stem)}")
     return 0

@@ -237,7 +237,7 @@ def render(
     ] = None,
     size: Annotated[str, option("width and height [pixels]", "output", "WxH")] = "1200x750",
     fps: Annotated[int, option("frame rate [1/s]", "output", at_least=1, at_most=50)] = 20,
-    plain: Annotated[bool, option("omit plots and text", "output")] = False,
+    bare: Annotated[bool, option("omit plots and text", "output")] = False,
     hand_path: _HandPath = None,
 ) -> int:
     """Render an image or video of a scene off-screen."""
@@ -255,7 +255,7 @@ def render(
             width=width,
             height=height,
             rate=fps,
-            plots=not plain,
+            plots=not bare,
             progress=progress,
         )
     print(f"  wrote {out}" + (f": {frames} frames" if frames > 1 else ""))

@@ -172,7 +172,7 @@ def sweep(
     with saved_cells(path, path), Progress(f"sweep {scene.name}") as progress:
         result = run_sweep(scene, fixed | varied, workers=running, record=path, progress=progress)
     result = replace(result, varied=varied)  # fixed parameters are not dimensions of the grid
-    write_result(json, result, pictures, "sweep")
+    write_result(json, result, pictures)
     if len(result.results.failed) == len(result.cells):
         raise MaglevError(f"no cell finished: {result.results[0]['error']}")
     return 0
@@ -215,7 +215,6 @@ def compare(
     ] = None,
     figure: Annotated[str | None, option("figure in the table of --vary (default: the scene's first)", "over")] = None,
     map: Annotated[bool, option("map the stable region over damping and stiffness instead", "over")] = False,
-    grid: Annotated[int, option("number of dampings of --map", "over", at_least=2, at_most=1000)] = 20,
     json: Json = None,
     pictures: Pictures,
 ) -> int:
@@ -230,13 +229,13 @@ def compare(
     with Progress(f"compare {scene.name}") as progress:
         around: Any = {"phases": phases, "plant": plant, "progress": progress}
         if map:
-            result: Result = sweep_laws(scene, law, values=grid, figure="critical_stiffness", **around)
+            result: Result = sweep_laws(scene, law, figure="critical_stiffness", **around)
         elif vary is None:
             result = compare_laws(scene, law, **around)
         else:
             ((name, text),) = assignments("a parameter", [vary], lambda name: name.replace("-", "_")).items()
             result = sweep_laws(scene, law, name, _values(type(scene), name, text), figure=figure, **around)
-    write_result(json, result, pictures, f"compare_{scene.name}_{'map' if map else 'vary'}" if map or vary else "")
+    write_result(json, result, pictures)
     return 0
 
 
@@ -292,7 +291,7 @@ def stability_map(
     wall too; `stable` in the JSON of a scene or of one wall is the verdict.
     """
     if isinstance(region, StabilityParameters) and region.plant == "none" and (wall := region.wall):
-        write_result(json, diagnose(**wall), pictures, "diagnosis")
+        write_result(json, diagnose(**wall), pictures)
         return 0
     if pictures is not None:
         for name in ("damping", "stiffness"):
@@ -306,7 +305,7 @@ def stability_map(
     run: Any = run_drop_map if drops else run_stability
     with saved_cells(record, Path("stability-cells")), Progress("stability") as progress:
         result = run(region, record=Record(record), workers=running, progress=progress)
-    write_result(json, result, pictures, "stability_drops" if drops else "stability")
+    write_result(json, result, pictures)
     return 0
 
 
@@ -329,7 +328,7 @@ def stability(*, scene: _JudgedScene, json: Json = None, pictures: Picture) -> i
         verdict = judge(scene)
     data = {"scene": scene.name, "parameters": scene.as_json(), **verdict.as_json()}
     heading = "\n".join(wrapped(f"{scene.name}: {scene.describe()}", "", "  "))
-    draw = partial(lambda folder: [verdict.plot(folder.path("stability"))] if folder else [], pictures)
+    draw = partial(lambda folder: [folder.plot(verdict, "stability")] if folder else [], pictures)
     write_results(json, lambda: data, lambda: f"{heading}\n{verdict.table()}", draw)
     return 0
 
@@ -417,7 +416,7 @@ def design(
             raise ParameterError("mass or delay must be a range for a chart (got one value each)")
     with Progress("design"):
         result = evaluate_wall(design_wall(requirements), contact)
-    write_result(json, result, pictures, "design")
+    write_result(json, result, pictures)
     return int(result.grows.any())
 
 
@@ -442,7 +441,7 @@ def card(*, scene: _CardScene, device: _Device, json: Json = None, pictures: Pic
 
     SCENE may also be a device file, FILE.toml.
     """
-    write_result(json, device_card(scene, device), pictures, "card")
+    write_result(json, device_card(scene, device), pictures)
     return 0
 
 
@@ -545,7 +544,7 @@ def fidelity(*, comparison: _Compared, name: SceneName, json: Json = None, pictu
                 levels[scene] = measure_levels(scene)
                 progress(index + 1, len(COMPARED))
     if comparison is not None:
-        write_result(json, result, pictures, "fidelity")
+        write_result(json, result, pictures)
         return 0
     data = {scene: plain(rows) for scene, rows in levels.items()}
     write_results(json, lambda: data, lambda: str(levels_table(levels)))

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from math import isfinite
 from typing import Any, ClassVar, Self, TypeAlias, TypedDict
 
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import Interval, Timeline, Timing
 from maglev_mj.errors import DivergenceError, PlantError, check_instance
 from maglev_mj.frames import (
+    AXES,
     Array,
     Command,
     Component,
@@ -35,6 +37,7 @@ from maglev_mj.plants.device_walls import DeviceWalls, HeldWalls
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
 from maglev_mj.plants.trace import HandWork, Trace, TraceRecorder, lagging_parts
+from maglev_mj.result import conditions_text
 from maglev_mj.spec import ESCAPE
 
 _NO_EFFORT: Six = (0.0,) * 6
@@ -320,7 +323,8 @@ class SampledPlant(ABC):
         if self._recorder is None or self._tick < 0:
             raise PlantError("no trace: create the plant with record=True and read at least one sample")
         drive = self._timeline.now() if self._walls is None else self._walls.drive
-        return self._recorder.finish(self._tick, self._snapshot(drive))
+        trace, delays = self._recorder.finish(self._tick, self._snapshot(drive)), np.unique(self.timing.delay).tolist()
+        return replace(trace, origin=partial(conditions_text, type(self).__name__, AXES, [self.timing.period], delays))
 
     def state(self) -> tuple[Array, Array]:
         """Return true pose and twist at the last sample, (..., 6) each."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,16 +10,38 @@ import numpy as np
 from maglev_mj.colours import SERIES
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.pictures import drawn, name_curves, new_grid
+from maglev_mj.plants.trace import Trace
 
 _STILL = 1e-6
 
 
 @drawn
-def moving_axes(headline: str, time: Array, position: Array, force: Array) -> Any:
+def trace(result: Trace) -> Any:
+    """Draw a trace; see `moving_axes`.
+
+    Raises:
+        ParameterError: If it is not of one device on six axes.
+    """
+    result.columns()
+    return moving_axes((result.headline, result.conditions), result.time, result.pose, result.wrench)
+
+
+@drawn
+def samples(result: Any) -> Any:
+    """Draw position and command of the `Samples` of a recording; see `moving_axes`.
+
+    Raises:
+        AttributeError: If time, position or command were not loaded.
+    """
+    return moving_axes((result.headline, result.conditions), result.time, result.position, result.command)
+
+
+@drawn
+def moving_axes(head: Sequence[str], time: Array, position: Array, force: Array) -> Any:
     """Plot position and force of the moving axes, translations and rotations side by side; z if none moves.
 
     Args:
-        headline: Headline.
+        head: See `new_figure`.
         time: Times [s], (N,).
         position: Positions [m, rad], (N, 6).
         force: Wrench from each time on [N, N m], (N, 6).
@@ -35,7 +58,7 @@ def moving_axes(headline: str, time: Array, position: Array, force: Array) -> An
         curves[motion] = 1e3 * position.T[axes], unit_of("mm", first)
         curves[effort] = force.T[axes], unit_of("N", first)
         styles |= {motion: (axes, "default"), effort: (axes, "steps-post")}
-    figure, panels = new_grid([headline], curves, "time (s)", high=2, always=next(iter(curves)))
+    figure, panels = new_grid(head, curves, "time (s)", high=2, always=next(iter(curves)))
     for name, panel in panels.items():
         axes, step = styles[name]
         for axis, curve in zip(axes, curves[name][0], strict=True):

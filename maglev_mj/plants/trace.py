@@ -6,9 +6,8 @@ Energy of hand and rendered environment: for a running session, from samples alo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,11 +15,12 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Interval, Timing
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Command, Component, Sample, distances, unit_of
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
 from maglev_mj.parameters import numbers
-from maglev_mj.pictures import save
 from maglev_mj.result import Result
 
+_STILL = 1e-6
+"""Range of motion up to which an axis rests [m, rad]."""
 _KNOTS = 0.5, 1.0, 2.0, 3.5, 6.0
 """Times after a switch at which a lagging force is recorded, in time constants."""
 
@@ -74,6 +74,7 @@ class Trace(Result):
         pose: Pose at the knots [m, rad], (K, ..., 6).
         twist: Velocity at the knots [m/s, rad/s], (K, ..., 6).
         wrench: Wrench of the actuators from each knot on [N, N m], (K, ..., 6), without gravity.
+        origin: Function that returns plant or scene, axes, rate and delay in words, for charts; None if unknown.
     """
 
     time: Array
@@ -86,8 +87,19 @@ class Trace(Result):
         for axis in AXES
     }
 
+    origin: Callable[[], str] | None = field(default=None, repr=False, kw_only=True)
+    pictures: ClassVar = {"motion": "maglev_mj.plants.pictures:trace"}
+
     def _headline(self) -> str:
-        return f"{np.ptp(self.time):.4g} s of motion, up to {distances(self.furthest())} from the centre"
+        ranges = np.ptp(self.pose, axis=0).reshape(-1, self.pose.shape[-1]).max(axis=0)
+        moving = [axis for axis, moved in zip(AXES, ranges) if moved > _STILL] if len(ranges) == len(AXES) else []
+        motion = f"of motion along {', '.join(moving)}" if moving else "without motion"
+        return f"{np.ptp(self.time):.4g} s {motion}"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return "" if self.origin is None else self.origin()
 
     def columns(self) -> dict[str, Array]:
         """Return the knots as columns such as `pose.z`, (K,) each.
@@ -98,17 +110,6 @@ class Trace(Result):
         if self.pose.ndim != 2 or self.pose.shape[1] != len(AXES):
             raise ParameterError(f"trace must be of one device on six axes, (K, 6) (got {self.pose.shape})")
         return dict(zip(self.units, [self.time, *self.pose.T, *self.twist.T, *self.wrench.T], strict=True))
-
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Plot position and force of the moving axes over time; see `Result.plot`.
-
-        Raises:
-            ParameterError: If the trace is not of one device on six axes.
-        """
-        from maglev_mj.plants.pictures import moving_axes
-
-        self.columns()
-        return save(moving_axes(self.headline, self.time, self.pose, self.wrench), path)
 
     def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
         """Interpolate the motion.
@@ -151,7 +152,7 @@ class Trace(Result):
     def along(self, axis: int) -> Trace:
         """Return one coordinate of the motion; the last dimension is 1."""
         parts = (part[..., axis : axis + 1] for part in (self.pose, self.twist, self.wrench))
-        return Trace(self.time, *parts)
+        return Trace(self.time, *parts, origin=self.origin)
 
     def furthest(self) -> Array:
         """Return the largest magnitude of each coordinate [m, rad], (..., 6), motion between knots included.
@@ -173,7 +174,7 @@ class Trace(Result):
         last = min(int(keep[-1]) + 2, len(after)) if keep.size else 1
         pairs = (pose, self.pose), (twist, self.twist), (wrench, self.wrench)
         parts = (np.where(after[..., None], at_end, knots)[:last] for at_end, knots in pairs)
-        return Trace(np.where(after, end, self.time)[:last], *parts)
+        return Trace(np.where(after, end, self.time)[:last], *parts, origin=self.origin)
 
     def turning_points(self) -> tuple[Array, Array]:
         """Return times and poses of turning points between knots.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +17,6 @@ from maglev_mj.files import atomic_path
 from maglev_mj.frames import Array
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import store, whole
-from maglev_mj.pictures import save
 from maglev_mj.recording.journal import (
     BLOCK,
     SUFFIX,
@@ -28,7 +27,7 @@ from maglev_mj.recording.journal import (
 )
 from maglev_mj.recording.reading import Content
 from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, Field, Rows, RunMetadata, Setup, units, value_in
-from maglev_mj.result import Result, Table
+from maglev_mj.result import Result, Table, conditions_text
 
 _RECORDED = [entry.name for entry in FIELDS]
 
@@ -183,9 +182,20 @@ class Recording(Result):
         ]
         return Table("", head, rows)
 
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw position and command of the moving axes over time; see `Result.plot`."""
-        return self.samples().plot(path)
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        runs = [part.metadata for part in self.segments]
+        if not runs:
+            return ""
+        names = " and ".join(dict.fromkeys(run.name for run in runs))
+        periods, delays = [run.period for run in runs], [run.delay for run in runs]
+        return conditions_text(names or "recording", [run.axis for run in runs], periods, delays)
+
+    pictures: ClassVar = {"recording": "maglev_mj.plants.pictures:samples"}
+
+    def _draw(self, function: Callable[..., Any]) -> Any:
+        return function(self.samples())
 
     def parts(self) -> Iterator[tuple[str, Any]]:
         """Yield kind and value of each part of the content, in the order of a journal.
@@ -373,15 +383,12 @@ class Samples(_Fields, Result):
                 columns[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
         return columns
 
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw position and command of the moving axes over time; see `Result.plot`.
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return self.recording.conditions
 
-        Raises:
-            AttributeError: If time, position or command were not loaded.
-        """
-        from maglev_mj.plants.pictures import moving_axes
-
-        return save(moving_axes(self.headline, self.time, self.position, self.command), path)
+    pictures: ClassVar = {"samples": "maglev_mj.plants.pictures:samples"}
 
     def to_pandas(self) -> Any:
         """Return a data frame with one row per sample, units and events in `attrs`.

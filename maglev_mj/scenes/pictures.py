@@ -11,9 +11,20 @@ import numpy as np
 from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, unit_of
-from maglev_mj.pictures import SHADE, TITLE, broken, draw_limit, drawn, line_style, name_curves, new_figure, new_grid
+from maglev_mj.pictures import (
+    SHADE,
+    TITLE,
+    broken,
+    draw_limit,
+    drawn,
+    label_rows,
+    line_style,
+    name_curves,
+    new_figure,
+    new_grid,
+)
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.results import Variants, figure_head, parameter_texts, rank_text
+from maglev_mj.scenes.results import Variants, figure_head, rank_text
 from maglev_mj.scenes.stability_check import wall_loops
 from maglev_mj.theory import judge, stated_gains
 
@@ -47,17 +58,12 @@ def _series(variants: Variants) -> tuple[Any, dict[str, Any]]:
 
 
 def _head(variants: Variants, *details: str) -> tuple[str, ...]:
-    """Return the headline, then scene, timing and the parameters that all runs share, and further details."""
+    """Return headline and conditions, the verdict on a wall that all runs share, and further details."""
     scenes = [result.scene for result in variants.runs.values()] or [variants.first.scene]
-    scene = scenes[0]
-    names = [one.name for one in scene.parameters()]
-    differing = [name for name in names if any(getattr(one, name, None) != getattr(scene, name) for one in scenes[1:])]
-    texts = ", ".join(parameter_texts(scene, without=differing))
-    common = f"{scene.name} along {scene.axis}, plant {variants.first.plant}: {texts}"
     gains = [stated_gains(one.controller()) for one in scenes]
     alike = len(scenes) == 1 or all(one and str(one) == str(gains[0]) for one in gains)
-    loops = wall_loops(scene, held=True) if alike else ()
-    return variants.headline, common, *([f"wall {judge(loops).words}"] if loops else []), *details
+    loops = wall_loops(scenes[0], held=True) if alike else ()
+    return variants.headline, variants.conditions, *([f"wall {judge(loops).words}"] if loops else []), *details
 
 
 def _over_time(variants: Variants, named: Mapping[str, str], **options: Any) -> tuple[Any, dict[str, Any]]:
@@ -161,8 +167,7 @@ def time_series(variants: Variants) -> Any:
         _draw_wall(upper)
         draw_limit(lower, variants.first.scene)
         lower.set_xlabel("time after release (s)")
-    heights[0].set_ylabel("height above the wall (mm)")
-    forces[0].set_ylabel("actuator force (N)")
+    label_rows((heights, "height above the wall (mm)"), (forces, "actuator force (N)"))
     name_curves(figure, figure.axes)
     return figure
 
@@ -185,7 +190,8 @@ def phase_plane(variants: Variants) -> Any:
     for panel in panels:
         panel.axvspan(left, 0.0, label="wall", **SHADE)
         panel.set_xlabel("height above the wall (mm)")
-    panels[0].set(xlim=(left, None), ylabel="velocity (m/s)")
+    panels[0].set_xlim(left, None)
+    label_rows((panels, "velocity (m/s)"))
     name_curves(figure, panels)
     return figure
 
@@ -236,7 +242,7 @@ def _draw_wall(panel: Any) -> None:
 
 def _times(variants: Variants) -> Array:
     """Return the times to draw [s], up to 1.5 times the longest settling time."""
-    end: float = variants.first.scene.end
+    end = min(float(result.trace.time[-1]) for result in variants.runs.values())  # of one that diverged
     settling = [result.figures["settling_time"] for result in variants.runs.values()]
     settled = 1.5 * float(np.max(settling))  # NaN if one does not settle
     return np.linspace(0.0, settled if settled < end else end, _POINTS)

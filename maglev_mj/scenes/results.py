@@ -7,22 +7,21 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError, check_instance, check_one_of
+from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, Array, distances, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.lazy import loaded
 from maglev_mj.parameters import flag, number
-from maglev_mj.pictures import save
 from maglev_mj.plants.limits import LIMITS, excess_of, peaks_of, verdicts
 from maglev_mj.plants.trace import Trace
-from maglev_mj.result import Result, Table, capitalised, number_text, plain
+from maglev_mj.result import Result, Table, capitalised, conditions_text, number_text, plain
 
 _MOST_SHOWN = 4
+_FAR = 2.0  # ranges, from which a run is outside
 _SHARES = 50.0, 5.0, 95.0
 _PREFIXES = {1e-3: "k", 1.0: "", 1e3: "m", 1e6: "µ"}
 _STEP = 1e-3
@@ -218,14 +217,19 @@ class RunResult(Result):
         """Unit of each predefined column."""
         return {name: unit_of(unit, self.scene.axis) for name, unit in _UNITS.items()}
 
-    def plot(self, path: Path | str | None = None, picture: str | None = None) -> Any:
-        """Draw the run with the plots of its scene; see `Variants.plot`.
-
-        Raises:
-            ParameterError: If there is no such picture, or the result is a batch.
-        """
+    @property
+    def pictures(self) -> Mapping[str, str]:
+        """Plots of the scene; see `Result`."""
         self.times()  # raises for a batch, whose runs share no time grid
-        return Variants({self.scene.name: self}).plot(path, picture)
+        return self._shown.pictures
+
+    def _draw(self, function: Callable[..., Any]) -> Any:
+        return function(self._shown)
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return self._shown.conditions
 
     def table(self) -> Table:
         """Return the figures; for a batch, the table of its `Phases`."""
@@ -320,27 +324,43 @@ class Phases(Result):
         units = {name: unit_of(figure.si_unit, self.scene.axis, figure.along) for name, figure in named.items()}
         return {column: units[column.partition(".")[0]] for column in self.columns() if column != "phase"}
 
-    def plot(self, path: Path | str | None = None) -> Any:
-        """Draw each figure over the sampling phase; see `Result.plot`.
+    @property
+    def pictures(self) -> Mapping[str, str]:
+        """See `Result`."""
+        return {f"{self.scene.name}_phases": "maglev_mj.scenes.pictures:spread"}
 
-        Raises:
-            ParameterError: If the scene has no figures.
-        """
-        from maglev_mj.scenes.pictures import spread
+    def _draw(self, function: Callable[..., Any]) -> Any:
+        return function(self._alone)
 
-        return save(spread(Variants({}, {self.scene.name: self})), path)
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return self._alone.conditions
 
     def table(self) -> Table:
         """Return median, 5th and 95th percentile of each figure."""
-        return Variants({}, {self.scene.name: self}).table()
+        return self._alone.table()
 
     def _headline(self) -> str:
-        return Variants({}, {self.scene.name: self}).headline
+        return self._alone.headline
 
     @property
     def warnings(self) -> Sequence[str]:
         """See `Result`."""
-        return Variants({}, {self.scene.name: self}).warnings
+        return self._alone.warnings
+
+    @property
+    def _alone(self) -> Variants:
+        return Variants({}, {self.scene.name: self})
+
+    @property
+    def ended(self) -> str:
+        """How a run ended whose figures say nothing, in words: "diverged", or far outside the range; empty for none."""
+        escape = np.repeat(self.scene.device_options().get("escape", (self.scene.hardware.escape, 1.0)), 3)
+        if not bool((self.peaks[:, 1:] <= escape).all()):  # NaN too
+            return "diverged"
+        far = _FAR * np.array(self.scene.body.range)
+        return "left the range of motion" if bool((self.peaks[:, 1:] > far).any()) else ""
 
     def percentile(self, share: float) -> dict[str, Array]:
         """Return a percentile of each figure over the sampling phases.
@@ -405,9 +425,19 @@ class Variants(Result):
         return next(iter((self.runs or self.phases).values()))
 
     def _headline(self) -> str:
+        scene = self.first.scene
+        on = f" on {scene.stiffness:g} {unit_of('N/m', scene.axis)}" if hasattr(type(scene), "wall") else ""
+        every = self.phases or {label: result.over_phases() for label, result in self.runs.items()}
+        ended = {label.partition(" (")[0]: phases.ended for label, phases in every.items() if phases.ended}
+        each = {label: phases for label, phases in every.items() if not phases.ended}
+        finding = [self._finding(each)] if each else []
+        for words in dict.fromkeys(ended.values()):
+            finding.append(f"{' and '.join(label for label in ended if ended[label] == words)} " * bool(each) + words)
+        return f"{capitalised(scene.name)}{on}: {'; '.join(finding)}"
+
+    def _finding(self, each: Mapping[str, Phases]) -> str:
+        """Return the figures of runs in words: the first that differs between them, or some of one run."""
         scene, texts = self.first.scene, list[str]()
-        subject = capitalised(scene.name) + (f" on {scene.stiffness:g} N/m" if hasattr(type(scene), "wall") else "")
-        each = self.phases or {label: result.over_phases() for label, result in self.runs.items()}
         over = f", median of {len(next(iter(each.values())).phases)} phases" if self.phases else ""
         for name, one in scene.figures.items():
             medians = [(float(one.percentile(np.ravel(x.figures[name]), 50.0)), label) for label, x in each.items()]
@@ -416,9 +446,18 @@ class Variants(Result):
             texts += [f"{figure_head(name)} {value}" for value in values[:1]]
             if len(ranked) > 1:
                 least, most = (label.partition(" (")[0] for _, label in (ranked[0], ranked[-1]))
-                return f"{subject}: {texts[-1]} ({least}) to {values[-1]} ({most}){over}"
+                return f"{texts[-1]} ({least}) to {values[-1]} ({most}){over}"
         reach = distances(np.vstack([phases.peaks for phases in each.values()]).max(axis=0)[1:])
-        return f"{subject}: {', '.join(texts[:3]) or f'up to {reach} from the centre'}{over}"
+        return f"{', '.join(texts[:3]) or f'moves up to {reach} from the centre'}{over}"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`; parameters that differ between the runs are left out."""
+        scenes = [one.scene for one in (self.runs or self.phases).values()]
+        names = [one.name for one in scenes[0].parameters()]
+        each = {name: [getattr(one, name, None) for one in scenes] for name in names}
+        over = {name: values for name, values in each.items() if any(value != values[0] for value in values)}
+        return scene_conditions(scenes[0], f"plant {self.first.plant}", over)
 
     @property
     def pictures(self) -> Mapping[str, str]:
@@ -444,21 +483,6 @@ class Variants(Result):
         """Return the first run and its phases, ready for JSON."""
         phases = [{"sweep": swept.as_json()} for swept in self.phases.values()]
         return {**(self.first.as_json() if self.runs else {}), **(phases[0] if phases else {})}
-
-    def plot(self, path: Path | str | None = None, picture: str | None = None) -> Any:
-        """Draw the runs or their phases; see `Result.plot`.
-
-        Args:
-            path: File to write; None to return the figure.
-            picture: One of `pictures` by name; the first by default.
-
-        Raises:
-            ParameterError: If there is no such picture.
-        """
-        names = self.pictures
-        chosen = next(iter(names)) if picture is None else picture
-        check_one_of("picture", names, chosen)
-        return save(loaded(names[chosen])(self), path)
 
     def table(self) -> Table:
         """Return the figures of each run and their spread over the phases."""
@@ -556,11 +580,32 @@ def _figures_table(
 
 
 _SCALED = "s", "m", "m/s", "rad", "rad/s"
-"""Units of parameters that are written with a prefix below 0.1."""
+"""Units of parameters that are written with a prefix if small."""
+_MILLI, _MICRO = 0.1, 1e-4
 
 
-def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:
-    """Return rate, delay and parameters with their units, `without` some by name."""
+def scene_conditions(scene: Any, plant: str, over: Mapping[str, Sequence[Any]] = {}) -> str:
+    """Return scene, axis, rate, delay, plant and parameters in words; see `conditions_text`.
+
+    Args:
+        scene: The scene.
+        plant: Plant in words; empty for none.
+        over: Values of parameters that differ between runs, by name.
+    """
+    own = {name: over.get(name, [getattr(scene, name)]) for name in ("axis", "period", "delay")}
+    texts = parameter_texts(scene, without={*own, *over}, brief=True)
+    return conditions_text(scene.name, own["axis"], own["period"], own["delay"], plant, *texts)
+
+
+def _matters(scene: Any, parameter: Any, value: Any) -> bool:
+    """Return False for a parameter that is off, as a pulse of 0 with its width, or for a choice that is the default."""
+    if parameter.name.startswith("pulse_") and not getattr(scene, "pulse", 1.0):
+        return False
+    return bool(value) and not (parameter.kind is str and value == parameter.default)
+
+
+def parameter_texts(scene: Any, *, without: Collection[str] = (), brief: bool = False) -> list[str]:
+    """Return rate, delay and parameters with their units, `without` some by name; if `brief`, those in effect."""
     texts = [] if "period" in without else [f"{1.0 / scene.period:g} Hz"]
     texts += [] if "delay" in without else [f"delay {scene.delay * 1e3:g} ms"]
     for parameter in scene.parameters():
@@ -571,15 +616,25 @@ def parameter_texts(scene: Any, *, without: Collection[str] = ()) -> list[str]:
         if name == "force_limit" and not value:  # "0 N" would read as no force
             texts.append("no force limit")
             continue
+        if brief and not _matters(scene, parameter, value):
+            continue
         if name == "device" and hasattr(scene, "hardware"):
             texts += [] if scene.hardware.published else [f"device {scene.hardware.name}"]
             continue
         unit = unit_of(parameter.unit, scene.axis, parameter.along)
-        if unit in _SCALED and 0.0 < abs(value) < 0.1:
-            value, unit = (1e3 * value, f"m{unit}") if abs(value) >= 1e-4 else (1e6 * value, f"µ{unit}")
+        if parameter.kind in (int, float):
+            factor, unit = prefixed(unit, abs(value))
+            value = factor * value
         text = f"{value:.5g}" if parameter.kind in (int, float) else str(value)
         texts.append(f"{name.replace('_', ' ')} {text} {unit}".rstrip())
     return texts
+
+
+def prefixed(unit: str, largest: float) -> tuple[float, str]:
+    """Return the factor and prefixed unit in which a parameter is written, by its largest magnitude."""
+    if unit not in _SCALED or not 0.0 < largest < _MILLI:
+        return 1.0, unit
+    return (1e3, f"m{unit}") if largest >= _MICRO else (1e6, f"µ{unit}")
 
 
 def figure_head(name: str) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from functools import partial
 from numbers import Integral
 from typing import Any, TypeAlias
 
@@ -20,7 +22,7 @@ from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.find import SceneLike, get_scene
-from maglev_mj.scenes.results import Phases, RunResult, Variants
+from maglev_mj.scenes.results import Phases, RunResult, Variants, scene_conditions
 from maglev_mj.scenes.scene import PLANTS, Scene
 
 _MOST_PHASES = 10_000
@@ -80,12 +82,12 @@ def run(
         try:
             drive(device, controller, ticks, observe=signals.observe, record=record)
         except DivergenceError as error:
-            trace = device.trace()
+            trace = _trace(device, scene, plant)
             if not _escaped_later(trace, scene.end, scene.hardware.escape):
                 if single:
                     error.partial = signals.result(scene, plant, at, trace)
                 raise
-        return signals.result(scene, plant, at, device.trace().until(scene.end))
+        return signals.result(scene, plant, at, _trace(device, scene, plant).until(scene.end))
 
 
 def figures_of(scene: Scene, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
@@ -288,6 +290,12 @@ class _SignalLog:
             {name: np.array([row[name] for row in self._rows])[within] for name in self._rows[0]} if self._rows else {}
         )
         return RunResult(scene, plant, phase, trace, time[within], columns)
+
+
+def _trace(device: Any, scene: Scene, plant: str) -> Trace:
+    """Return the motion of a run, which charts name by its scene."""
+    trace: Trace = device.trace()
+    return replace(trace, origin=partial(scene_conditions, scene, f"plant {plant}"))
 
 
 def _escaped_later(trace: Trace, end: float, escape: float) -> bool:

@@ -21,7 +21,7 @@ from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.plants.model import body_of
-from maglev_mj.result import Result, Table, capitalised, with_unit
+from maglev_mj.result import Result, Table, capitalised, conditions_text, with_unit
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
@@ -122,7 +122,7 @@ class DeviceCard(Result):
     Arrays are by hand (H,), damping (B,) and frequency (F,).
 
     Attributes:
-        title: Rate, delay, mass and target wall in words.
+        title: Scene, rate, delay, mass and target wall in words.
         hands: Names of the hands, "none" for the free flotor.
         walls: Stiffest stable wall in each hand: the top of the Z-width.
         damping: Dampings of the curves [N s/m].
@@ -153,11 +153,18 @@ class DeviceCard(Result):
     held: Held
     derived: ClassVar = ("leaves_after",)
     units: ClassVar = {"frequency": "Hz", "target": "N s/m", "rendered": "N s/m", "simulated": "N s/m"}
-    picture: ClassVar = "maglev_mj.studies.pictures:device_card"
+    pictures: ClassVar = {"card": "maglev_mj.studies.pictures:device_card"}
 
     def _headline(self) -> str:
-        walls = [f"{wall.stiffness:.0f} N/m (hand {hand})" for hand, wall in zip(self.hands, self.walls)]
-        return f"Stiffest stable wall: {', '.join(walls[:2])}; transparent up to {self.transparent:.3g} Hz"
+        free, *held = (f"{wall.stiffness:.0f} N/m" for wall in self.walls[:2])
+        in_hand = f", {held[0]} with hand {self.hands[1]}" if held else ""
+        transparent = f"transparent up to {self.transparent:.3g} Hz" if self.transparent else "not transparent"
+        return f"Stiffest stable wall: {free} free{in_hand}; {transparent}"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return self.title
 
     @property
     def leaves_after(self) -> float | None:
@@ -244,10 +251,8 @@ def device_card(scene: SceneLike, device: LoopParameters | None = None) -> Devic
     lag = 2.0 * np.pi * (scene.hardware.driver.time_constant if stated is None else stated)
     attenuated = lambda f: np.sinc(f * period) < _LOSS * np.hypot(1.0, f * lag)  # noqa: E731
     bandwidth = float(bisect(attenuated, np.zeros(()), np.array(0.5 / period), 50))
-    title = (
-        f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg; target wall {k:g} N/m, {b:g} N s/m"
-        + own.described
-    )
+    target_text = f"target wall {k:g} N/m, {b:g} N s/m{own.described}"
+    title = conditions_text(scene.name, AXES[:3], [period], [scene.delay], f"{mass:g} kg", target_text)
     step = quantum * (k + b / (period if any(host) else own.device_period))
     rigid = rigid_note(loops[0]) if own.mode else ""
     held = held_of(target_loop, reach=scene.body.bounded.range, own=scene_hand(scene))

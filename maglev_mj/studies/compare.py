@@ -233,14 +233,25 @@ def _chosen(scene: SceneLike, laws: Laws) -> tuple[WallScene, dict[str, WallLaw]
 class LawSweep(Sweep):
     """Figure of each law, and its spectral radius at rest in the wall, over one parameter; see `Sweep`."""
 
-    picture: ClassVar = "maglev_mj.studies.pictures:law_sweep"
+    @property
+    def pictures(self) -> Mapping[str, str]:  # type: ignore[override]
+        """See `Result`."""
+        kind = "map" if self._is_map else "vary"
+        return {f"compare_{self.scene.name}_{kind}": "maglev_mj.studies.pictures:law_sweep"}
+
+    @property
+    def _is_map(self) -> bool:
+        return (*self.varied, self.names[0]) == ("damping", "law", _MAPPED)
 
     def _headline(self) -> str:
         if self.names[0] != _MAPPED:
             return super()._headline()
-        most = zip(self.varied["law"], np.fmax.reduce(self.figure(_MAPPED)))
-        stiffest = ", ".join(f"{law} {'not computed' if math.isnan(k) else f'{k:.0f}'}" for law, k in most)
-        return f"{capitalised(self.scene.name)}: stiffest stable wall {stiffest} N/m"
+        most = [*zip(self.varied["law"], np.fmax.reduce(self.figure(_MAPPED)).tolist())]
+        unit = self.unit_along("N/m", True)
+        stiffest = ", ".join(f"{k:.0f} {unit} ({law})" for law, k in most if math.isfinite(k))
+        others = " and ".join(law for law, k in most if not math.isfinite(k))
+        found = [f"stiffest stable wall {stiffest}"] * bool(stiffest) + [f"not computed for {others}"] * bool(others)
+        return f"{capitalised(self.scene.name)}: {'; '.join(found)}"
 
     def table(self) -> Table:
         """Return the figure of each law at each value, marked where its wall is unstable."""
@@ -250,7 +261,7 @@ class LawSweep(Sweep):
         marks = np.where((verdicts != "stable") & (figure != _MAPPED), np.char.add(" ", verdicts), "")
         texts = np.char.add(np.vectorize(one.text)(self.figure(figure)), marks).tolist()
         rows = [[f"{value:.6g}", *row] for value, row in zip(values, texts, strict=True)]
-        title = f"{with_unit(figure_head(figure), one.unit)}, {self.held}"
+        title = f"{with_unit(figure_head(figure), one.unit)}, {self.conditions}"
         return Table(title, [with_unit(name, self.units[name]), *laws], rows, warnings=self.warnings)
 
     @property

@@ -23,7 +23,7 @@ from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.limits import LIMITS, excess_of
 from maglev_mj.plants.model import body_of
-from maglev_mj.result import Result, Table
+from maglev_mj.result import Result, Table, conditions_text, span_text
 from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, GRAVITY, MAX_DELAY_PERIODS, Spec
@@ -99,7 +99,7 @@ class DesignResult(Result):
     delays: Array
     map: Array
     derived: ClassVar = ("pulse", "gate")
-    picture: ClassVar = "maglev_mj.studies.pictures:design_map"
+    pictures: ClassVar = {"design": "maglev_mj.studies.pictures:design_map"}
 
     @property
     def body_name(self) -> str:
@@ -117,6 +117,14 @@ class DesignResult(Result):
         stiffness, damping = (f"{gain:{digit}}" for gain, digit in zip((wall.stiffness, wall.damping), digits))
         gains = f"{stiffness} {unit('N/m')} and {damping} {unit('N s/m')}"
         return f"PD wall of {gains}: spectral radius {wall.spectral_radius:.3g} in the worst case"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        needs = self.wall.requirements
+        body = f"{self.body_name} {span_text(needs.bodies)} {needs.unit('kg')}"
+        hands = f"hand {', '.join(needs.hands)}{needs.described}"
+        return conditions_text("PD wall", [needs.axis], [needs.period], needs.delay, body, hands)
 
     def columns(self) -> dict[str, Array]:
         """Return mass, delay and spectral radius of each cell."""

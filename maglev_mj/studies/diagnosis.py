@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -20,7 +20,7 @@ from maglev_mj.keywords import checked, rate_of, with_period
 from maglev_mj.parameters import MEASURED_MOTIONS, param
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import body_of
-from maglev_mj.result import NoTruthValue, Result, Table, number_text, plain
+from maglev_mj.result import NoTruthValue, Result, Table, conditions_text, number_text, plain
 from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD, RANGE
 from maglev_mj.theory.boundary import StiffestWall, least_passive_damping, rigid_note
 from maglev_mj.theory.held import Held, held_of
@@ -110,6 +110,7 @@ class Diagnosis(NoTruthValue, Result):
         valid_to: Speed of motion up to which a law without declared gains is linear [m/s, rad/s]; None for others.
         scene_hand: Hand of the scene, whose worst of free and held is `loop`; None without one.
         reach: Range of motion of the axis [m, rad].
+        subject: Name of the scene or recording, for charts.
     """
 
     loop: DiagnosedLoop
@@ -120,7 +121,8 @@ class Diagnosis(NoTruthValue, Result):
     valid_to: Bound | None = None
     scene_hand: Hand | None = None
     reach: float = RANGE[2]
-    picture: ClassVar = "maglev_mj.studies.diagnosis_picture:diagnosis"
+    subject: str = field(default="loop", repr=False)
+    pictures: ClassVar = {"diagnosis": "maglev_mj.studies.diagnosis_picture:diagnosis"}
 
     @property
     def stable(self) -> bool:
@@ -236,13 +238,24 @@ class Diagnosis(NoTruthValue, Result):
     @property
     def setting(self) -> str:
         """Gains, rate, delay and body in words."""
-        loop, (stiffness, damping) = self.loop, self.loop.gains
+        loop, (gains, body) = self.loop, self._around
         rate, delay = 1.0 / loop.value("period"), 1e3 * loop.value("delay")
+        return f"{gains}, {rate:.4g} Hz, delay {delay:.4g} ms, {body}"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        loop = self.loop
+        clock = [loop.value("period")], [loop.value("delay")]
+        return conditions_text(self.subject, [loop.loop_in_question.axis], *clock, *self._around)
+
+    @property
+    def _around(self) -> tuple[str, str]:
+        """Gains, and body, in words."""
+        loop, (stiffness, damping) = self.loop, self.loop.gains
         where = loop.described if loop.whole.on_host else " on the device"
-        return (
-            f"{stiffness:g} {self.unit('N/m')}, {damping:g} {self.unit('N s/m')}, {rate:.4g} Hz, delay {delay:.4g} ms, "
-            f"{loop.body:g} {self.unit('kg')}{where}"
-        )
+        gains = f"{stiffness:g} {self.unit('N/m')}, {damping:g} {self.unit('N s/m')}"
+        return gains, f"{loop.body:g} {self.unit('kg')}{where}"
 
     @property
     def motion(self) -> str:
@@ -259,10 +272,12 @@ class Diagnosis(NoTruthValue, Result):
 
     def _headline(self) -> str:
         unit, word = self.unit("N/m"), "Stable" if self.stable else "Unstable"
-        present, critical = number_text(self.loop.gains[0]), number_text(self.critical_stiffness)
+        present, bound = number_text(self.loop.gains[0]), self.critical_stiffness
+        more = "more than " * bound.beyond
+        critical = f"{more}{number_text(bound)} {unit}" if math.isfinite(bound) else "not computed"
         goal = f"For {self.loop.target:g} times the stiffness" if self.stable else "Change first"
         first = f". {goal}: {self.remedies[0].words}" if self.remedies else ""
-        return f"{word}: {present} {unit}, critical stiffness {critical} {unit}{first}"
+        return f"{word}: {present} {unit}, critical stiffness {critical}{first}"
 
     def unit(self, unit: str) -> str:
         """Return a unit of a translation, or that of a rotation for a rotary axis."""
@@ -391,6 +406,7 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     if measured is not None:
         loop, measured, how = _explained(loop, measured, given, assumptions)
         remarks = (*taken, _seen(Path(scene), measured), *how)
+        of_scene["subject"] = Path(scene).stem
     elif values.get("delay") is None:
         others = [loop.trial(delay=share * loop.period) for share in (0.0, 0.5, 1.0, 2.0)]
         words = ["stable" if one.whole.spectral_radius < 1.0 else "unstable" for one in others]
@@ -479,6 +495,7 @@ def _of_scene(
         "valid_to": verdict.valid_to,
         "scene_hand": replace(hand, axes=side) if hand is not None and holds(hand, loop) else None,
         "reach": float(found.body.bounded.range[AXES.index(axis)]),
+        "subject": found.name,
     }
     if loop.hand is not None:
         result["hand"] = ",".join(f"{float(part)!r}" for part in loop.hand.values[: 5 if loop.hand.soft else 3])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, Colour, on_white
-from maglev_mj.pictures import TITLE, drawn, name_curves, new_figure
+from maglev_mj.pictures import TITLE, drawn, fitting, name_curves, new_figure, wide_share
 from maglev_mj.studies.diagnosis import Diagnosis
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.remedies import short
@@ -32,16 +32,19 @@ def diagnosis(result: Diagnosis) -> Any:
     """
     shown = result.remedies[:_BARS]
     names = ["now", *(f"{index}  {_unbroken(one.words)}" for index, one in enumerate(shown, 1))]
-    names = [textwrap.fill(name, _LETTERS) for name in names]
-    low = _ROW * sum(name.count("\n") + 2 for name in names) + 0.7
-    figure, (region, response, bars, empty) = new_figure(
-        (result.headline, result.setting, result.summary), 2, 2, _TOP + low, height_ratios=(_TOP, low)
+    names = [textwrap.fill(name, int(_LETTERS * wide_share())) for name in names]
+    low = _ROW * (max(name.count("\n") for name in names) + 2) * len(names) + 0.7
+    head = result.headline, result.conditions, result.summary
+    columns = fitting(2)
+    ratios = (_TOP,) * (3 - columns) + (low,)
+    figure, (region, response, bars, *empty) = new_figure(
+        head, len(ratios), columns, sum(ratios), height_ratios=ratios, least=max(ratios)
     )
     _region(region, result)
     _response(response, result)
-    empty.set_axis_off()
-    grid = bars.get_gridspec()
-    bars.set_subplotspec(grid[1, :])
+    for panel in empty:
+        panel.set_axis_off()
+    bars.set_subplotspec(bars.get_gridspec()[-1, :])
     _bars(bars, result, names)
     return figure
 

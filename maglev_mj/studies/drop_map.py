@@ -106,12 +106,18 @@ class DropMap(GainMap):
     swing: Array
     ending: Array
     derived: ClassVar = ("endings", "settles_up_to")
-    picture: ClassVar = "maglev_mj.studies.pictures:drop_map"
+    pictures: ClassVar = {"stability_drops": "maglev_mj.studies.pictures:drop_map"}
     endings: ClassVar = tuple(one.name.lower() for one in DropEnding)
 
     def _headline(self) -> str:
-        stiffest = f"all drops settle up to {self.settles_up_to.max():.0f} N/m"
-        return f"{super()._headline()} (theory); {stiffest}"
+        most = float(self.settles_up_to.max())
+        settled = f"all drops settle up to {most:.0f} N/m" if most else "no drop settles"
+        return f"{super()._headline()} (theory); {settled}"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return f"{super().conditions}, {self.parameters.start}"
 
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return swing and ending of each drop."""
@@ -168,7 +174,7 @@ class DropMap(GainMap):
             "unstable by theory settle"
         )
         head = "", "stiffness [N/m]", "damping [N s/m]", ""
-        return Table(f"Drops on PD walls, {p.loop_title}: {p.start}", head, rows, note)
+        return Table(f"Drops on a {self.conditions}", head, rows, note)
 
 
 def run_drop_map(

@@ -25,6 +25,7 @@ from maglev_mj.result import Result, Table, capitalised, number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import get_scene
 from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.results import scene_conditions
 from maglev_mj.scenes.run import checked_phase
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stability_check import stability_warning
@@ -238,11 +239,16 @@ class FidelityResult(Result):
     unscreened: str = ""
 
     units: ClassVar = {**dict.fromkeys(("changes", "worst", "missing"), "m"), "force": "N", "cost": "s"}
-    picture: ClassVar = "maglev_mj.studies.pictures:fidelity"
+    pictures: ClassVar = {"fidelity": "maglev_mj.studies.pictures:fidelity"}
 
     def _headline(self) -> str:
-        level = "no level" if self.level is None else f"level {self.level.level}"
-        return f"{capitalised(self.preset.name)}: {level} meets the tolerance of {_micro(self.tolerance):g} µm"
+        level = "no model level" if self.level is None else f'model level "{self.level.level}"'
+        return f"{capitalised(self.preset.name)}: {level} is within {_micro(self.tolerance):g} µm of the full device"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return scene_conditions(self.preset.scene, "")
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return the figures of each level."""

@@ -25,7 +25,7 @@ from maglev_mj.pictures import (
     new_grid,
 )
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.results import figure_head, parameter_texts
+from maglev_mj.scenes.results import figure_head, prefixed
 from maglev_mj.studies.card import DeviceCard
 from maglev_mj.studies.compare import LawSweep
 from maglev_mj.studies.designed_wall import DesignResult
@@ -98,7 +98,7 @@ def stability_map(result: StabilityMap) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     p = result.parameters
-    figure, (panel,) = new_figure((result.headline, p.loop_title), 1, 1, 5.6)
+    figure, (panel,) = new_figure((result.headline, result.conditions), 1, 1, 5.6)
     x, y, spectral_radius = result.level_sets()
     level_sets(panel, x, y, spectral_radius)
     above: dict[str, tuple[Array, Any]] = {}  # their boundary
@@ -148,8 +148,7 @@ def drop_map(result: DropMap) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    p = result.parameters
-    figure, panels = new_figure((result.headline, p.loop_title, p.start), 1, 1, 5.3)
+    figure, panels = new_figure((result.headline, result.conditions), 1, 1, 5.3)
     drop_panels(figure, panels, [result])
     return figure
 
@@ -181,7 +180,7 @@ def drop_panels(figure: Any, panels: Sequence[Any], results: Sequence[DropMap]) 
     bar = figure.colorbar(image, ax=list(panels), ticks=_DECADES, aspect=40, pad=0.02, fraction=0.04)
     bar.ax.set_yticklabels(["1 µm", "10 µm", "0.1 mm", "1 mm", "10 mm", "0.1 m"])
     bar.ax.tick_params(labelsize=9.0)
-    bar.set_label("peak-to-peak motion, last 100 of 400 samples", fontsize=9.0)
+    bar.set_label("peak-to-peak motion,\nlast 100 of 400 samples", fontsize=9.0)
     name_curves(figure, panels)
 
 
@@ -213,8 +212,7 @@ def design_map(result: DesignResult) -> Any:
     sizes = result.masses.size, result.delays.size
     if sizes == (1, 1):
         raise ParameterError("mass or delay must be a range to draw a chart")
-    details = f"{1.0 / needs.period:g} Hz, {needs.description}"
-    figure, (panel,) = new_figure((result.headline, details), 1, 1, 5.3)
+    figure, (panel,) = new_figure((result.headline, result.conditions), 1, 1, 5.3)
     marked = f"worst case: {wall.spectral_radius:.4g}, hand {needs.hand_of(worst)}"
     body = f"{result.body_name} ({needs.unit('kg')})"
     if min(sizes) > 1:
@@ -258,25 +256,33 @@ def sweep(result: Sweep) -> Any:
     }
     failed = len(result.results.failed)
     words = {
-        figure_head(name): "failed" if np.isnan(result.figure(name)).sum() == failed else one.missing
+        figure_head(name): result.ended if np.isnan(result.figure(name)).sum() == failed else one.missing
         for name, one in figures.items()
     }
     if not found:
         raise ParameterError(f"figures must include a scalar to draw a chart: {result.scene.name} has none")
-    varied = {name: values for name, values in result.varied.items() if len(values) > 1} or result.varied
+    several = {name: values for name, values in result.varied.items() if len(values) > 1}
+    varied: dict[str, Sequence[Any]] = {**(several or result.varied)}
+    units_of = dict(result.units)
+    for name, values in [*varied.items()]:
+        if all(map(_is_number, values)):
+            factor, units_of[name] = prefixed(units_of.get(name, ""), max(map(abs, values)))
+            varied[name] = [factor * value for value in values] if factor != 1.0 else values
     (first, along), *others = varied.items()
-    label = axis_label(first, result.units.get(first))
+    label = axis_label(first, units_of.get(first))
     if len(others) == 1 and _even(along) and _even(others[0][1]):
-        return _heat_maps(result, varied, found, label, words)
+        return _heat_maps(result, varied, units_of, found, words)
     lines = list(itertools.product(*(values for _, values in others)))
-    units = [result.units.get(name, "") for name, _ in others]
+    units = [units_of.get(name, "") for name, _ in others]
     numbers = all(map(_is_number, along))
-    figure, panels = new_grid((result.headline, result.held, *result.reasons), found, label, more=0.9)
+    figure, panels = new_grid((result.headline, result.conditions, *result.reasons), found, label, more=0.9)
     for name, panel in panels.items():
-        for index, values in enumerate(found[name][0].reshape(len(along), -1).T):
+        for index, column in enumerate(found[name][0].reshape(len(along), -1).T):
             style = line_style(index) | ({} if numbers else {"linestyle": "none"})
             named = ", ".join(map(chosen_text, dict(others), lines[index], units))
-            panel.plot(along if numbers else range(len(along)), values, marker="o", label=named or None, **style)
+            panel.plot(along if numbers else range(len(along)), column, marker="o", label=named or None, **style)
+        if numbers:  # also those of cells without a value
+            panel.update_datalim([(value, 0.0) for value in along], updatey=False)
         empty = [np.isnan(row).all() for row in found[name][0].reshape(len(along), -1)]
         for x in (value if numbers else index for index, value in enumerate(along) if empty[index]):
             where = panel.get_xaxis_transform()
@@ -306,11 +312,16 @@ def _even(values: Sequence[Any]) -> bool:
 
 
 def _heat_maps(
-    result: Sweep, varied: Mapping[str, Sequence[Any]], found: Quantities, label: str, words: Mapping[str, str]
+    result: Sweep,
+    varied: Mapping[str, Sequence[Any]],
+    units: Mapping[str, str],
+    found: Quantities,
+    words: Mapping[str, str],
 ) -> Any:
     """Draw each figure as a heat map over two parameters; cells without a value are grey."""
-    (_, x), (second, y) = varied.items()
-    head = result.headline, result.held, *result.reasons
+    (first, x), (second, y) = varied.items()
+    label = axis_label(first, units.get(first))
+    head = result.headline, result.conditions, *result.reasons
     figure, panels = new_grid(head, found, label, more=0.5, sharey=True)
     edges = (*_outer(np.array(x)), *_outer(np.array(y)))
     for name, panel in panels.items():
@@ -320,7 +331,7 @@ def _heat_maps(
         figure.colorbar(panel.imshow(values, extent=edges, origin="lower", aspect="auto", cmap="cividis"), ax=panel)
         panel.set(xlim=edges[:2], ylim=edges[2:])
         if panel.get_subplotspec().is_first_col():
-            panel.set_ylabel(axis_label(second, result.units.get(second)))
+            panel.set_ylabel(axis_label(second, units.get(second)))
     missing = {words[name] for name, (values, _) in found.items() if name in panels and np.isnan(values).any()}
     if missing:
         figure.axes[0].plot([], [], "s", color=GRID, markersize=9, label=" or ".join(sorted(missing)))
@@ -349,9 +360,8 @@ def fidelity(result: FidelityResult) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    scene = result.preset.scene
-    details = ", ".join([scene.describe(), *parameter_texts(scene)])
-    figure, (panel,) = new_figure((result.headline, details), 1, 1, 4.0)
+    details = result.conditions, result.preset.scene.describe()
+    figure, (panel,) = new_figure((result.headline, *details), 1, 1, 4.0)
     names, missing = result.columns()["level"], 1e6 * result.columns()["missing"]
     panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="max. deviation")
     for name in names[missing == 0.0]:  # which has no place on a log axis
@@ -371,7 +381,7 @@ def device_card(result: DeviceCard) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure, (width, size) = new_figure((result.headline, result.title), 1, 2, 4.4)
+    figure, (width, size) = new_figure((result.headline, result.conditions), 1, 2, 4.4)
     for index, (hand, limit) in enumerate(zip(result.hands, result.limits)):
         width.plot(result.damping, limit / 1e3, label=f"hand {hand}", linewidth=1.8, **line_style(index))
     width.set(xlabel="damping (N s/m)", ylabel="stiffness (N/mm)", ylim=(0.0, None))

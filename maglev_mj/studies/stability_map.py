@@ -24,7 +24,7 @@ from maglev_mj.parameters import param, param_range
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import body_of
-from maglev_mj.result import Result, Table
+from maglev_mj.result import Result, Table, conditions_text
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_controller
 from maglev_mj.studies.cells import Workers, run_cells
@@ -317,11 +317,11 @@ class StabilityParameters(LoopParameters):
         return loop | {name: ends[0] for name, ends in gains.items()}
 
     @property
-    def loop_title(self) -> str:
-        """Rate, delay, mass and hand in a few words."""
+    def conditions(self) -> str:
+        """Axis, rate, delay, mass and hand in words."""
         hand = "no hand" if self.hand == "none" else f"hand {self.hand}"
         body = f"{'inertia' if self.rotary else 'mass'} {self.body:g} {self.unit('kg')}"
-        return f"{1.0 / self.period:g} Hz, delay {self.delay * 1e3:g} ms, {body}, {hand}{self.described}"
+        return conditions_text("PD wall", [self.axis], [self.period], [self.delay], body, f"{hand}{self.described}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,7 +349,14 @@ class GainMap(Result):
         return {name: self.parameters.unit(unit) for name, unit in units.items()}
 
     def _headline(self) -> str:
+        if not self.maximum.stiffness > 0.0:
+            return "No wall is stable"
         return f"Stiffest stable wall: {self.maximum.describe(self.parameters.axis)}"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return self.parameters.conditions
 
     def cells(self) -> Mapping[str, NDArray[Any]]:
         """Return the map's values by name, (K, B) each."""
@@ -378,7 +385,7 @@ class StabilityMap(GainMap):
     spectral_radius: Array
     simulated: Mask | None
     near: Mask
-    picture: ClassVar = "maglev_mj.studies.pictures:stability_map"
+    pictures: ClassVar = {"stability": "maglev_mj.studies.pictures:stability_map"}
 
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return spectral radius, `passive` and `quiet` where they are known, and `settles` if walls were simulated."""
@@ -456,7 +463,7 @@ class StabilityMap(GainMap):
             note.append(f"the stiffest wall is passive with {least:.4g} {damper} of the device's own damping")
         note += self._regions()
         head = "", f"stiffness [{force}]", ""
-        return Table(f"Stability of a PD wall, {p.loop_title}", head, rows, "\n".join(note))
+        return Table(f"Stability of a {p.conditions}", head, rows, "\n".join(note))
 
     def _regions(self) -> Iterator[str]:
         """Yield where walls are passive and quiet, if known."""

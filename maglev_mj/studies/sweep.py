@@ -30,7 +30,7 @@ from maglev_mj.result import Result, Table, capitalised, plain, with_unit
 from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, reference_of, scene_from_reference, text_of
 from maglev_mj.scenes.names import installed_scenes
-from maglev_mj.scenes.results import Figure, RunResult, figure_head, parameter_texts, parameters_json
+from maglev_mj.scenes.results import Figure, RunResult, figure_head, parameters_json, prefixed, scene_conditions
 from maglev_mj.scenes.run import chaos_warning, checked_phase, checked_plant, figures_of, run, sensitivity
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stability_check import UNKNOWN, marks
@@ -74,20 +74,41 @@ class Sweep(Result):
     resumed: int = field(repr=False)  # JSON must not depend on the record
     record: str | None = field(repr=False)
     chaos: str = field(default="", repr=False)
-    picture: ClassVar = "maglev_mj.studies.pictures:sweep"
+    pictures: ClassVar = {"sweep": "maglev_mj.studies.pictures:sweep"}
 
     def _headline(self) -> str:
-        subject, columns, units = capitalised(self.scene.name), self.columns(), self.units
+        failed, count = self.results.failed, len(self.results)
+        done, ends = count - len(failed), self.ended
+        finding = self._finding() if done else f"all {count} cells {ends}" if count > 1 else ends
+        others = f"; {len(failed)} of {count} cells {ends}" if failed and done else ""
+        return f"{capitalised(self.scene.name)}: {finding}{others}"
+
+    def _finding(self) -> str:
+        """Return the first figure that varies, with the cell of its smallest value if there is one such cell."""
+        columns, units, single = self.columns(), self.units, list[str]()
         for name in filter(self.is_number, self.names):
             one, values = self.shown(name), columns[name]
+            unit = self.unit_along(one.unit, one.along)
+            if not np.isfinite(values).any():
+                continue
             least, most = (one.text(end.reduce(values)) for end in (np.fmin, np.fmax))
+            single.append(f"{figure_head(name)} {least} {unit}".rstrip())
             if least != most:
-                cell = int(np.nanargmin(values))
-                equal = sum(one.text(value) == least for value in values) - 1
-                at = ", ".join(chosen_text(key, columns[key][cell], units.get(key, "")) for key in self.varied)
-                spread = f"{figure_head(name)} {least} to {most} {self.unit_along(one.unit, one.along)}".rstrip()
-                return f"{subject}: {spread}, least at {at}" + f" and {equal} more" * (equal > 0)
-        return f"{subject}: all figures equal in {_count(len(self.results))}"
+                alike = [one.text(value) == least for value in values]
+                cell = alike.index(True)
+                at = " and ".join(chosen_text(key, columns[key][cell], units.get(key, "")) for key in self.varied)
+                return f"{figure_head(name)} {least} to {most} {unit}".rstrip() + f", smallest at {at}" * (
+                    sum(alike) == 1
+                )
+        done = len(self.results) - len(self.results.failed)
+        same = f" in all {done} cells" * (done > 1)
+        return f"{', '.join(single[:3])}{same}" if single else f"no figure{same}"
+
+    @property
+    def ended(self) -> str:
+        """How failed cells ended: "diverged" if all did, else "failed"."""
+        errors = [self.results[index]["error"] for index in self.results.failed]
+        return "diverged" if all("diverged" in error for error in errors) else "failed"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return varied values and figures, a row for each cell.
@@ -148,14 +169,17 @@ class Sweep(Result):
         return ()
 
     @property
-    def held(self) -> str:
-        """Scene, and the values that all cells share."""
-        several = [name for name, values in self.cells.axes.items() if len(values) > 1]
+    def conditions(self) -> str:
+        """See `Result`; of varied parameters axis, rate and delay alone."""
+        axes = self.cells.axes
         scene = self.cells.scene.replace(
-            **{name: values[0] for name, values in self.cells.axes.items() if name not in ("plant", "phase")}
+            **{name: values[0] for name, values in axes.items() if name not in ("plant", "phase")}
         )
-        plant = [] if "plant" in several else [f"plant {self.cells.axes['plant'][0]}"]
-        return f"{self.scene.name}: {', '.join([*plant, *parameter_texts(scene, without=several)])}"
+        over = {name: values for name, values in axes.items() if len(values) > 1}
+        if "delay" not in over and len({*axes.get("period", ())}) > 1:  # it may follow the period
+            over["delay"] = [self.cells.scene.replace(period=value).delay for value in axes["period"]]
+        plants = [str(name) for name in axes["plant"]]
+        return scene_conditions(scene, f"plant{'s' * (len(plants) > 1)} {' and '.join(plants)}", over)
 
     def table(self) -> Table:
         """Return the spread of each figure over the cells; without numbers to vary, the figures of each cell."""
@@ -170,7 +194,8 @@ class Sweep(Result):
             for kind, some in zip(kinds, values.reshape(len(kinds), -1), strict=True):
                 if (finite := some[np.isfinite(some)] * one.scale).size:
                     spread, unit = np.percentile(finite, _SHARES).tolist(), self.unit_along(one.unit, one.along)
-                    rows.append((figure_head(name), *[kind] * bool(choices), *spread, unit, finite.size))
+                    shown = [*spread, unit, finite.size] if some.size > 1 else [spread[0], unit]
+                    rows.append((figure_head(name), *[kind] * bool(choices), *shown))
         notes = []
         if self.record:
             total = _count(len(self.results))
@@ -308,7 +333,12 @@ def _chaos(cells: Grid, text: str | None) -> str:
 
 def chosen_text(name: str, value: Any, unit: str) -> str:
     """Return a parameter with its value and unit."""
-    text = f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+    text = str(value)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if name == "period":
+            name, value, unit = "rate", 1.0 / value, "Hz"
+        factor, unit = prefixed(unit, abs(value))
+        text = f"{factor * value:g}"
     return f"{name.replace('_', ' ')} {text} {unit}".rstrip()
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +20,7 @@ from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.plants.hand import Hand, transition
-from maglev_mj.result import Result, Table
+from maglev_mj.result import Result, Table, conditions_text, radius_text
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory.delay import AnyCutOf, CoupledCut
 from maglev_mj.theory.loop_array import LoopArray, is_linear, loop_matrix
@@ -42,6 +44,12 @@ Responses are accurate to 1e-9 of their largest value.
 """
 
 
+def pose_text(pose: Sequence[float] | Array) -> str:
+    """Return a pose [m, rad], (6,), in words."""
+    parts = [f"{axis} = {1e3 * x:.3g} {unit_of('mm', axis)}" for axis, x in zip(AXES, pose) if x]
+    return f"at {', '.join(parts) or 'the centre'}"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Linearised(Result):
     """Controller linearised at a pose.
@@ -62,11 +70,22 @@ class Linearised(Result):
     units: ClassVar = {"time": "s"} | {
         f"{to}.{source}": f"{unit_of('N', to)}/{unit_of('m', source)}" for to in AXES for source in AXES
     }
-    picture: ClassVar = "maglev_mj.theory.pictures:impulse_response"
+    pictures: ClassVar = {"impulse_response": "maglev_mj.theory.pictures:impulse_response"}
 
     def _headline(self) -> str:
-        axis = int(np.argmax(np.abs(np.diag(self.stiffness)[:3])))
-        return f"Stiffest translation: {AXES[axis]}, {self.stiffness[axis, axis]:.4g} N/m"
+        stiffness = np.diag(self.stiffness)[:3]
+        axis = int(np.argmax(np.nan_to_num(np.abs(stiffness), nan=-1.0)))
+        known = math.isfinite(stiffness[axis]) and self.settled[axis]
+        size = f"{stiffness[axis]:.4g} N/m" if known else "stiffness not computed: the response does not decay"
+        return f"Stiffest translation: {AXES[axis]}, {size}"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        acts = np.asarray(self.response.any(axis=(0, 1)))
+        return conditions_text(
+            f"controller {pose_text(self.pose)}", compress(AXES, acts) if acts.any() else AXES, [self.period], ()
+        )
 
     def columns(self) -> dict[str, Array]:
         """Return time and each nonzero response, (M,) each; `z.x` is the force along z per displacement along x."""
@@ -118,7 +137,8 @@ class Linearised(Result):
         matrix = StateSpace.of(response).closed_loop(period=self.period, delay=delay, inertia=body)
         n, size = len(chosen), len(matrix)
         moved, sped = np.diag(0.5 * self.period**2 / body), np.diag(self.period / body)
-        return ClosedLoop(matrix, np.vstack([moved, sped, np.zeros((size - 2 * n, n))]), np.eye(n, size), self.period)
+        enters, seen = np.vstack([moved, sped, np.zeros((size - 2 * n, n))]), np.eye(n, size)
+        return ClosedLoop(matrix, enters, seen, self.period, delay, tuple(AXES[index] for index in chosen))
 
     def to_statespace(self) -> Any:
         """Return the controller as python-control's StateSpace, from six positions to six wrench components.
@@ -143,18 +163,27 @@ class ClosedLoop(Result):
         enters: Input matrix of an external wrench, such as a hand's, (S, n).
         seen: Output matrix of the position, (n, S).
         period: Sample period [s].
+        delay: Transport delay [s].
+        axes: Names of its axes.
     """
 
     matrix: Array
     enters: Array
     seen: Array
     period: float
+    delay: float
+    axes: tuple[str, ...]
     units: ClassVar = {"frequency": "Hz"}
-    picture: ClassVar = "maglev_mj.theory.pictures:pole_map"
+    pictures: ClassVar = {"poles": "maglev_mj.theory.pictures:pole_map"}
 
     def _headline(self) -> str:
         word = "stable" if self.spectral_radius < 1.0 else "unstable"
-        return f"Closed loop at {1.0 / self.period:g} Hz: {word}, spectral radius {self.spectral_radius:.3f}"
+        return f"Closed loop at {1.0 / self.period:g} Hz: {word}, {radius_text(self.spectral_radius)}"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        return conditions_text("closed loop", self.axes, [self.period], [self.delay])
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:

@@ -7,31 +7,44 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.colours import REFERENCE, SERIES
-from maglev_mj.pictures import FIRST, SECOND, TITLE, drawn, name_curves, new_figure
+from maglev_mj.pictures import FIRST, SECOND, TITLE, drawn, name_curves, new_figure, wide_share
 from maglev_mj.theory import ClosedLoop, Linearised, Verdict
 
+_TICKS = 8
+_OUTER = 3.0
+"""Largest magnitude of a pole in a chart, so that the unit circle stays visible."""
 _FREE = 1e-6  # accuracy of the double pole at 1 of an axis without stiffness
 
 
 @drawn
 def pole_map(loop: ClosedLoop | Verdict) -> Any:
-    """Draw the poles of the closed loop and the unit circle.
+    """Draw the poles of a closed loop and the unit circle; of a verdict those of its loop in contact.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure, (panel,) = new_figure([loop.headline], 1, 1, 5.2)
+    head, eigenvalues = [loop.headline, loop.conditions], loop.eigenvalues
+    if isinstance(loop, Verdict) and loop.contact is not None and loop.contact[0] is not loop.loop:
+        head, eigenvalues = (
+            [loop.contact_headline, loop.conditions, f"worst of all axes: {loop}"],
+            loop.contact[0].poles,
+        )
+    figure, (panel,) = new_figure(head, 1, 1, 5.2)
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     panel.plot(np.cos(turn), np.sin(turn), color=REFERENCE, linewidth=1.2, label="unit circle (stability boundary)")
-    outside = np.abs(loop.eigenvalues) > 1.0 + _FREE
+    outside = np.abs(eigenvalues) > 1.0 + _FREE
     for chosen, color, label in (
         (~outside, FIRST, "stable poles"),
         (outside, SECOND, "unstable poles"),
     ):
-        poles = loop.eigenvalues[chosen]
+        poles = eigenvalues[chosen]
         if poles.size:
+            if beyond := int((np.abs(poles) > _OUTER).sum()):
+                label += f" ({beyond} outside the chart)"
             panel.plot(poles.real, poles.imag, "x", color=color, markersize=9, markeredgewidth=2.0, label=label)
-    panel.set(aspect="equal", xlabel="real part", ylabel="imaginary part")
+    end = min(1.1 * float(np.abs(eigenvalues).max(initial=1.0)), _OUTER)
+    panel.set(aspect="equal", xlabel="real part", ylabel="imaginary part", xlim=(-end, end), ylim=(-end, end))
+    panel.locator_params(nbins=max(int(_TICKS * wide_share()), 4))
     name_curves(figure, [panel])
     return figure
 
@@ -48,7 +61,7 @@ def impulse_response(near: Linearised) -> Any:
     groups = {"force per displacement": ("N/m", "N/rad"), "torque per displacement": ("N m/m", "N m/rad")}
     groups_drawn = {title: [name for name in columns if near.units[name] in units] for title, units in groups.items()}
     groups_drawn = {title: names for title, names in groups_drawn.items() if names} or groups_drawn
-    figure, panels = new_figure((near.headline, f"{1.0 / near.period:g} Hz"), 1, len(groups_drawn), 4.0)
+    figure, panels = new_figure((near.headline, near.conditions), 1, len(groups_drawn), 4.0)
     for panel, (title, names) in zip(panels, groups_drawn.items()):
         for index, name in enumerate(names):
             color = SERIES[index % len(SERIES)]

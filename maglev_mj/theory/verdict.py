@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from operator import itemgetter
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -18,13 +19,13 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.keywords import checked
 from maglev_mj.lazy import loaded
-from maglev_mj.result import NoTruthValue, Result, Table, plain
+from maglev_mj.result import NoTruthValue, Result, Table, conditions_text, plain, radius_text
 from maglev_mj.spec import MAX_DELAY, RANGE
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, stiffest_of
 from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.doubts import reached_speed, up_to
 from maglev_mj.theory.held import Held
-from maglev_mj.theory.linearise import StateSpace
+from maglev_mj.theory.linearise import StateSpace, pose_text
 from maglev_mj.theory.loop import (
     Bound,
     Loop,
@@ -102,6 +103,7 @@ class Verdict(NoTruthValue, Result):
         range: That range in words, if less than what a fall reaches; empty otherwise.
         loops: All loops; those that cannot be judged with their reason.
         loop: The worst of them; None if none was judged.
+        subject: Name of the scene, for charts.
     """
 
     stable: bool | None
@@ -123,12 +125,12 @@ class Verdict(NoTruthValue, Result):
     range: str = ""
     loops: Loops = field(default_factory=lambda: Loops(()))
     loop: Loop | None = None
+    subject: str = "controller"
     units: ClassVar = {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
-    picture: ClassVar = "maglev_mj.theory.pictures:pole_map"
+    pictures: ClassVar = {"stability": "maglev_mj.theory.pictures:pole_map"}
 
     def _headline(self) -> str:
-        parts = [f"{axis} = {1e3 * x:.3g} {unit_of('mm', axis)}" for axis, x in zip(AXES, self.pose) if x]
-        pose = f"at {', '.join(parts) or 'the centre'}" if self.axes else ""
+        pose = pose_text(self.pose) if self.axes else ""
         worst = f"in {' and '.join(self.acting)}" * bool(self.acting) if self.stated else pose
         worst = ", ".join(filter(None, (worst, "held by the scene's hand" * self.in_hand)))
         return f"{self} (worst {worst})" if worst else str(self)
@@ -150,8 +152,35 @@ class Verdict(NoTruthValue, Result):
             reasons = [*self.doubts.values(), *(reason for _, reason in self._skipped())]
             reasons += [loop.reason for loop in self.loops if loop.reason]
             return f"not computed{self._unjudged}: {next(iter(reasons), 'no finite force')}"
-        text = f"{_word(self.stable)}, spectral radius {self.spectral_radius:.3f}"
-        return f"{', '.join(self.axes)}: {'free motion' if self.stable and not self.spectral_radius else text}"
+        return _loop_text(self.axes, self.stable, self.spectral_radius)
+
+    @cached_property
+    def contact(self) -> tuple[Loop, float] | None:
+        """Loop that a chart shows, with its spectral radius; None if there is none.
+
+        The worst; of a stable scene the worst in contact, or stuck.
+        """
+        if self.loop is None:
+            return None
+        radii = self.loops.spectral_radii().tolist()
+        some = [pair for pair in zip(self.loops, radii, strict=True) if pair[0].state and math.isfinite(pair[1])]
+        if self.stable and some:
+            return max(some, key=itemgetter(1))
+        return self.loop, self.spectral_radius
+
+    @property
+    def contact_headline(self) -> str:
+        """Verdict on the loop of the chart."""
+        if self.contact is None or self.contact[0] is self.loop:
+            return self.headline
+        loop, radius = self.contact
+        return f"{_loop_text(loop.axes, self.stable, radius)} (in {' and '.join(loop.state)})"
+
+    @property
+    def conditions(self) -> str:
+        """See `Result`."""
+        shown = self.loop or next(iter(self.loops), None) if self.contact is None else self.contact[0]
+        return "" if shown is None else conditions_text(self.subject, shown.axes, [shown.period], [shown.delay])
 
     def as_json(self) -> dict[str, Any]:
         """Return the verdict, ready for JSON."""
@@ -397,7 +426,8 @@ def stability(
     """
     if isinstance(scene, type) or not hasattr(scene, "controller"):
         scene = loaded("maglev_mj.scenes.find:get_scene")(scene)  # a higher layer: by name
-    return verdicts([of_scene(scene, inertia=inertia, delay=delay, poses=poses)])[0]
+    verdict = verdicts([of_scene(scene, inertia=inertia, delay=delay, poses=poses)])[0]
+    return replace(verdict, subject=getattr(scene, "name", "scene"))
 
 
 @checked(own="what")
@@ -629,6 +659,11 @@ def _stated_delay(loop: Loop) -> Bound:
     # the delay of a host without gains does not matter
     radius = radius_of(loop, poles_of([loop])[0])
     return Bound(MAX_DELAY, True, 0.0) if radius < 1.0 - _ROUNDING else Bound(0.0)
+
+
+def _loop_text(axes: Sequence[str], stable: bool | None, radius: float) -> str:
+    """Return the verdict on a loop in words."""
+    return f"{', '.join(axes)}: {'free motion' if stable and not radius else f'{_word(stable)}, {radius_text(radius)}'}"
 
 
 def _word(stable: bool | None) -> str:

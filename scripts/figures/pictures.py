@@ -85,7 +85,7 @@ class Picture:
 
 def render(scene: str, path: Path, *options: str) -> None:
     """Render a scene."""
-    _maglev("render", scene, "--plain", "--out", str(path), *(options or ("--size", "560x350")))
+    _maglev("render", scene, "--bare", "--out", str(path), *(options or ("--size", "560x350")))
 
 
 _PAGES = {"mine.py": "compare.md", "device.py": "wall_on_the_device.md"}

@@ -238,7 +238,7 @@ def test_charts_of_runs_and_recordings_say_it() -> None:
     assert "wall stable" not in details(Variants(runs).plot())  # they differ
     segment = record_run(Press(hits=1), plant="exact").segments[0]
     report = analyse(segment, rebuild)
-    said = "press, 200 Hz, delay 1.5 ms, wall stable: 39 % of critical stiffness, spectral radius 0.8525"
+    said = "press along z, 200 Hz, delay 1.5 ms, wall stable: 39 % of critical stiffness, spectral radius 0.8525"
     assert details(whole_run(report, 2)).startswith(said)
     for other in ({"kind": "device"}, {"scene": "unknown"}):
         assert analyse(replace(segment, setup={**segment.setup, **other})).wall is None

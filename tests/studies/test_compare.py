@@ -228,7 +228,7 @@ def test_a_sweep_of_laws_has_the_figures_of_their_comparisons(drops: Comparison)
     assert found.figure("spectral_radius")[0].tolist() == columns["spectral_radius"][[0, 2]].tolist()
     assert found.varied == {"period": [0.005, 0.0025], "law": laws} and found.units["penetration"] == "m"
     region = sweep_laws("drop", ["pd", "half-sample"], values=2, figure="critical_stiffness")
-    assert region.varied["damping"][0] == 80.0 and region.headline.startswith("Drop: stiffest stable wall pd 10")
+    assert region.varied["damping"][0] == 80.0 and "stiffest stable wall 10107 N/m (pd), " in region.headline
     exact = [largest_stable_stiffness(b, period=0.005, delay=0.0015, mass=0.7) for b in region.varied["damping"]]
     assert region.figure("critical_stiffness")[:, 0] == pytest.approx(np.array(exact), rel=1e-3)
     assert "scene: 6000 N/m, 80 N s/m" in [text.get_text() for text in region.plot().legends[0].get_texts()]

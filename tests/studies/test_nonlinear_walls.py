@@ -33,9 +33,9 @@ def test_released_at_the_edge_a_wall_settles_where_theory_has_it_stable(delay: f
 
 def test_a_map_of_drops_states_loop_and_drop() -> None:
     found = run_drop_map(DropMapParameters(grid=4, height=0.001, force_limit=60.0, hand="arm"))
-    loop = "200 Hz, delay 1.5 ms, mass 0.7 kg, hand arm"
-    assert found.table().title == f"Drops on PD walls, {loop}: released at 1 mm, 60 N"
-    assert details(found.plot()) == f"{loop} released at 1 mm, 60 N"
+    stated = "PD wall along z, 200 Hz, delay 1.5 ms, mass 0.7 kg, hand arm, released at 1 mm, 60 N"
+    assert found.table().title == f"Drops on a {stated}"
+    assert details(found.plot()) == stated
 
 
 def ending(stiffness: float, damping: float, **values: Any) -> tuple[float, DropEnding]:
@@ -115,7 +115,7 @@ def test_the_command_maps_drops_where_an_option_of_theirs_is_given(
     arguments = ["stability", "--grid", "6", "--pulse", "220", "--force-limit", "60", "--quantize", "5e-6"]
     assert main([*arguments, "--json", "map.json", "--out", "."]) == 0
     said = capsys.readouterr().out
-    assert "Drops on PD walls, 200 Hz" in said and "sensor 5 µm" in said and "stability_drops.png" in said
+    assert "Drops on a PD wall along z, 200 Hz" in said and "sensor 5 µm" in said and "stability_drops.png" in said
     assert (tmp_path / "stability_drops.png").exists()
     assert json.loads((tmp_path / "map.json").read_text())["endings"] == ["settles", "persists", "rises"]
 
