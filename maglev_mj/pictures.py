@@ -21,7 +21,6 @@ from maglev_mj import errors
 from maglev_mj.colours import GRID, REFERENCE, SERIES, WALL
 from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.files import atomic_path
-from maglev_mj.parameters import flag, number
 
 FIRST, SECOND = SERIES[:2]
 SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
@@ -38,6 +37,7 @@ TITLE: dict[str, Any] = {"loc": "left", "fontsize": "medium"}
 WIDTH = 8.0
 """Default width of a chart [inch]; pages show up to 8.6 (830 px) without scaling."""
 
+_WIDTHS = 2.5, 20.0
 _NARROW, _LEAST_PANEL = 5.0, 2.4
 """Width of a chart with smaller letters, and of a panel beside others [inch]."""
 
@@ -87,7 +87,7 @@ class PictureFolder:
 
     def __post_init__(self) -> None:
         check_one_of("format", FORMATS, self.format)
-        _checked_width(self.width)
+        checked_width(self.width)
 
     def plot(self, result: Any, name: str = "", **keywords: Any) -> Path:
         """Draw a chart of a result in this format and width.
@@ -128,8 +128,18 @@ _DEFAULT = _Page()
 _page = ContextVar("page", default=_DEFAULT)
 
 
-def _checked_width(width: float | None) -> float:
-    return WIDTH if width is None else number("width", width, at_least=2.5, at_most=20.0)
+def checked_width(width: float | None) -> float:
+    """Return the width of a chart [inch], the default for None.
+
+    Raises:
+        ParameterError: If it is not a number, or outside its bounds.
+    """
+    if width is None:
+        return WIDTH
+    low, high = _WIDTHS
+    if isinstance(width, bool) or not isinstance(width, int | float) or not low <= width <= high:
+        raise ParameterError(f"width must be a number between {low:g} and {high:g} inches (got {width!r})")
+    return float(width)
 
 
 def plotted(draw: Callable[[], Any], path: Path | str | None, *, ax: Any, width: float | None, bare: bool) -> Any:
@@ -149,7 +159,7 @@ def plotted(draw: Callable[[], Any], path: Path | str | None, *, ax: Any, width:
         check_instance("ax", ax, Axes, "matplotlib axes")
         if path is not None or width is not None:
             raise ParameterError("ax must be omitted with path or width: its own figure has a size and is saved by you")
-    before = _page.set(_Page(_checked_width(width), flag("bare", bare), ax))
+    before = _page.set(_Page(checked_width(width), bare, ax))
     try:
         figure = draw()
     finally:

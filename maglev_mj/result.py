@@ -8,22 +8,24 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from html import escape
+from itertools import zip_longest
+from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
 from maglev_mj.errors import MaglevError, check_one_of, require
+from maglev_mj.keywords import checked
 from maglev_mj.lazy import loaded
-from maglev_mj.terminal import WIDTH, printable, wrapped
+from maglev_mj.terminal import WIDTH, printable, width, wrapped
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
     from pandas import DataFrame
 
 _MAX_ROWS, _MAX_COLUMNS = 8, 9
 _MAX_REPR = 2000  # [bytes]
-_INDENT, _GAPS, _NARROWEST = "  ", ("  ", " "), 24
+_INDENT, _GAPS, _NARROWEST, _LEAST = "  ", ("  ", " "), 24, 12
+"""Widths of wrapped text columns before others, and of the last one in any case [characters]."""
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 _ALL_AXES, _TURNS, _FAR = 6, ("rx", "ry", "rz"), 100.0
 _IN_NUMBERS = re.compile(r"\bto\b|(?<=\d)e(?=[-+]?\d)")
@@ -112,7 +114,7 @@ class Table(NamedTuple):
     headline: str = ""
 
     def __str__(self) -> str:
-        """Return the table for a terminal, at most 80 characters wide.
+        """Return the table for a terminal, at most as wide as that is, see `terminal.width`.
 
         Texts are left-aligned, numbers right-aligned. Columns that do not fit continue below, after a blank line; the
         last text column is wrapped.
@@ -127,6 +129,7 @@ class Table(NamedTuple):
         last = next((index for index in range(len(columns), first, -1) if not left[index - 1]), first)
         widths = [max(map(len, column)) for column in columns]
         widths[-1:] = [min(widths[-1], _NARROWEST) if left[-1] else widths[-1]] if columns else []  # wrapped
+        widths[:1] = [min(widths[0], _NARROWEST) if left[0] and width() < WIDTH else widths[0]] if columns else []
         around = [index for index in range(len(columns)) if not max(first, 1) <= index < last]
         groups = {gap: _fitting(range(max(first, 1), last), around, widths, gap) for gap in _GAPS}
         gap = min(_GAPS, key=lambda gap: len(groups[gap]))
@@ -244,6 +247,7 @@ class Result:
         frame.attrs["units"] = {name: unit for name, unit in self.units.items() if name in frame}
         return frame
 
+    @checked
     def plot(
         self,
         path: Path | str | None = None,
@@ -359,7 +363,7 @@ def _narrowed(columns: list[list[str]], wraps: bool) -> list[list[str]]:
     widths = [max(map(len, column)) + 1 for column in columns]
     widths[-1:] = [min(widths[-1], _NARROWEST) if wraps else widths[-1]] if columns else []
     heads = [column[0].partition(" [") for column in columns]
-    if len(_INDENT) + sum(widths) <= WIDTH or not any(mark for _, mark, _ in heads):
+    if len(_INDENT) + sum(widths) <= width() or not any(mark for _, mark, _ in heads):
         return columns
     return [[name, mark.strip() + unit, *column[1:]] for (name, mark, unit), column in zip(heads, columns)]
 
@@ -369,20 +373,30 @@ def _fitting(indices: Sequence[int], around: Sequence[int], widths: Sequence[int
     groups: list[list[int]] = [[]]
     for index in indices:
         used = len(_INDENT) + sum(widths[column] + len(gap) for column in [*around, *groups[-1]])
-        if groups[-1] and used + widths[index] > WIDTH:
+        if groups[-1] and used + widths[index] > width():
             groups.append([])
         groups[-1].append(index)
     return groups
 
 
 def _block(columns: Sequence[Sequence[str]], left: Sequence[bool], gap: str) -> list[str]:
-    """Return the lines of adjacent columns; a last text column is wrapped."""
+    """Return the lines of adjacent columns; where they are too wide, a last and a first text column are wrapped."""
+    if not columns:
+        return []
     widths = [max(map(len, column)) for column in columns]
-    begin = len(_INDENT) + sum(width + len(gap) for width in widths[:-1])
+    excess = len(_INDENT) + sum(widths) + len(gap) * (len(widths) - 1) - width()
+    for index, least in ((-1, _NARROWEST), (0, _NARROWEST), (-1, _LEAST)):
+        if left[index] and excess > 0:
+            cut = min(excess, max(widths[index] - least, 0))
+            widths[index], excess = widths[index] - cut, excess - cut
     lines = []
-    for *row, final in zip(*columns):
-        texts = wrap(final, max(WIDTH - begin, _NARROWEST), break_on_hyphens=False) if left[-1] else [final]
-        cells = [f"{text:{'<' if words else '>'}{width}}" for text, words, width in zip(row, left, widths)]
-        cells.append(f"{texts[0] if texts else '':{'<' if left[-1] else '>'}{widths[-1]}}")
-        lines += [(_INDENT + gap.join(cells)).rstrip(), *(" " * begin + text for text in texts[1:])]
+    for row in zip(*columns):
+        last, size = len(row) - 1, widths
+        texts = [
+            wrap(text, size[index], break_on_hyphens=False) if left[index] and index in (0, last) else [text]
+            for index, text in enumerate(row)
+        ]
+        for parts in zip_longest(*texts, fillvalue=""):
+            cells = [f"{text:{'<' if words else '>'}{one}}" for text, words, one in zip(parts, left, size)]
+            lines.append((_INDENT + gap.join(cells)).rstrip())
     return [line for line in lines if line]

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 from textwrap import wrap
 from typing import TextIO
 
 WIDTH = 80
-"""Maximum width of a table [characters]."""
+"""Maximum width of a table in a file, a pipe or a notebook [characters]."""
+
+_NARROWEST, _WIDEST = 60, 120
+
+
+def width() -> int:
+    """Return the maximum width of a table [characters]: that of the terminal, within 60 and 120, or 80 without one."""
+    try:
+        columns = os.get_terminal_size(sys.stdout.fileno()).columns
+    except (AttributeError, OSError, ValueError):  # no terminal, or no file at all
+        return WIDTH
+    return min(max(columns, _NARROWEST), _WIDEST) if columns else WIDTH
 
 
 def printable(text: str) -> str:
@@ -28,7 +41,7 @@ def say(line: str, file: TextIO | None = None) -> None:
 
 
 def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[str]:
-    """Wrap a text to 80 characters, without separating a number from its unit.
+    """Wrap a text to the width of a table, without separating a number from its unit.
 
     Args:
         text: One paragraph.
@@ -38,7 +51,7 @@ def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[s
     joined = re.sub(r"(?<=\d) (?=[^\W\d])", "\0", text)
     lines = wrap(
         joined,
-        WIDTH,
+        width(),
         initial_indent=indent,
         subsequent_indent=indent if further is None else further,
         break_long_words=False,  # keep file names intact

@@ -53,6 +53,7 @@ class Parser(argparse.ArgumentParser):
         words: Arguments to be parsed, for options that depend on them.
         declared: Flags declared by the command's function.
         later: Functions that add options which depend on the words; `declare` calls them after the command's options.
+        yielding: Options of the command that give way to those of a scene; see `give_way`.
     """
 
     def __init__(self, *, example: str = "", words: Sequence[str] = (), **keywords: Any) -> None:
@@ -60,11 +61,21 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**{"allow_abbrev": False, "formatter_class": _Formatter, **keywords})
         self.example, self.words, self.declared = example, words, set[str]()
         self.later = list[Callable[[], object]]()
+        self.yielding = list[Any]()
 
     def group(self, title: str) -> argparse._ArgumentGroup:
         """Return the option group with this title, created at the first call."""
         matches = (group for group in self._action_groups if group.title == title)
         return next(matches, None) or self.add_argument_group(title)
+
+    def give_way(self, options: Iterable[str]) -> None:
+        """Remove optional options of this command that a user's scene names its parameters by; they are None then."""
+        for option in options:
+            action: Any = self._option_string_actions.get(option)
+            if action in self.yielding:
+                self._option_string_actions.pop(option)
+                action.container._remove_action(action)
+                self.set_defaults(**{action.dest: None})
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse the arguments; unknown ones are an error. See `argparse.ArgumentParser`."""

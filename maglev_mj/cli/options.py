@@ -326,6 +326,7 @@ def add_scene(
         try:
             if options:
                 scene = scene() if isinstance(scene, type) else scene
+                parser.give_way(f"--{item.name.replace('_', '-')}" for item in scene.parameters())
                 add_parameters(group, scene, without=without)
                 group.title = f"parameters of {cls.name}"
             if more is not None:

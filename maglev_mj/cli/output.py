@@ -275,28 +275,34 @@ def add_pictures(parser: Parser, help: str = "output folder for charts", default
         "--format", metavar="NAME", choices=FORMATS, help=f"chart format: {', '.join(FORMATS)} (default {FORMATS[0]})"
     )
     text = "width of a chart [inch], such as 3.4 for a column of a journal (default 8)"
-    output.add_argument("--width", metavar="X", type=number_option, help=text)
-    output.add_argument("--bare", action="store_true", help="omit headline and conditions, which a caption states")
+    parser.yielding += [
+        output.add_argument("--width", metavar="X", type=number_option, help=text),
+        output.add_argument("--bare", action="store_true", help="omit headline and conditions, which a caption states"),
+    ]
 
 
 def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
     """Return the output folder for charts; None for no charts.
 
     Raises:
-        ParameterError: If a format is given without a folder, or the folder is a file.
+        ParameterError: If a format, a width or `bare` is given without a folder, or the folder is a file.
         MissingPackageError: If matplotlib is not installed.
     """
+    if options.width is not None:
+        from maglev_mj.pictures import checked_width  # imported here: --help does not need NumPy
+
+        checked_width(options.width)
     folder = options.out
     if folder is None:
         for name in ("format", "width", "bare"):
             if value := getattr(options, name):
                 raise ParameterError(f"{name} requires out, the output folder (got {name} {value!r} alone)")
         return None
-    from maglev_mj.pictures import PictureFolder, require  # imported here: --help does not need NumPy
+    from maglev_mj.pictures import PictureFolder, require  # imported here, as above
 
     require()
     check_folder("out", folder)
-    return PictureFolder(folder, options.format or FORMATS[0], options.width, options.bare)
+    return PictureFolder(folder, options.format or FORMATS[0], options.width, bool(options.bare))
 
 
 def script_options(

@@ -21,7 +21,7 @@ from maglev_mj.plants.trace import Trace
 from maglev_mj.result import Result, Table, capitalised, conditions_text, number_text, plain
 
 _MOST_SHOWN = 4
-_FAR = 2.0  # ranges, from which a run is outside
+_FAR = 1.1  # ranges, from which a run is outside: a wall at the end of the range yields
 _SHARES = 50.0, 5.0, 95.0
 _PREFIXES = {1e-3: "k", 1.0: "", 1e3: "m", 1e6: "µ"}
 _STEP = 1e-3
@@ -448,7 +448,8 @@ class Variants(Result):
                 least, most = (label.partition(" (")[0] for _, label in (ranked[0], ranked[-1]))
                 return f"{texts[-1]} ({least}) to {values[-1]} ({most}){over}"
         reach = distances(np.vstack([phases.peaks for phases in each.values()]).max(axis=0)[1:])
-        return f"{', '.join(texts[:3]) or f'moves up to {reach} from the centre'}{over}"
+        motion = f"moves up to {reach} from the centre" if reach != "0 mm" else "nothing moves"
+        return f"{', '.join(texts[:3]) or motion}{over}"
 
     @property
     def conditions(self) -> str:

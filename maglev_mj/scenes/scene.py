@@ -43,8 +43,7 @@ PLANTS: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoPlant}
 """Plants by name."""
 
 RESERVED = frozenset(
-    "version plant phase phases json out format width bare record seconds size fps workers scheduler vary set scene "
-    "plots".split()
+    "version plant phase phases json out format record seconds size fps workers scheduler vary set scene plots".split()
 )
 """Option names of every command, reserved."""
 

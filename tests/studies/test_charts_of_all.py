@@ -19,9 +19,9 @@ from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.result import Result
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import RunResult, Variants
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.studies.compare import compare, sweep_laws
-from maglev_mj.studies.designed_wall import Contact, evaluate_wall
+from maglev_mj.studies.designed_wall import ContactParameters, evaluate_wall
 from maglev_mj.studies.diagnosis import diagnose
 from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
@@ -61,7 +61,7 @@ CASES: dict[str, Callable[[], Result]] = {
     "diverged": lambda: _diverged(stiffness=60_000.0),
     "trace of it": lambda: _diverged(stiffness=3e5, damping=0.0).trace,
     "one that diverged": lambda: Variants({"soft": run(Drop(), plant="exact"), "stiff": _diverged(stiffness=60_000.0)}),
-    "rotary run": lambda: run(StickSlip(axis="ry", law="lugre"), plant="exact"),
+    "rotary run": lambda: run(Pull(axis="ry", law="lugre"), plant="exact"),
     "box": lambda: run(find_scene("box")(), plant="exact"),
     "let-go": lambda: run(find_scene("let-go")(), plant="exact"),
     "unstable law": lambda: stability(Drop(stiffness=1e7 * _random(), damping=0.0)),
@@ -69,12 +69,12 @@ CASES: dict[str, Callable[[], Result]] = {
     "one cell": lambda: sweep(Drop(), {"stiffness": [5000.0 * _random()]}, plant="exact"),
     "cells that diverged": lambda: sweep(Drop(force_limit=0.0), {"stiffness": [6e3, 6e4, 9e4]}, plant="exact"),
     "all cells diverged": lambda: sweep(Drop(force_limit=0.0), {"stiffness": [6e4, 9e4]}, plant="exact"),
-    "choice": lambda: sweep(StickSlip(), {"law": ["stick-slip", "dahl"]}, plant="exact"),
+    "choice": lambda: sweep(Pull(), {"law": ["stick-slip", "dahl"]}, plant="exact"),
     "rates": lambda: sweep(Drop(), {"rate": [200.0, 500.0, 1000.0], "height": [1e-3, 2e-3]}, plant="exact"),
     "heat map": lambda: sweep(
         Drop(), {"stiffness": [3e3, 5e3, 7e3, 9e3], "damping": [60.0, 80.0, 100.0, 120.0]}, plant="exact"
     ),
-    "rotary sweep": lambda: sweep(StickSlip(), {"axis": ["rx", "rz"]}, plant="exact"),
+    "rotary sweep": lambda: sweep(Pull(), {"axis": ["rx", "rz"]}, plant="exact"),
     "law without a result": lambda: sweep_laws(
         Drop(period=1e-3, delay=8e-4, stiffness=4e4),
         {"pd": "pd", "own": _Sticky},
@@ -93,7 +93,7 @@ CASES: dict[str, Callable[[], Result]] = {
         DropMapParameters(stiffness=(2e4, 3e4), damping=(1.0, 5.0), **_SMALL)
     ),
     "rotary design": lambda: evaluate_wall(
-        design_wall(WallRequirements(mass=None, inertia=(1e-3, 2e-3), delay=(1e-3, 2e-3))), Contact()
+        design_wall(WallRequirements(mass=None, inertia=(1e-3, 2e-3), delay=(1e-3, 2e-3))), ContactParameters()
     ),
     "rotary diagnosis": lambda: diagnose(
         stiffness=5.0 * _random(), damping=0.05, rate=1000.0, delay=1e-3, inertia=1e-3
