@@ -56,9 +56,10 @@ _FLAT = 1e-3  # the same, relative to the value
 _COLUMNS = 3  # per row of a grid
 _LARGE, _MANY = 300_000, 1000  # SVG size [bytes] above which curves of this many points are rasterised
 _NOTEBOOK_DPI = 100.0
-_LEGEND_SIZE = 9.0  # [pt]
+_TICK_SIZE = _LEGEND_SIZE = 9.0  # [pt]
 _HEADLINE, _DETAIL = (11.0, 81), (9.0, 108)  # size [pt] and letters across a chart
 _SHRUNK = 1.3  # a headline longer than a line by this factor is wrapped
+_TICKS = "xtick.labelsize", "ytick.labelsize"
 _SMALL, _SMALLEST = 8.5, 8.0
 """Sizes of letters, and of those of ticks and legends, in a narrow chart [pt]."""
 _LEAST_ROW = 3.0
@@ -203,10 +204,44 @@ def own_style() -> Iterator[None]:
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # all but the backend
-        matplotlib.rcParams.update({"pdf.fonttype": 42, "ps.fonttype": 42})  # TrueType
+        _set_style()
         if _page.get().width < _NARROW:
-            matplotlib.rcParams["font.size"] = _SMALL
+            matplotlib.rcParams.update({"font.size": _SMALL} | dict.fromkeys(_TICKS, _SMALLEST))
         yield
+
+
+def _set_style() -> None:
+    """Set colours, grid and fonts of all charts."""
+    import matplotlib
+    from cycler import cycler
+
+    matplotlib.rcParams.update(
+        {
+            **{"pdf.fonttype": 42, "ps.fonttype": 42},  # TrueType
+            **{"axes.prop_cycle": cycler(color=SERIES), "axes.axisbelow": True},
+            **{"axes.grid": True, "grid.color": GRID, "grid.linewidth": 0.8},
+            **{"axes.spines.top": False, "axes.spines.right": False},
+            **{"xtick.labelsize": _TICK_SIZE, "ytick.labelsize": _TICK_SIZE},
+        }
+    )
+
+
+def use_style() -> None:
+    """Give figures that you draw with pyplot the style of the package's charts, with the title as headline.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    require()
+    import matplotlib
+
+    _set_style()
+    size, _ = _HEADLINE
+    head = {"axes.titlelocation": "left", "axes.titleweight": "bold", "axes.titlesize": size}
+    figure = {"figure.figsize": (7.5, 3.2), "figure.constrained_layout.use": True}
+    suptitle = {"figure.titleweight": "bold", "figure.titlesize": size}
+    legend = {"legend.frameon": False, "legend.fontsize": _LEGEND_SIZE}
+    matplotlib.rcParams.update({**head, **figure, **suptitle, **legend})
 
 
 def drawn(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -256,7 +291,6 @@ def new_figure(
     if page.ax is not None:
         if rows * columns > 1:
             raise ParameterError("ax must be omitted: this chart has several panels, and a figure of its own")
-        _style(page.ax, 1)
         return page.ax.figure, [page.ax]
     fit = fitting(columns)
     lines = -(-rows * columns // fit)
@@ -270,23 +304,12 @@ def new_figure(
     FigureCanvasAgg(figure)
     axes = list(np.atleast_1d(figure.subplots(lines, fit, **options)).ravel())
     for panel in axes:
-        _style(panel, fit)
+        panel.locator_params(axis="x", nbins=max(int(12 * wide_share()) // fit, 4))  # avoid overlapping tick labels
     if not page.bare:
         _add_head(figure, *head)
     for panel in axes[rows * columns :]:
         panel.set_axis_off()
     return figure, axes[: rows * columns]
-
-
-def _style(panel: Any, columns: int) -> None:
-    """Give axes the style of a panel, with ticks that do not overlap in a number of columns."""
-    small = _page.get().width < _NARROW
-    panel.grid(color=GRID, linewidth=0.8)
-    panel.set_axisbelow(True)
-    panel.tick_params(labelsize=_SMALLEST if small else 9.0)
-    panel.locator_params(axis="x", nbins=max(int(12 * wide_share()) // columns, 4))
-    for side in ("top", "right"):
-        panel.spines[side].set_visible(False)
 
 
 def _add_head(figure: Any, headline: str, *details: str) -> None:
