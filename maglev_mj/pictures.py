@@ -206,7 +206,8 @@ def own_style() -> Iterator[None]:
         matplotlib.rcdefaults()  # all but the backend
         _set_style()
         if _page.get().width < _NARROW:
-            matplotlib.rcParams.update({"font.size": _SMALL} | dict.fromkeys(_TICKS, _SMALLEST))
+            sizes: dict[Any, Any] = {"font.size": _SMALL} | dict.fromkeys(_TICKS, _SMALLEST)
+            matplotlib.rcParams.update(sizes)
         yield
 
 
@@ -237,10 +238,10 @@ def use_style() -> None:
 
     _set_style()
     size, _ = _HEADLINE
-    head = {"axes.titlelocation": "left", "axes.titleweight": "bold", "axes.titlesize": size}
-    figure = {"figure.figsize": (7.5, 3.2), "figure.constrained_layout.use": True}
-    suptitle = {"figure.titleweight": "bold", "figure.titlesize": size}
-    legend = {"legend.frameon": False, "legend.fontsize": _LEGEND_SIZE}
+    head: dict[Any, Any] = {"axes.titlelocation": "left", "axes.titleweight": "bold", "axes.titlesize": size}
+    figure: dict[Any, Any] = {"figure.figsize": (7.5, 3.2), "figure.constrained_layout.use": True}
+    suptitle: dict[Any, Any] = {"figure.titleweight": "bold", "figure.titlesize": size}
+    legend: dict[Any, Any] = {"legend.frameon": False, "legend.fontsize": _LEGEND_SIZE}
     matplotlib.rcParams.update({**head, **figure, **suptitle, **legend})
 
 

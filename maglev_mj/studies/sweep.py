@@ -194,8 +194,7 @@ class Sweep(Result):
             for kind, some in zip(kinds, values.reshape(len(kinds), -1), strict=True):
                 if (finite := some[np.isfinite(some)] * one.scale).size:
                     spread, unit = np.percentile(finite, _SHARES).tolist(), self.unit_along(one.unit, one.along)
-                    shown = [*spread, unit, finite.size] if some.size > 1 else [spread[0], unit]
-                    rows.append((figure_head(name), *[kind] * bool(choices), *shown))
+                    rows.append((figure_head(name), *[kind] * bool(choices), *spread, unit, finite.size))
         notes = []
         if self.record:
             total = _count(len(self.results))
