@@ -77,7 +77,7 @@ def test_any_table_is_wrapped_with_blank_lines_between_its_blocks(columns: int) 
 def test_one_cell_has_a_value_and_no_statistics() -> None:
     for vary in ({"law": ["stick-slip", "dahl"]}, {"stiffness": [6000.0]}):
         table = sweep(Pull(), vary, plant="exact").table()
-        assert [*table.head[-2:]] == ["value", "unit"] and not {"min", "median", "max", "cells"} & {*table.head}
+        assert not {"min", "median", "max", "cells"} & {*table.head} and len(table.rows) == len(*vary.values())
         assert all(len(row) == len(table.head) for row in table.rows)
     several = sweep(Pull(), {"law": ["stick-slip", "dahl"], "breakaway": [1.0, 2.0]}, plant="exact").table()
     assert {"min", "median", "max", "cells"} <= {*several.head}
