@@ -41,7 +41,7 @@ class Moment(NamedTuple):
     Attributes:
         begin: Snapshot at the start of the step.
         now: Current snapshot.
-        rows: Samples since the start, at most the last two seconds, (N, 32); see `Snapshot.history`.
+        rows: Samples of the last two seconds, since the start or the first release, (N, 32); see `Snapshot.history`.
         stable: True if the closed loop with the current parameters is stable.
     """
 
@@ -133,6 +133,8 @@ class Tour:
         task = step.task
         if self._has_failed(snapshot):
             task = "The scene was stopped. Let go: it restarts in a moment."
+        elif not self._released:
+            task = f"Let go. Then: {step.task}"
         elif self._done:
             last = self._index == len(STEPS) - 1
             task = "Done. This completes the tour: keep exploring." if last else "Done."
@@ -151,6 +153,7 @@ class Tour:
     def _begin(self, index: int) -> None:
         """Start a step with its parameters."""
         self._index, self._done, self._check_elapsed, self._pause_elapsed = index, False, 0.0, 0.0
+        self._released = self.hand.goal is None
         self._session.change(STEPS[index].parameters)
         self._start = self._session.snapshot()
         self._start_time = self._start.time
@@ -168,6 +171,10 @@ class Tour:
                     self._session.act("centre")
                 else:
                     self._begin(self._index + 1)
+            return
+        if not self._released:  # one pull must not complete two steps
+            self._released = now.target is None
+            self._start, self._start_time = replace(self._start, pulses=now.pulses), now.time
             return
         if now.time < self._start_time:  # the scene has restarted
             self._start_time = 0.0

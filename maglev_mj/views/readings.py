@@ -19,7 +19,7 @@ from maglev_mj.session import SHOWN, Snapshot, settable_parameters
 from maglev_mj.session import snapshot as columns
 from maglev_mj.session.margin import STABILITY, measured_delay
 from maglev_mj.theory.loop import Loop
-from maglev_mj.views.forces import STRIP_SPAN, controller_of, force_text, forces, state_words
+from maglev_mj.views.forces import STRIP_SPAN, Strip, controller_of, force_text, forces, state_words
 from maglev_mj.views.forces import strip as magnified
 
 _ROUNDING = 1e-6
@@ -130,12 +130,14 @@ class Charts:
             span: Longest time span [s].
         """
         strip = magnified(snapshot, span) if acts(snapshot) else None
-        if strip is None:
-            return []
+        return [] if strip is None else self.of_strip(strip)
+
+    def of_strip(self, strip: Strip) -> list[Chart]:
+        """Return the charts of a `Strip`; see `strip`."""
         axis, ideal = strip.axis, np.isfinite(strip.ideal).any()
         if axis != self._strip_axis:
             least = 0.02 if axis > 2 else 1.0
-            self._strip_axis, self._depths, self._pulls = axis, SteadyRange(0.02), SteadyRange(least)
+            self._strip_axis, self._depths, self._pulls = axis, SteadyRange(0.02, centred=False), SteadyRange(least)
         across, name = (-round_up(max(-float(strip.time[0]), 1e-3)), 0.0), AXES[axis]
         place = 1e3 * (strip.position - strip.edge)
         switches, steps = np.append(strip.switches, 0.0).repeat(2)[1:-1], strip.force.repeat(2)
@@ -222,10 +224,11 @@ class SteadyRange:
 
     Args:
         least: Smallest span, in the unit of the data.
+        centred: True to centre zero if the data have both signs.
     """
 
-    def __init__(self, least: float) -> None:
-        self._least, self._last = least, (math.inf, -math.inf)
+    def __init__(self, least: float, *, centred: bool = True) -> None:
+        self._least, self._centred, self._last = least, centred, (math.inf, -math.inf)
 
     def __call__(self, *values: ArrayLike) -> Range:
         """Return a range that contains all values.
@@ -233,7 +236,7 @@ class SteadyRange:
         It shrinks only when half of the last range is enough.
         """
         low, high = fitted_range(np.concatenate([np.ravel(array) for array in values]), self._least)
-        if low < 0.0 < high:  # symmetric, so that zero is the middle tick
+        if self._centred and low < 0.0 < high:  # symmetric, so that zero is the middle tick
             low, high = -max(-low, high), max(-low, high)
         bottom, top = self._last
         if low < bottom or high > top or high - low <= 0.5 * (top - bottom):

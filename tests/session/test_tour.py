@@ -272,3 +272,23 @@ def test_words_have_the_names_of_a_front() -> None:
     for step in STEPS:
         TourLine(1, 1, step.text, step.task, False).words(lambda name: names.append(name) or name)  # type: ignore[func-returns-value]
     assert {"hand"} < set(names) <= {"hand", *User(1).tour.snapshot().actions}
+
+
+def test_one_long_pull_completes_one_step() -> None:
+    user = User(PUSH)
+    user.pull(0.014, 1.0)
+    assert user.line.done
+    for _ in range(400):  # held against a wall while the next step begins, then pressed harder
+        user.tour.tick(TICK)
+    assert (user.line.number, user.line.done) == (WALL, False) and user.line.task.startswith("Let go.")
+    user.pull(0.025, 1.0)
+    assert not user.line.done
+    user.release(0.3)
+    assert not user.line.done and not user.line.task.startswith("Let go.")
+    user.pull(0.014, 1.0)
+    assert user.line.done
+    for _ in range(400):
+        user.tour.tick(TICK)
+    assert (user.line.number, user.line.done) == (PULSE, False)  # whose pulses of the pull before do not count
+    user.release(0.3)
+    assert not user.line.done

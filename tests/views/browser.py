@@ -42,7 +42,7 @@ def on_screen(page: Any, point: Any, view: tuple[Any, Any], field: float) -> tup
         view: Where the camera is and what it looks at [m], (3,) each.
         field: Angle of view, up [rad].
     """
-    box = page.locator("canvas").last.bounding_box()
+    box = page.locator("canvas[data-engine]").bounding_box()
     place, target = np.array(view)
     ahead = _unit(target - place)
     right = _unit(np.cross(ahead, [0.0, 0.0, 1.0]))

@@ -40,12 +40,13 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, REWIND_ACTIONS, Session, Snapshot
 from maglev_mj.session.access import ListenError, check_origin, listen
-from maglev_mj.session.pacing import FrameClock
+from maglev_mj.session.pacing import FrameClock, Pacer
 from maglev_mj.session.replay import ACTIONS
+from maglev_mj.views.page.live import contact, knob
 from maglev_mj.views.page.page import Endpoint, Page, PageServer
 from maglev_mj.views.page.panel import Choice, Control, Slider, control, drawn, ticks
 from maglev_mj.views.page.stage import Grab, solid
-from maglev_mj.views.readings import Chart, Curve
+from maglev_mj.views.readings import Chart, Charts, Curve
 from maglev_mj.views.viewer_process import SILENCE, Glide, RemoteSession
 from tests.interop.test_teleoperation import BALL, follow
 from tests.processes import PATIENCE, started
@@ -318,9 +319,46 @@ def test_only_a_received_snapshot_is_a_sign_of_life(monkeypatch: pytest.MonkeyPa
         for received, beats in ((False, 0), (True, 1), (False, 1), (True, 2)):
             if received:  # equal, as of a paused scene
                 source.shown = replace(source.shown, pose=np.zeros(6))
-            monkeypatch.setattr(page, "_due", lambda: True)
             page._show()
             assert page._beats == beats
+            assert not beats or json.loads(page._live.value)["beat"] == beats
+
+
+def strip_of(stiffness: float, seconds: float = 1.5, pull: float = 0.012, **parts: Any) -> tuple[Any, list[Chart]]:
+    """Return the page's strip of a joystick pulled into a wall, and the charts of the same strip in the window."""
+    session = Session(Joystick(stiffness=stiffness), pacer=Pacer(budget=60.0, patience=3600.0))
+    session.hand.target = [pull, 0.0, 0.0, 0.0, 0.0, 0.0]
+    session.tick(seconds)
+    snapshot = replace(session.snapshot(), **parts)
+    return json.loads(json.dumps(contact(snapshot, Charts(100)))), Charts(100).strip(snapshot)
+
+
+def test_the_strip_says_whether_the_knob_swings_in_a_wall() -> None:
+    still, charts = strip_of(6000.0)
+    assert (still["state"], still["bad"], still["normal"]) == ("still", False, -1.0)
+    for shown, chart in zip(still["charts"], charts, strict=True):  # what the window draws
+        assert [words for words, _ in shown["title"]] == [words for words, _ in chart.title]
+        assert shown["up"] == pytest.approx(chart.up)
+        for line, own in zip(shown["lines"], chart.lines, strict=True):
+            points = np.column_stack([np.ravel(own.x), np.ravel(own.y)])
+            np.testing.assert_allclose(line["points"], points[np.isfinite(points[:, 1])], atol=6e-5)
+    buzz, _ = strip_of(13000.0)
+    run = np.array(buzz["charts"][0]["lines"][-1]["points"])
+    swing = np.ptp(run[run[:, 0] > -0.1, 1])
+    assert (
+        buzz["bad"]
+        and buzz["state"].startswith("swings ")
+        and float(buzz["state"].split()[1]) == pytest.approx(swing, rel=0.1)
+    )
+    assert strip_of(6000.0, pull=0.001)[0]["state"] == "outside"
+    assert strip_of(13000.0, state="stopped")[0]["charts"]  # what happened before
+    assert strip_of(6000.0, idle="inactive: nothing is rendered")[0] == {"state": "inactive: nothing is rendered"}
+
+
+def test_the_words_at_the_hands_spring() -> None:
+    shown = Snapshot(scene=Joystick(), hand=np.array([3.0, 0.0, 4.0, 0.0, 0.0, 0.0]), hand_limit=7.0)
+    assert knob(shown) == {"place": pytest.approx(Joystick().hardware.knob.centre.tolist()), "words": "5.0 N"}
+    assert knob(replace(shown, hand=1.4 * shown.hand))["words"] == "7.0 N, limit of the hand"
 
 
 def test_rewound_alone_offers_to_resume() -> None:

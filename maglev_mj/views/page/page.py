@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hmac
+import json
 import logging
 import os
 import re
@@ -23,13 +24,16 @@ from viser._messages import ShareUrlRequest
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from maglev_mj.colours import BAD, PULL, hex_of, linear, on_white
+from maglev_mj.colours import BAD, DEVICE, HAND, WALL, hex_of, on_page, on_white
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
 from maglev_mj.session import FrameClock, SnapshotSource, real_time
 from maglev_mj.session.access import Access, local_access
+from maglev_mj.views.page.live import contact, knob
 from maglev_mj.views.page.panel import Panel, Plots
-from maglev_mj.views.page.stage import VIEWS, Grab, Stage, look
+from maglev_mj.views.page.stage import VIEWS, Grab, Stage, look, update
+from maglev_mj.views.pages import FOLDER
+from maglev_mj.views.readings import Charts
 from maglev_mj.views.viewer_process import Inbox, ViewerFunction
 
 # embedded by notebooks on this machine; other origins could be used for clickjacking
@@ -37,8 +41,23 @@ _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
 _HEADERS = {"Content-Security-Policy": _FRAMES, "Referrer-Policy": "no-referrer"}
 
 _TITLE = b"<title>Viser</title>"
-_HEAD = Path(__file__).with_name("head.html").read_text("utf-8")
-_HEAD = _HEAD.replace("STOP_COLOUR", hex_of(on_white(BAD))).replace("PULL_COLOUR", str(linear(PULL))[1:-1])
+_INSERTS = {
+    "STOP_COLOUR": hex_of(on_white(BAD)),
+    "STOP_TEXT": on_page(BAD),
+    "DEVICE_TEXT": on_page(DEVICE),
+    "PULL_LINE": hex_of(on_white(HAND)),
+    "WALL_FILL": f"{hex_of(WALL)}33",
+    "SOUND_SCRIPT": (FOLDER / "sound.js").read_text("utf-8"),
+    "LIVE_SCRIPT": Path(__file__).with_name("live.js").read_text("utf-8"),
+}
+
+
+def _head() -> str:
+    text = Path(__file__).with_name("head.html").read_text("utf-8")
+    return re.sub("|".join(_INSERTS), lambda name: _INSERTS[name[0]], text)
+
+
+_HEAD = _head()
 """Replacement of the title of viser's page: title, icon, styles, scripts."""
 
 Process = Callable[[Any, Request], Response | None]
@@ -112,8 +131,11 @@ class Endpoint:
         return local_access(self.host, self.origins)
 
 
-_FRAME, _PLOT, _BEAT = 1.0 / 30.0, 1.0 / 8.0, 0.5
-_NAP = 0.005
+_STRIP, _PANEL, _PLOT = 1.0 / 30.0, 1.0 / 12.0, 1.0 / 8.0
+"""Intervals at which strip, panel and plots are sent [s]; the 3D view is sent as often as snapshots arrive, 60 Hz."""
+
+_NAP = 0.002
+_PLOTS_WIDTH = 304.0
 
 
 class PageServer(viser.ViserServer):
@@ -168,7 +190,7 @@ class Page:
     ) -> None:
         self._server, self._source = server, source
         self._inbox = Inbox()
-        self._frame, self._plot, self._due = FrameClock(_FRAME), FrameClock(_PLOT), FrameClock(_BEAT)
+        self._strip, self._panel_due, self._plot = FrameClock(_STRIP), FrameClock(_PANEL), FrameClock(_PLOT)
         snapshot, gui = source.snapshot(), server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         gui.main_panel.dock_right()
@@ -182,7 +204,9 @@ class Page:
         with panel.add_tab("plots"):
             self._plots = Plots(gui, snapshot.scene)
         panel.dock_left()
-        self._beat, self._beats, self._pose = gui.add_html("", visible=False), 0, snapshot.pose
+        panel.set_width(_PLOTS_WIDTH)  # each browser replaces it
+        self._live, self._scales = gui.add_text("live", "", visible=False), Charts(0)
+        self._beats, self._pose = 0, snapshot.pose
         server.on_client_connect(_greet)
 
     def run(self) -> None:
@@ -190,8 +214,7 @@ class Page:
         for elapsed, _ in real_time(None, _NAP):
             self._source.tick(elapsed)
             self._apply()
-            if self._frame():
-                self._show()
+            self._show()
 
     def _apply(self) -> None:
         for kind, value in self._inbox.take():
@@ -201,7 +224,11 @@ class Page:
                 (self._source.act if kind == "act" else self._source.change)(value)
 
     def _show(self) -> None:
+        """Show a snapshot that has arrived."""
         snapshot = self._source.snapshot()
+        if snapshot.pose is self._pose:  # every snapshot received has its own arrays
+            return
+        self._pose, self._beats = snapshot.pose, self._beats + 1
         if self._grab is not None:
             self._grab.pose, self._grab.scene = snapshot.pose, snapshot.scene
         if snapshot.target is not None:
@@ -210,12 +237,14 @@ class Page:
             return
         with self._server.atomic():
             self._stage.show(snapshot)
-            self._panel.show(snapshot)
-            if snapshot.pose is not self._pose and self._due():  # every snapshot received has its own arrays
-                self._pose, self._beats = snapshot.pose, self._beats + 1
-                self._beat.content = str(self._beats)
+            strip = {"strip": contact(snapshot, self._scales)} if self._strip() else {}
+            # the number is the sign of life that the page waits for
+            update(self._live, value=json.dumps({"beat": self._beats, "knob": knob(snapshot), **strip}))
+            if self._panel_due():
+                self._panel.show(snapshot)
             if self._plot():
                 self._plots.show(snapshot)
+        self._server.flush()
 
 
 async def _greet(client: viser.ClientHandle) -> None:

@@ -186,12 +186,12 @@ def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None
 
 
 _ROWS = {
+    "tour": ("back", "next"),  # at its text
     "handle": ("centre", "drop", "record"),
     "time": ("pause", "step", "slower", "faster"),
     "replay": ("start", "step back", "end", "loop"),
     "rewind": REWIND_ACTIONS[1:],
     "skip": ("skip back", "skip forward"),
-    "tour": ("back", "next"),
 }
 _MAX_STIFFNESS = 5000.0  # of the hand [N/m]
 _INPUTS = "gains", "active", "rate"

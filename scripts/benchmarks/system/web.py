@@ -50,7 +50,7 @@ def drive(url: str, seconds: float, size: str) -> None:
         tab.wait_for_selector(".gauge", timeout=60_000)
         tab.add_style_tag(content=".mantine-Notifications-root{display:none}")
         time.sleep(5.0)
-        box = tab.locator("canvas").last.bounding_box()
+        box = tab.locator("canvas[data-engine]").bounding_box()
         x, y = on_screen(tab, Knob().centre, placed("home", box["width"], box["height"]), FIELD)
         tab.mouse.move(x, y)
         tab.mouse.down()
