@@ -9,7 +9,9 @@ from types import ModuleType
 TYPE_CHECKING = False  # importing typing would dominate the start-up time
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from typing import Any
+    from typing import Any, TypeVar
+
+    _T = TypeVar("_T")
 
 
 class _LazyModule(ModuleType):
@@ -53,6 +55,35 @@ def loaded(reference: str) -> Any:
     """Import and return the object "module:name"."""
     module, _, name = reference.partition(":")
     return getattr(import_module(module), name)
+
+
+def public(package: ModuleType, kind: type[_T]) -> tuple[type[_T], ...]:
+    """Return the public classes of a package that derive from one, without bases of others, in order of definition."""
+    from sys import modules
+
+    parts = [part for name in package.__all__ if isinstance(part := getattr(package, name), type)]
+    parts = [part for part in parts if kind in part.__mro__[1:]]
+    bases = {base for part in parts for base in part.__mro__[1:]}
+    order = {part: [*vars(modules[part.__module__])].index(part.__name__) for part in parts}
+    return tuple(sorted(order.keys() - bases, key=lambda part: (part.__module__, order[part])))
+
+
+def by_name(package: ModuleType, kind: type[_T]) -> dict[str, type[_T]]:
+    """Return the classes of `public` by their own attribute `called`, without those whose name is "".
+
+    Raises:
+        TypeError: If a class does not state its name, or two have the same.
+    """
+    names: dict[str, type[_T]] = {}
+    for part in public(package, kind):
+        name = vars(part).get("called")
+        if name is None:
+            raise TypeError(f"{part.__name__} must state its name: called = ...")
+        if name in names:
+            raise TypeError(f"{part.__name__} and {names[name].__name__} are both called {name!r}")
+        if name:
+            names[name] = part
+    return names
 
 
 def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:

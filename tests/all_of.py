@@ -11,32 +11,27 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj import control
 from maglev_mj.bridge.twin.simulated_links import Line, VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.cli.program import COMMANDS as COMMANDS
 from maglev_mj.control import (
-    AdaptiveWindow,
     Bias,
-    Dahl,
-    ElastoPlastic,
-    FiniteDifference,
     HalfSampleWall,
-    HaywardArmstrong,
     Hold,
     ImplicitCoulomb,
     Law,
-    LowPass,
     LuGre,
     PassivityController,
-    SpringReset,
     StickSlip,
     VelocityEstimator,
     VirtualCoupling,
     Wall,
-    Window,
 )
 from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws.velocity import Estimator
 from maglev_mj.frames import AXES
+from maglev_mj.lazy import public
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.plants.hand import GuidedHand, Hand, SpringHand, Trajectory
@@ -56,7 +51,7 @@ SENSORS: Mapping[str, Any] = {
 PERIOD, DELAY = 0.002, 0.003
 ALL: dict[str, Any] = {"stiffness": 300.0, "damping": 5.0, "axes": ("x", "y", "z")}
 FRICTION = {**ALL, "breakaway": 0.05}
-LAWS: Mapping[str, list[Law]] = {
+_SPECIAL: Mapping[str, list[Law]] = {
     "Wall": [
         Wall(
             axes=("y", "z"),
@@ -78,15 +73,22 @@ LAWS: Mapping[str, list[Law]] = {
         PassivityController(axes="z", period=PERIOD, delay=DELAY, most=30.0, slow=1e-5),
     ],
     "StickSlip": [StickSlip(**FRICTION, v_min=1e-3, coupled=False)],
-    "SpringReset": [SpringReset(**FRICTION)],
     "ImplicitCoulomb": [ImplicitCoulomb(**FRICTION, period=PERIOD, element_damping=3.0)],
-    "Dahl": [Dahl(**FRICTION)],
     "LuGre": [LuGre(**FRICTION, period=PERIOD, coulomb=0.7, stribeck=0.02, bristle_damping=0.5)],
-    "ElastoPlastic": [ElastoPlastic(**FRICTION, elastic=0.6)],
-    "HaywardArmstrong": [HaywardArmstrong(**FRICTION, stick=0.6)],
+    "ElastoPlastic": [control.ElastoPlastic(**FRICTION, elastic=0.6)],
+    "HaywardArmstrong": [control.HaywardArmstrong(**FRICTION, stick=0.6)],
     "Bias": [],
 }
-VELOCITIES: list[VelocityEstimator] = [FiniteDifference(), LowPass(cutoff=80.0), Window(samples=4), AdaptiveWindow()]
+"""Laws with more than the gains of `FRICTION`, or beside others."""
+LAWS: Mapping[str, list[Law]] = {
+    one.__name__: _SPECIAL[one.__name__] if one.__name__ in _SPECIAL else [one(**FRICTION)]
+    for one in public(control, Law)
+}
+_SET: Mapping[str, dict[str, Any]] = {"LowPass": {"cutoff": 80.0}, "Window": {"samples": 4}}
+VELOCITIES: list[VelocityEstimator] = [one(**_SET.get(one.__name__, {})) for one in public(control, Estimator)]
+_MANY = ("StickSlip", "LowPass"), ("Wall", "Window"), ("LuGre", "AdaptiveWindow")
+_PAIRED = {law: next(one for one in VELOCITIES if type(one).__name__ == name) for law, name in _MANY}
+"""Velocity estimates that laws are tried with, by name; the finite difference with the others."""
 ARM = Hand(mass=0.3, damping=5.0, stiffness=100.0)
 PATH = Trajectory([0.01, 0.05, 0.12], [[0.0] * 6, [1e-3, -1e-3, 2e-3, 0.0, 0.0, 0.0], [0.0] * 6])
 START: dict[str, Any] = {"pose": [8e-4, -6e-4, 9e-4, 4e-3, 0.0, 0.0], "twist": [0.02, 0.01, -0.05, 0.0, 0.0, 0.0]}
@@ -153,6 +155,6 @@ LINES: Mapping[str, Callable[[], VirtualLink]] = {
 
 def controller_of(name: str) -> Controller:
     """Return a controller of a law, with another velocity estimate, that holds the other axes."""
-    estimate = VELOCITIES[list(LAWS).index(name) % len(VELOCITIES)]
+    estimate = _PAIRED.get(name, VELOCITIES[0])
     rest = Hold(axes=AXES[3:], stiffness=0.3, damping=0.02)
     return Controller([*LAWS[name], rest, Bias(WEIGHT)], period=PERIOD, velocity=estimate)

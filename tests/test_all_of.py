@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import fields, replace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Sample, Timi
 from maglev_mj.bridge import RemotePlant
 from maglev_mj.control import AxisLaw, Dahl, Friction, Law, LuGre, VelocityEstimator, Wall
 from maglev_mj.control.laws.base import Gains
+from maglev_mj.control.laws.velocity import Estimator
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, components
+from maglev_mj.lazy import by_name, public
 from maglev_mj.plants import SampledPlant, Sensor
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.plants.trace import PassivityObserver, Trace, actuator_work
@@ -56,9 +59,47 @@ def below(kind: type) -> Iterator[type]:
 
 def test_every_law_and_velocity_estimate_of_the_package_is_listed() -> None:
     listed: set[type] = {type(law) for parts in LAWS.values() for law in parts} | {type(one) for one in VELOCITIES}
-    public = [getattr(control, name) for name in dir(control)]
-    there = {cls for cls in public if isinstance(cls, type) and "__call__" in dir(cls)}
+    classes = [getattr(control, name) for name in dir(control)]
+    there = {cls for cls in classes if isinstance(cls, type) and "__call__" in dir(cls)}
     assert there - {Law, AxisLaw, Friction, VelocityEstimator} == listed | {control.Bias}
+
+
+def test_a_list_of_classes_is_in_the_order_of_definition() -> None:
+    names = [
+        *("Hold", "Bias", "StickSlip", "SpringReset", "ImplicitCoulomb", "Dahl", "LuGre", "ElastoPlastic"),
+        *("HaywardArmstrong", "Wall", "HalfSampleWall", "VirtualCoupling", "PassivityController"),
+    ]
+    assert [part.__name__ for part in public(control, Law)] == names
+    kinds = ["FiniteDifference", "LowPass", "Window", "AdaptiveWindow"]
+    assert [part.__name__ for part in public(control, Estimator)] == kinds
+
+
+@pytest.mark.parametrize("kind", [Friction, Estimator])
+def test_a_public_class_without_a_name_or_with_that_of_another_is_an_error(kind: Any) -> None:
+    class First(kind):  # type: ignore[misc]
+        called = "first"
+
+    class Nameless(First):
+        pass
+
+    class Second(kind):  # type: ignore[misc]
+        called = "first"
+
+    def package(*classes: type) -> ModuleType:
+        module = ModuleType("package")
+        vars(module).update({"__all__": [one.__name__ for one in classes]}, **{one.__name__: one for one in classes})
+        for one in classes:
+            one.__module__ = __name__
+        return module
+
+    with pytest.MonkeyPatch.context() as patch:
+        for one in (First, Nameless, Second):
+            patch.setitem(globals(), one.__name__, one)
+        assert by_name(package(First), kind) == {"first": First}
+        with pytest.raises(TypeError, match="Nameless must state its name: called"):
+            by_name(package(First, Nameless), kind)
+        with pytest.raises(TypeError, match="Second and First are both called 'first'"):
+            by_name(package(First, Second), kind)
 
 
 def test_every_law_and_velocity_estimate_of_the_package_is_rebuilt_from_a_recording() -> None:

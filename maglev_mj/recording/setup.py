@@ -13,11 +13,12 @@ import numpy as np
 
 from maglev_mj import control as _laws
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import velocity as _velocity
 from maglev_mj.control.laws.base import FunctionLaw, Law
+from maglev_mj.control.laws.velocity import Estimator
 from maglev_mj.control.loop import Record
 from maglev_mj.device import Device
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
+from maglev_mj.lazy import public
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing, engine_warnings_silenced
 from maglev_mj.plants.hand import GuidedHand, Hand, HandForce, SpringHand, Trajectory
@@ -29,13 +30,10 @@ from maglev_mj.versions import file_of, hash_of
 CodeLoader: TypeAlias = Callable[[str], Any]
 """Loader of a user's class or function by its reference FILE:NAME@HASH; executes the source."""
 
-_PUBLIC = [part for name in dir(_laws) if isinstance(part := getattr(_laws, name), type)]
-_BASES = {base for part in _PUBLIC for base in part.__mro__[1:]}
-
 _TYPES: Mapping[str, tuple[type, ...]] = {
     "controller": (Controller,),
-    "laws": tuple(part for part in _PUBLIC if issubclass(part, Law) and part not in _BASES),
-    "velocity": tuple(part for part in _PUBLIC if part.__module__ == _velocity.__name__),
+    "laws": public(_laws, Law),
+    "velocity": public(_laws, Estimator),
     "plant": (ExactPlant, MuJoCoPlant),
     "timing": (Timing,),
     "sensor": (Sensor, SpotSensor),

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
 
 from maglev_mj import control
+from maglev_mj.control.laws.velocity import Estimator
 from maglev_mj.device import PUBLISHED_WALL
 from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.lazy import by_name
 from maglev_mj.parameters import param
 from maglev_mj.scenes.figures import changes
 from maglev_mj.scenes.results import RunResult
@@ -18,32 +20,11 @@ from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.wall_scene import WallScene, hold, others, stepped
 from maglev_mj.theory.ideal import FrictionEvent, KarnoppMotion, karnopp
 
-LAWS: Mapping[str, Callable[..., control.Friction]] = {
-    "stick-slip": lambda *, period, **common: control.StickSlip(**common),
-    "spring-reset": lambda *, v_min, period, **common: control.SpringReset(**common),
-    "dahl": lambda *, v_min, period, **common: control.Dahl(**common),
-    "lugre": lambda *, v_min, period, **common: control.LuGre(period=period, stribeck=v_min, **common),
-    "elasto-plastic": lambda *, v_min, period, **common: control.ElastoPlastic(**common),
-    "hayward-armstrong": lambda *, v_min, period, **common: control.HaywardArmstrong(**common),
-    "kikuuwe": lambda *, v_min, period, **common: control.ImplicitCoulomb(period=period, **common),
-}
-"""Friction laws by name.
+LAWS = by_name(control, control.Friction)
+"""Friction laws by name."""
 
-Each accepts the axes and the common parameters, and ignores those it does not use.
-"""
-
-_SLIDES_AT = {"stick-slip": 0.0, "spring-reset": 0.0, "lugre": 0.8}
-"""Nominal friction in steady sliding over breakaway force; 1 for other laws.
-
-Spring reset is intended as stick-slip, but its force is a sawtooth.
-"""
-
-VELOCITIES: Mapping[str, Callable[[float], control.VelocityEstimator]] = {
-    "difference": lambda quantum: control.FiniteDifference(),
-    "low-pass": lambda quantum: control.LowPass(),
-    "adaptive": lambda quantum: control.AdaptiveWindow(noise=(max(quantum, 1e-12),) * 6),
-}
-"""Velocity estimators by name, from a sensor resolution [m, rad]."""
+VELOCITIES = by_name(control, Estimator)
+"""Velocity estimators by name."""
 
 
 def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> Any:
@@ -97,13 +78,13 @@ class Pull(Scene):
     def laws(self) -> list[control.Law]:
         """Return friction, spring, and hold of the other axes."""
         common = {"axes": self.axis, "stiffness": self.stiffness, "damping": self.damping, "breakaway": self.breakaway}
-        friction = LAWS[self.law](v_min=self.v_min, period=self.period, **common)
+        friction = LAWS[self.law].of(v_min=self.v_min, period=self.period, **common)
         spring = control.Hold(axes=self.axis, stiffness=self.spring, damping=0.0, target=self.target)
         return [friction, spring, hold(self, others(self.axis))]
 
     def velocity_estimator(self) -> control.VelocityEstimator:
         """Return the velocity estimator, adapted to the sensor resolution."""
-        return VELOCITIES[self.velocity](self.quantize)
+        return VELOCITIES[self.velocity].of(self.quantize)
 
     def plant_options(self) -> dict[str, Any]:
         """See `Scene`."""
@@ -130,7 +111,7 @@ class Pull(Scene):
             time: Times [s], (M,).
         """
         target, breakaway, v_min = self.target, self.breakaway, self.v_min
-        share = _SLIDES_AT.get(self.law, 1.0)
+        share = LAWS[self.law].slides_at
         if share > 0.0 and abs(self.spring * target) > breakaway:
             target -= math.copysign(share * breakaway / self.spring, target)
             breakaway, v_min = 1e-9 * breakaway, 1e-9 * v_min
@@ -174,7 +155,7 @@ class Pull(Scene):
     @property
     def exact_name(self) -> str:
         """Name of the ideal friction."""
-        return "Coulomb" if _SLIDES_AT.get(self.law, 1.0) else "Karnopp"
+        return "Coulomb" if LAWS[self.law].slides_at else "Karnopp"
 
     def events(self, result: RunResult) -> list[FrictionEvent]:
         """Return the changes of the friction state, at their samples."""

@@ -15,11 +15,14 @@ from typing import Any, NamedTuple, TypeAlias, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from maglev_mj import control
 from maglev_mj.control import FiniteDifference, LinearController, VelocityEstimator
+from maglev_mj.control.laws.velocity import Estimator
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import KeywordError, ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.keywords import checked, rate_of
+from maglev_mj.lazy import public
 from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, loop_delay, number, numbers, store
 from maglev_mj.plants.hand import Hand, Mode, get_hand, hand_of, motion, transition
 from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
@@ -106,7 +109,8 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
     """
     estimator: Any = velocity or FiniteDifference()
     if not is_linear(estimator):
-        names = "FiniteDifference, LowPass, Window, or your own with linear(period)"
+        names = ", ".join(kind.__name__ for kind in public(control, Estimator) if is_linear(kind))
+        names += ", or your own with linear(period)"
         raise ParameterError(f"velocity must be a linear estimator: {names} (got {estimator!r})")
     ahead = numbers("prediction", prediction, at_least=0.0)
 

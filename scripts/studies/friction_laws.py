@@ -35,7 +35,9 @@ STIFFNESS, DAMPING, BREAKAWAY, V_MIN = 6000.0, 80.0, 2.0, 0.005
 
 def friction_law(name: str, period: float, *, damping: float = DAMPING, stiffness: float = STIFFNESS) -> Friction:
     """Return a law of LAWS along x, with figure 8's breakaway force and v_min."""
-    return LAWS[name](v_min=V_MIN, period=period, axes="x", stiffness=stiffness, damping=damping, breakaway=BREAKAWAY)
+    return LAWS[name].of(
+        v_min=V_MIN, period=period, axes="x", stiffness=stiffness, damping=damping, breakaway=BREAKAWAY
+    )
 
 
 class LoadOutcome(NamedTuple):
@@ -75,7 +77,7 @@ def under_load(
         stiffness: Stiffness of the law [N/m].
     """
     controller = Controller(
-        [friction_law(name, period, stiffness=stiffness)], period=period, velocity=VELOCITIES[velocity](quantize)
+        [friction_law(name, period, stiffness=stiffness)], period=period, velocity=VELOCITIES[velocity].of(quantize)
     )
     wrenches = np.zeros((len(forces), len(AXES)))
     wrenches[:, 0] = forces
@@ -273,7 +275,7 @@ def estimator_rows() -> list[dict[str, Any]]:
     """Return the cost of each velocity estimate on the 5 µm sensor at 1 kHz [µs]."""
     rows = []
     for velocity, make in VELOCITIES.items():
-        estimator = make(5e-6)
+        estimator = make.of(5e-6)
         places = [[5e-6 * round(2.0 * tick), 0.0, 0.0, 0.0, 0.0, 0.0] for tick in range(500)]
         state: Any = None
         start = time.perf_counter()

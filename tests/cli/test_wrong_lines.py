@@ -69,7 +69,7 @@ press --hand none | hand must have a stiffness above 0, in order to press (got '
 press --hand fist | hand must be one of none, arm, stylus, fingertip, or mass,damping,stiffness
 press --press 60 --force-limit 60                   | press must be below the force_limit of 60 N
 press --duration 1 | duration must be above 1.905 and at most 100000 (got 1.0)
-stick-slip --law glue                               | law must be one of stick-slip, spring-reset, dahl,
+stick-slip --law glue                               | law must be one of stick-slip, spring-reset, kikuuwe, dahl,
 # values at a bound that excludes them
 view box --seconds 0                                | seconds must be above 0 s (got 0
 render box --out a.png --fps 0                      | fps must be

@@ -294,7 +294,7 @@ def test_a_count_in_words_is_that_of_its_list() -> None:
         for page, found in in_texts(rf"(?i)\b({'|'.join(WORDS)}|\d+) (?:{phrase})", texts):
             assert (WORDS.get(found.lower()) or int(found)) == length, f"{page}: {found} {phrase}"
             count += 1
-    assert count >= 5
+    assert count >= 3
 
 
 # identifiers

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from maglev_mj.scenes.stick_slip import LAWS
 from tests.rows import check_rows
 from tests.studies.test_charts import complaints
 
@@ -105,8 +106,8 @@ def test_friction_laws_stick_slip_is_nearest_exact_friction_and_does_not_creep(
 ) -> None:
     out = run_script("studies/friction_laws.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "friction_laws.json").read_text())
-    assert len(data["spring"]) == 7 * 4
-    assert len(data["hard"]) == 7 * 2 and out.count("kikuuwe") == 3
+    assert len(data["spring"]) == len(LAWS) * 4
+    assert len(data["hard"]) == len(LAWS) * 2 and out.count("kikuuwe") == 3
     best = [row["error"] for row in data["spring"] if row["law"] == "stick-slip"]
     assert 2.0 * max(best) < min(row["error"] for row in data["spring"] if row["law"] != "stick-slip")
     creep = {law: [abs(row["creep"]) for row in data["hard"] if row["law"] == law] for law in ("stick-slip", "dahl")}

@@ -134,7 +134,7 @@ class Law:
 
 
 class VelocityEstimator(Protocol):
-    """Interface of velocity estimators."""
+    """Interface of velocity estimators; those of the package derive from `Estimator`."""
 
     def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
         """Return six velocity components and the next state (at first None); `period` is since the last sample [s]."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from dataclasses import fields
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,9 +58,20 @@ class Friction(AxisLaw):
         ParameterError: If a value is outside its bounds or shapes do not match.
     """
 
+    called: ClassVar[str]
+    """Value of `--law`."""
+    slides_at: ClassVar[float] = 1.0
+    """Nominal friction in steady sliding over breakaway force."""
+
     stiffness: ArrayLike = gain(unit="N/m, N m/rad", above=0.0)
     damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
     breakaway: ArrayLike = gain(unit="N, N m", above=0.0)
+
+    @classmethod
+    def of(cls, **common: Any) -> Self:
+        """Return a law from parameters that all friction laws share, ignoring those it does not have."""
+        names = {one.name for one in fields(cls)}
+        return cls(**{name: value for name, value in common.items() if name in names})
 
     def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Return friction force [N, N m], without viscous damping, and next state."""
@@ -117,6 +129,9 @@ class StickSlip(Friction):
         [0.0, -0.6, -1.8, 0.0]
     """
 
+    called: ClassVar = "stick-slip"
+    slides_at: ClassVar = 0.0
+
     v_min: ArrayLike = gain(unit="m/s, rad/s", above=0.0)
     coupled: bool = False
 
@@ -170,6 +185,9 @@ class SpringReset(Friction):
     Source: after the stick-slip effect of CHAI3D 3 (www.chai3d.org), which has no damping.
     """
 
+    called: ClassVar = "spring-reset"
+    slides_at: ClassVar = 0.0  # intended as stick-slip, but its force is a sawtooth
+
     def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Return force and next state of one axis; see `Friction`."""
         pull = gains.stiffness * (state.anchor - position)
@@ -197,6 +215,8 @@ class ImplicitCoulomb(Friction):
         >>> [round(controller.step(sample).force[0], 3) + 0.0 for sample in samples]
         [0.0, -0.6, -1.8, -2.0]
     """
+
+    called: ClassVar = "kikuuwe"
 
     period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
     element_damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
@@ -262,6 +282,8 @@ class Dahl(_Bristle):
     Source: Dahl 1968, in the form of Olsson et al. 1998; rederived, not checked against the original.
     """
 
+    called: ClassVar = "dahl"
+
 
 class LuGre(_Bristle):
     """LuGre friction with Stribeck effect and bristle damping.
@@ -278,10 +300,18 @@ class LuGre(_Bristle):
     Source: Canudas de Wit, Olsson, Astrom & Lischinsky 1995; not checked against the original.
     """
 
+    called: ClassVar = "lugre"
+    slides_at: ClassVar = 0.8
+
     period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
     coulomb: float = setting(default=0.8, above=0.0, at_most=1.0)
     stribeck: ArrayLike = gain(unit="m/s, rad/s", default=0.01, above=0.0)
     bristle_damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
+
+    @classmethod
+    def of(cls, **common: Any) -> Self:
+        """Return a law whose Stribeck velocity is `v_min`; see `Friction`."""
+        return super().of(stribeck=common["v_min"], **common)
 
     @property
     def stuck_damping(self) -> ArrayLike:
@@ -311,6 +341,8 @@ class ElastoPlastic(_Bristle):
     Source: Dupont, Hayward, Armstrong & Altpeter 2002; not checked against the original.
     """
 
+    called: ClassVar = "elasto-plastic"
+
     elastic: float = setting(default=0.7, above=0.0, below=1.0)
 
     def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
@@ -335,6 +367,8 @@ class HaywardArmstrong(_Bristle):
 
     Source: Hayward & Armstrong 2000; not checked against the original.
     """
+
+    called: ClassVar = "hayward-armstrong"
 
     stick: float = setting(default=0.7, above=0.0, below=1.0)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,9 +21,25 @@ _LONGEST = 1000
 """Largest window length [samples]: 1 s at 1 kHz."""
 
 
+class Estimator:
+    """Base class of the package's velocity estimators; see `VelocityEstimator`."""
+
+    called: ClassVar[str]
+    """Value of `--velocity`; "" for an estimator that is not offered there."""
+
+    @classmethod
+    def of(cls, resolution: float) -> Self:
+        """Return the estimator for a sensor resolution [m, rad]."""
+        return cls()
+
+    def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
+        """See `VelocityEstimator`."""
+        raise NotImplementedError
+
+
 @checked
 @dataclass(frozen=True)
-class FiniteDifference:
+class FiniteDifference(Estimator):
     """Backward difference v[k] = (x[k] - x[k-1]) / T; zero at the first sample.
 
     Source: Salcudean & Vlaar 1997, eq. (3).
@@ -34,6 +50,8 @@ class FiniteDifference:
         >>> velocity[0]
         0.2
     """
+
+    called: ClassVar = "difference"
 
     def __call__(self, position: Six, state: Six | None, period: float) -> tuple[Six, Six]:
         """Return the velocity and the next state, the positions."""
@@ -56,7 +74,7 @@ class FiniteDifference:
 
 @checked
 @dataclass(frozen=True)
-class LowPass:
+class LowPass(Estimator):
     """Finite difference with a first-order low-pass filter.
 
     v[k] = v[k-1] + (1 - exp(-2 pi f T)) ((x[k] - x[k-1]) / T - v[k-1]).
@@ -75,6 +93,8 @@ class LowPass:
         >>> round(velocity[0], 3)
         0.198
     """
+
+    called: ClassVar = "low-pass"
 
     cutoff: float = 50.0
 
@@ -102,7 +122,7 @@ class LowPass:
 
 
 @dataclass(frozen=True)
-class Window:
+class Window(Estimator):
     """Mean velocity over a window of n samples: v[k] = (x[k] - x[k-n]) / (n T), with the time between them for n T.
 
     The flotor is assumed at rest before the first sample.
@@ -113,6 +133,8 @@ class Window:
     Raises:
         ParameterError: If `samples` is not a whole number from 1 to 1000.
     """
+
+    called: ClassVar = ""
 
     samples: int = 3
 
@@ -136,7 +158,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class AdaptiveWindow:
+class AdaptiveWindow(Estimator):
     """First-order adaptive windowing (FOAW) velocity estimator.
 
     The estimate is the slope of the chord over the longest window in which every sample is within `noise` of the chord
@@ -153,6 +175,8 @@ class AdaptiveWindow:
     Source: Janabi-Sharifi, Hayward & Chen 2000, end-fit variant; not checked against the original.
     """
 
+    called: ClassVar = "adaptive"
+
     noise: Sequence[float] = RESOLUTION
     longest: int = 16
 
@@ -162,6 +186,11 @@ class AdaptiveWindow:
             raise ParameterError(f"noise must have {len(AXES)} numbers (got {len(self.noise)})")
         for value in self.noise:
             number("noise", value, at_least=0.0)
+
+    @classmethod
+    def of(cls, resolution: float) -> Self:
+        """See `Estimator`."""
+        return cls(noise=(max(resolution, 1e-12),) * 6)
 
     def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
         """Return the velocity, zero at the first sample, and the next state."""
