@@ -184,17 +184,17 @@ class On:
         return 1 if self.type == "bytes" else self.count
 
 
-def layout(body: type[Body]) -> dict[str, On]:
-    """Return the declarations of a body by name, in the order on the wire."""
+def layout(body: type[Body | WallMessage]) -> dict[str, On]:
+    """Return the declarations of a body by name, in the order on the wire, without the walls of a CMD."""
     hints = get_type_hints(body, include_extras=True)
-    return {name: hints[name].__metadata__[0] for name in body._fields}
+    return {name: hints[name].__metadata__[0] for name in body._fields if hasattr(hints[name], "__metadata__")}
 
 
 class Hello(NamedTuple):
     """Request for a session; the same nonce gets the same session."""
 
-    nonce: int
-    calibration: bytes
+    nonce: Annotated[int, On("u64", "drawn at random by the host for each new session")]
+    calibration: Annotated[bytes, On("16 bytes", "digest of the host's calibration")]
 
 
 class HelloAck(NamedTuple):
@@ -257,21 +257,28 @@ PROPERTIES = {name: on for name, on in layout(HelloAck).items() if name not in _
 class ControlRequest(NamedTuple):
     """Request for an `Operation`; `faults` for TRIP, `hover` currents [A] and `stop` for ARM."""
 
-    request: int
-    operation: int
-    faults: int
-    hover: tuple[float, ...]
-    stop: tuple[float, ...] = CUT  # controlled stop: damping by spots, six [s/m], duration [s], lift
+    request: Annotated[int, On("u32", "request number, counted by the host")]
+    operation: Annotated[int, On("u8", "1 ARM, 2 DISARM, 4 RESET, 5 TRIP, 6 BYE")]
+    faults: Annotated[int, On("u32", "for TRIP: faults detected by the host", gap=3)]
+    hover: Annotated[Six, On("6 f64", "for ARM: currents that hold the flotor while commands are missing [A]")]
+    stop: Annotated[
+        Six,
+        On(
+            "8 f64",
+            "for ARM: [controlled stop](#controlled-stop): `damping` by the velocity of each spot, six [s/m]; "
+            "`duration`, 0 to 1 [s], 0 to cut instead; `lift`, largest multiple of the hover currents, 0 or more",
+        ),
+    ] = CUT
 
 
 class ControlAck(NamedTuple):
     """Answer to CTRL: request, operation and `Outcome`, with the resulting state and faults."""
 
-    request: int
-    operation: int
-    result: int
-    state: int
-    faults: int
+    request: Annotated[int, On("u32", "of the CTRL")]
+    operation: Annotated[int, On("u8", "of the CTRL")]
+    result: Annotated[int, On("u8", "0 DONE, 1 REFUSED")]
+    state: Annotated[int, On("u8", "resulting")]
+    faults: Annotated[int, On("u32", "resulting", gap=1)]
 
 
 class StateReport(NamedTuple):
@@ -314,29 +321,29 @@ class StateReport(NamedTuple):
 class WallMessage(NamedTuple):
     """Wall that the device renders at its own rate; fields as in `DeviceWall`, and a cutoff of 0 for none."""
 
-    axis: int
-    side: int
-    edge: float  # [m, rad]
-    stiffness: float  # [N/m, N m/rad]
-    damping: float  # [N s/m, N m s/rad]
-    cutoff: float  # [Hz]
+    axis: Annotated[int, On("u8", "0 to 5: x, y, z, rotations about them")]
+    side: Annotated[int, On("i8", "1: the wall fills x <= `edge`; -1: x >= `edge`; 0: both sides")]
+    edge: Annotated[float, On("f64", "in the device's [linearised pose](#walls) [m, rad]", gap=2)]
+    stiffness: Annotated[float, On("f64", "[N/m, N m/rad]")]
+    damping: Annotated[float, On("f64", "[N s/m, N m s/rad]")]
+    cutoff: Annotated[float, On("f64", "of the velocity's low-pass filter [Hz]; 0 for none")]
 
 
 class CommandFrame(NamedTuple):
     """Commanded currents [A], six each: `pulsed` for the first `width` seconds, then `held`; and all walls."""
 
-    answers: int  # number of the answered sample
-    flags: int  # 0
-    held: tuple[float, ...]
-    pulsed: tuple[float, ...]
-    width: float
-    walls: tuple[WallMessage, ...] = ()
+    answers: Annotated[int, On("u32", "number of the sample answered")]
+    flags: Annotated[int, On("u32", "0")]
+    held: Annotated[Six, On("6 f64", "currents [A]")]
+    pulsed: Annotated[Six, On("6 f64", "replace `held` for the first `width` seconds after taking effect [A]")]
+    width: Annotated[float, On("f64", "0 to 1 [s]; 0 for no pulse")]
+    walls: tuple[WallMessage, ...] = ()  # after these values, in the length of the frame
 
 
 class Estop(NamedTuple):
     """Request for an emergency stop, from any host; repetitions keep the request number."""
 
-    request: int
+    request: Annotated[int, On("u64", "drawn at random by the sender; unchanged in repetitions")]
 
 
 class EstopAck(NamedTuple):
@@ -353,11 +360,14 @@ class EstopAck(NamedTuple):
 
 Body: TypeAlias = Hello | HelloAck | ControlRequest | ControlAck | StateReport | CommandFrame | Estop | EstopAck
 
-DECLARED: Sequence[type[Body]] = (HelloAck, StateReport, EstopAck)
-"""Bodies that declare their values; those of the others are stated below, in the firmware and on the page."""
+BODIES: Sequence[type[Body]] = (
+    *(Hello, HelloAck, ControlRequest, ControlAck),
+    *(StateReport, CommandFrame, Estop, EstopAck),
+)
+"""Bodies in the order of their types on the wire, from 1."""
 
 
-def _format(body: type[Body]) -> str:
+def _format(body: type[Body | WallMessage]) -> str:
     """Return the format of a body for `struct`."""
     return "".join(
         "x" * on.gap + f"{on.count if on.count > 1 else ''}{FORMATS[on.type]}" for on in layout(body).values()
@@ -385,32 +395,13 @@ def blank(body: type[Body]) -> Any:
     return _nested(body, 0)(shape.unpack(bytes(shape.size)))
 
 
-_TYPES: dict[int, tuple[type[Body], str]] = {
-    1: (Hello, "Q16s"),
-    2: (HelloAck, _format(HelloAck)),
-    3: (ControlRequest, "IB3xI14d"),
-    4: (ControlAck, "IBBBxI"),
-    5: (StateReport, _format(StateReport)),
-    6: (CommandFrame, "II6d6dd"),
-    7: (Estop, "Q"),
-    8: (EstopAck, _format(EstopAck)),
-}
-_NUMBERS = {body: number for number, (body, _) in _TYPES.items()}
-_STRUCTS = {number: struct.Struct(_HEADER + fields) for number, (_, fields) in _TYPES.items()}
-_COMMAND, _WALL = 6, struct.Struct("<Bb2x4d")
+_NUMBERS = {body: number for number, body in enumerate(BODIES, 1)}
+_STRUCTS = {number: struct.Struct(_HEADER + _format(body)) for body, number in _NUMBERS.items()}
+_FLAT = {number: _flat(body) for body, number in _NUMBERS.items()}
+_NESTED = {number: _nested(body) for body, number in _NUMBERS.items()}
+_COMMAND, _WALL = _NUMBERS[CommandFrame], struct.Struct(f"<{_format(WallMessage)}")
 _WALLED = [_STRUCTS[_COMMAND].size + _WALL.size * count for count in range(MOST_WALLS + 1)]
 """Lengths of header and body of a CMD, by the number of its walls."""
-# bodies with fields of several numbers: to and from flat values
-_FLAT: dict[int, Callable[[Any], Sequence[Any]]] = {
-    3: lambda body: (*body[:3], *body[3], *body[4]),
-    6: lambda body: (body[0], body[1], *body[2], *body[3], body[4]),
-    **{_NUMBERS[body]: _flat(body) for body in DECLARED},
-}
-_NESTED: dict[int, Callable[[tuple[Any, ...]], Body]] = {
-    3: lambda values: ControlRequest(values[6], values[7], values[8], values[9:15], values[15:]),
-    6: lambda values: CommandFrame(values[6], values[7], values[8:14], values[14:20], values[20]),
-    **{_NUMBERS[body]: _nested(body) for body in DECLARED},
-}
 
 
 class Frame(NamedTuple):
@@ -447,8 +438,7 @@ class Codec:
     def encode(self, session: int, sequence: int, time: int, body: Body) -> bytes:
         """Return an encoded frame; `sequence` modulo 2³², `time` by the sender's clock [ns]."""
         number = _NUMBERS[body.__class__]
-        values = _FLAT[number](body) if number in _FLAT else body
-        data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & WRAP, time, *values)
+        data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & WRAP, time, *_FLAT[number](body))
         if number == _COMMAND and body.walls:  # type: ignore[union-attr]
             data += b"".join(_WALL.pack(*wall) for wall in body.walls)  # type: ignore[union-attr]
         if self._key is not None:
@@ -462,7 +452,7 @@ class Codec:
             return None
         number = data[3]
         values = _STRUCTS[number].unpack_from(data)
-        body = _NESTED[number](values) if number in _NESTED else _TYPES[number][0](*values[6:])
+        body = _NESTED[number](values)
         if number == _COMMAND and (end := len(data) - self._overhead) > _WALLED[0]:
             walls = tuple(map(WallMessage._make, _WALL.iter_unpack(data[_WALLED[0] : end])))
             body = body._replace(walls=walls)  # type: ignore[call-arg]

@@ -195,7 +195,12 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
     uint8_t version = MAGLEV_VERSION;
     u16(c, &magic), u8(c, &version), u8(c, &f->type), u32(c, &f->session), u32(c, &f->sequence), u64(c, &f->time);
     switch (f->type) {
-    case MAGLEV_HELLO: u64(c, &f->of.hello.nonce), hash(c, f->of.hello.calibration); break;
+    case MAGLEV_HELLO:
+        /* HELLO, by make protocol */
+        u64(c, &f->of.hello.nonce);
+        hash(c, f->of.hello.calibration);
+        /* end */
+        break;
     case MAGLEV_HELLO_ACK:
         /* HELLO_ACK, by make protocol */
         u64(c, &f->of.hello_ack.nonce);
@@ -234,11 +239,23 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
         /* end */
         break;
     case MAGLEV_CTRL:
-        u32(c, &f->of.ctrl.request), u8(c, &f->of.ctrl.operation), gap(c, 3), u32(c, &f->of.ctrl.faults);
-        f64(c, f->of.ctrl.hover, MAGLEV_COILS), f64(c, f->of.ctrl.stop, MAGLEV_STOP); break;
+        /* CTRL, by make protocol */
+        u32(c, &f->of.ctrl.request);
+        u8(c, &f->of.ctrl.operation);
+        gap(c, 3), u32(c, &f->of.ctrl.faults);
+        f64(c, f->of.ctrl.hover, 6);
+        f64(c, f->of.ctrl.stop, 8);
+        /* end */
+        break;
     case MAGLEV_CTRL_ACK:
-        u32(c, &f->of.ctrl_ack.request), u8(c, &f->of.ctrl_ack.operation), u8(c, &f->of.ctrl_ack.result);
-        u8(c, &f->of.ctrl_ack.state), gap(c, 1), u32(c, &f->of.ctrl_ack.faults); break;
+        /* CTRL_ACK, by make protocol */
+        u32(c, &f->of.ctrl_ack.request);
+        u8(c, &f->of.ctrl_ack.operation);
+        u8(c, &f->of.ctrl_ack.result);
+        u8(c, &f->of.ctrl_ack.state);
+        gap(c, 1), u32(c, &f->of.ctrl_ack.faults);
+        /* end */
+        break;
     case MAGLEV_STATE:
         /* STATE, by make protocol */
         f64(c, f->of.state.spots, 6);
@@ -254,14 +271,29 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
         /* end */
         break;
     case MAGLEV_CMD:
-        u32(c, &f->of.cmd.answers), u32(c, &f->of.cmd.flags), f64(c, f->of.cmd.held, MAGLEV_COILS);
-        f64(c, f->of.cmd.pulsed, MAGLEV_COILS), f64(c, &f->of.cmd.width, 1);
+        /* CMD, by make protocol */
+        u32(c, &f->of.cmd.answers);
+        u32(c, &f->of.cmd.flags);
+        f64(c, f->of.cmd.held, 6);
+        f64(c, f->of.cmd.pulsed, 6);
+        f64(c, &f->of.cmd.width, 1);
+        /* end */
         for (struct maglev_wall *w = f->of.cmd.walls; w < f->of.cmd.walls + f->of.cmd.count; w++) {
-            u8(c, &w->axis), u8(c, (uint8_t *)&w->side), gap(c, 2), f64(c, &w->edge, 1), f64(c, &w->stiffness, 1);
-            f64(c, &w->damping, 1), f64(c, &w->cutoff, 1);
+            /* walls, by make protocol */
+            u8(c, &w->axis);
+            u8(c, (uint8_t *)&w->side);
+            gap(c, 2), f64(c, &w->edge, 1);
+            f64(c, &w->stiffness, 1);
+            f64(c, &w->damping, 1);
+            f64(c, &w->cutoff, 1);
+            /* end */
         }
         break;
-    case MAGLEV_ESTOP: u64(c, &f->of.estop.request); break;
+    case MAGLEV_ESTOP:
+        /* ESTOP, by make protocol */
+        u64(c, &f->of.estop.request);
+        /* end */
+        break;
     default:
         /* ESTOP_ACK, by make protocol */
         u64(c, &f->of.estop_ack.request);

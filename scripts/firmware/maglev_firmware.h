@@ -30,12 +30,33 @@ enum maglev_state { MAGLEV_INACTIVE, MAGLEV_ACTIVE, MAGLEV_FAULT };
 enum maglev_operation { MAGLEV_ARM = 1, MAGLEV_DISARM, MAGLEV_RESET = 4, MAGLEV_TRIP, MAGLEV_BYE };
 enum maglev_status { MAGLEV_WELCOME, MAGLEV_OTHER_VERSION, MAGLEV_BUSY, MAGLEV_OTHER_CALIBRATION };
 enum maglev_result { MAGLEV_DONE, MAGLEV_REFUSED };
-enum maglev_flag { MAGLEV_HOLDING = 1, MAGLEV_ENABLED = 2, MAGLEV_STOPPING = 4 };
+enum maglev_flag {
+    /* flags, by make protocol */
+    MAGLEV_HOLDING = 1,
+    MAGLEV_ENABLED = 2,
+    MAGLEV_STOPPING = 4,
+    /* end */
+};
 enum maglev_fault {
-    MAGLEV_SENSOR_OUT_OF_RANGE = 1, MAGLEV_COIL_OVERTEMP = 2, MAGLEV_COIL_OVERCURRENT = 4, MAGLEV_FLOTOR_OVERSPEED = 8,
-    MAGLEV_WATCHDOG = 32, MAGLEV_INVALID_COMMAND = 64, MAGLEV_ESTOPPED = 128, MAGLEV_COIL_NOT_FOLLOWING = 256,
-    MAGLEV_SENSOR_FROZEN = 512, MAGLEV_CLOCK = 1024, MAGLEV_HOST = 4096, MAGLEV_SENSOR_STOPPED = 8192,
-    MAGLEV_COIL_NOT_OFF = 16384, MAGLEV_WALL_ENERGY = 32768, MAGLEV_ALL_FAULTS = 65535
+    /* faults, by make protocol */
+    MAGLEV_SENSOR_OUT_OF_RANGE = 1,
+    MAGLEV_COIL_OVERTEMP = 2,
+    MAGLEV_COIL_OVERCURRENT = 4,
+    MAGLEV_FLOTOR_OVERSPEED = 8,
+    MAGLEV_BOUNDARY = 16,
+    MAGLEV_WATCHDOG = 32,
+    MAGLEV_INVALID_COMMAND = 64,
+    MAGLEV_ESTOPPED = 128,
+    MAGLEV_COIL_NOT_FOLLOWING = 256,
+    MAGLEV_SENSOR_FROZEN = 512,
+    MAGLEV_CLOCK = 1024,
+    MAGLEV_NOT_FOLLOWING = 2048,
+    MAGLEV_HOST = 4096,
+    MAGLEV_SENSOR_STOPPED = 8192,
+    MAGLEV_COIL_NOT_OFF = 16384,
+    MAGLEV_WALL_ENERGY = 32768,
+    MAGLEV_ALL_FAULTS = 65535
+    /* end */
 };
 /* Reasons for ignoring a frame: the first seven invalid, the others not acceptable. */
 enum maglev_reason {
@@ -118,14 +139,28 @@ struct maglev_hardware {
 };
 
 /* A wall rendered at the device's own rate; cutoff 0: no filter. */
-struct maglev_wall { uint8_t axis; int8_t side; double edge, stiffness, damping, cutoff; };
+struct maglev_wall {
+    /* walls, by make protocol */
+    uint8_t axis;
+    int8_t side;
+    double edge;
+    double stiffness;
+    double damping;
+    double cutoff;
+    /* end */
+};
 
 struct maglev_frame {
     uint8_t type;
     uint32_t session, sequence;
     uint64_t time;
     union {
-        struct { uint64_t nonce; uint8_t calibration[MAGLEV_HASH]; } hello;
+        struct {
+            /* HELLO, by make protocol */
+            uint64_t nonce;
+            uint8_t calibration[16];
+            /* end */
+        } hello;
         struct {
             /* HELLO_ACK, by make protocol */
             uint64_t nonce;
@@ -163,9 +198,24 @@ struct maglev_frame {
             double off_current;
             /* end */
         } hello_ack;
-        struct { uint32_t request; uint8_t operation; uint32_t faults; double hover[MAGLEV_COILS], stop[MAGLEV_STOP];
+        struct {
+            /* CTRL, by make protocol */
+            uint32_t request;
+            uint8_t operation;
+            uint32_t faults;
+            double hover[6];
+            double stop[8];
+            /* end */
         } ctrl;
-        struct { uint32_t request; uint8_t operation, result, state; uint32_t faults; } ctrl_ack;
+        struct {
+            /* CTRL_ACK, by make protocol */
+            uint32_t request;
+            uint8_t operation;
+            uint8_t result;
+            uint8_t state;
+            uint32_t faults;
+            /* end */
+        } ctrl_ack;
         struct {
             /* STATE, by make protocol */
             double spots[6];
@@ -181,12 +231,21 @@ struct maglev_frame {
             /* end */
         } state;
         struct {
-            uint32_t answers, flags;
-            double held[MAGLEV_COILS], pulsed[MAGLEV_COILS], width;
+            /* CMD, by make protocol */
+            uint32_t answers;
+            uint32_t flags;
+            double held[6];
+            double pulsed[6];
+            double width;
+            /* end */
             uint32_t count;      /* of the walls; on the wire the length of the frame */
             struct maglev_wall walls[MAGLEV_WALLS];
         } cmd;
-        struct { uint64_t request; } estop;
+        struct {
+            /* ESTOP, by make protocol */
+            uint64_t request;
+            /* end */
+        } estop;
         struct {
             /* ESTOP_ACK, by make protocol */
             uint64_t request;

@@ -11,6 +11,7 @@ import struct
 import sys
 import textwrap
 from collections.abc import Iterator
+from enum import IntFlag
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,10 @@ KEY = bytes(range(32))
 HEADER = 20
 WIDTH = 120
 NAMES = "HELLO", "HELLO_ACK", "CTRL", "CTRL_ACK", "STATE", "CMD", "ESTOP", "ESTOP_ACK"
-BODIES = dict(zip(NAMES, (body for body, _ in wire._TYPES.values())))
-DECLARED = {name: body for name, body in BODIES.items() if body in wire.DECLARED}
-C_TYPES = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t"}
+BODIES = dict(zip(NAMES, wire.BODIES))
+C_NAMES = {"MAGLEV_ESTOP": "MAGLEV_ESTOPPED"}
+"""Faults whose name in C is that of a message."""
+C_TYPES = {"u8": "uint8_t", "i8": "int8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t"}
 C_TYPES |= {"f32": "float", "f64": "double", "bytes": "uint8_t"}
 
 
@@ -64,9 +66,17 @@ def commented(name: str, on: wire.On) -> Iterator[str]:
         yield f"{'':32}{line}"
 
 
-def walked(message: str, name: str, on: wire.On) -> str:
+def bits(kind: type[IntFlag], *others: str) -> list[str]:
+    """Return the lines of an enumeration in C."""
+    names = ((f"MAGLEV_{one.name}", one.value) for one in kind)
+    return [*(f"{C_NAMES.get(name, name)} = {value}," for name, value in names), *others]
+
+
+def walked(place: str, name: str, on: wire.On) -> str:
     """Return the C code that encodes or decodes a value."""
-    place, gap = f"f->of.{message.lower()}.{name}", f"gap(c, {on.gap}), " * bool(on.gap)
+    place, gap = f"{place}{name}", f"gap(c, {on.gap}), " * bool(on.gap)
+    if on.type == "i8":
+        return f"{gap}u8(c, (uint8_t *)&{place});"
     if on.type == "bytes":
         return f"{gap}hash(c, {place});"
     if on.type[0] == "f":
@@ -75,9 +85,9 @@ def walked(message: str, name: str, on: wire.On) -> str:
     return f"{gap}{loop}{on.type}(c, &{place}{'[i]' if loop else ''});"
 
 
-def table(body: type[wire.Body]) -> str:
-    """Return the rows of a message's table on the page."""
-    rows, offset = "", HEADER
+def table(body: type[wire.Body | wire.WallMessage], offset: int = HEADER) -> str:
+    """Return the rows of a table on the page."""
+    rows = ""
     for name, on in wire.layout(body).items():
         if on.gap:
             rows += f"| {offset} | {on.gap} zeros | | |\n"
@@ -89,7 +99,7 @@ def table(body: type[wire.Body]) -> str:
 
 def with_values(block: str) -> str:
     """Return the page's values of the golden frames, with those of new fields and of the version."""
-    for message, body in DECLARED.items():
+    for message, body in BODIES.items():
         known = json.loads(block)[message]
         for index, (name, on) in enumerate(wire.layout(body).items(), 1):
             if name not in known:
@@ -124,7 +134,8 @@ def page(text: str, frames: dict[str, bytes]) -> str:
     """Return the page of the protocol."""
     text = put(text, r"# The protocol, version (\d+)", wire.VERSION)
     text = put(text, r"\| 2 \| u8 \| version \| (\d+) \|", wire.VERSION)
-    for name, body in DECLARED.items():
+    text = put(text, r"\| offset \| type \| wall \| \|\n\|---[^\n]*\n((?:\|[^\n]*\n)*)", table(wire.WallMessage, 0))
+    for name, body in BODIES.items():
         text = put(text, rf"### {name}, type \d+\n\n\|[^\n]*\n\|---[^\n]*\n((?:\|[^\n]*\n)*)", table(body))
     lines = ""
     for name, data in frames.items():
@@ -169,15 +180,20 @@ def files() -> Iterator[tuple[Path, str]]:
     text = put(text, r"protocol\.md, version (\d+)", wire.VERSION)
     lines = [line for item in wire.PROPERTIES.items() for line in commented(*item)]
     text = region(text, "properties", lines, 4)
-    for name, body in DECLARED.items():
+    text = region(text, "flags", bits(wire.Flag), 4)
+    text = region(text, "faults", bits(wire.Fault, f"MAGLEV_ALL_FAULTS = {sum(wire.Fault)}"), 4)
+    text = region(text, "walls", [member(*item) for item in wire.layout(wire.WallMessage).items()], 4)
+    for name, body in BODIES.items():
         text = region(text, name, [member(*item) for item in wire.layout(body).items()], 12)
     yield path, text
 
     path = FIRMWARE / "maglev_firmware.c"
     sizes = ", ".join(str(len(frames[name]) - 4) for name in NAMES)
     text = put(path.read_text("utf-8"), r"SIZES\[\w*\] = \{0, ([^}]*)\}", sizes)
-    for name, body in DECLARED.items():
-        text = region(text, name, [walked(name, *item) for item in wire.layout(body).items()], 8)
+    text = region(text, "walls", [walked("w->", *item) for item in wire.layout(wire.WallMessage).items()], 12)
+    for name, body in BODIES.items():
+        place = f"f->of.{name.lower()}."
+        text = region(text, name, [walked(place, *item) for item in wire.layout(body).items()], 8)
     numbers = [name for name, on in wire.PROPERTIES.items() if on.count == 1]
     yield path, region(text, "properties", [f".{name} = p->{name}," for name in numbers], 8)
 

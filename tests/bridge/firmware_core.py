@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from ctypes import c_bool, c_char_p, c_double, c_size_t, c_uint8, c_uint32, c_uint64, c_void_p
 from functools import cache
 from itertools import chain
@@ -34,8 +34,8 @@ LARGEST, _REASONS, _NO_FRAME = 600, 12, 7
 _Six = c_double * 6
 
 
-def _profile() -> list[tuple[str, Any]]:
-    """Return the fields of a device's properties, as the header declares them."""
+def _declared(struct: str) -> list[tuple[str, Any]]:
+    """Return the fields of a structure, as the header declares them."""
     header = (FOLDER / "maglev_firmware.h").read_text(encoding="utf-8")
     kinds: dict[str, Any] = {
         "uint64_t": c_uint64,
@@ -44,24 +44,25 @@ def _profile() -> list[tuple[str, Any]]:
         "uint8_t": c_uint8,
         "bool": c_bool,
     }
-    counts = {"": 0, "MAGLEV_KEY": 32, "MAGLEV_SPOTS": 6, "16": 16, "36": 36}
-    (text,) = re.findall(r"struct maglev_profile \{\n(.*?)\};", header, re.DOTALL)
+    counts = {"": 0, "MAGLEV_KEY": 32, "MAGLEV_SPOTS": 6, "MAGLEV_COILS": 6, "16": 16, "36": 36}
+    (text,) = re.findall(rf"struct {struct} \{{\n(.*?)\}};", header, re.DOTALL)
     declared = re.findall(r"^    (\w+) (\w+)(?:\[(\w+)\])?;", text, re.MULTILINE)
     return [(name, kinds[kind] * counts[count] if count else kinds[kind]) for kind, name, count in declared]
 
 
 class _Profile(ctypes.Structure):
-    _fields_ = _profile()
+    _fields_ = _declared("maglev_profile")
 
 
 class _Reading(ctypes.Structure):
-    _fields_ = [
-        ("time", c_uint64),
-        *[(name, _Six) for name in ("spots", "measured", "commanded")],
-        *[(name, c_uint32) for name in ("number", "conversions")],
-        ("valid", c_uint8),
-        ("enabled", c_bool),
-    ]
+    _fields_ = _declared("maglev_reading")
+
+    @classmethod
+    def of(cls, now: int, number: int, reading: Reading) -> _Reading:
+        """Return a reading as the core takes it."""
+        known = reading._asdict() | {"time": now, "number": number, "conversions": reading.conversions & 0xFFFFFFFF}
+        values = {name: known[name] for name, _ in cls._fields_}
+        return cls(**{name: _Six(*value) if isinstance(value, Sequence) else value for name, value in values.items()})
 
 
 class _Hardware(ctypes.Structure):
@@ -190,8 +191,7 @@ class CoreFirmware:
 
     def wall(self, now: int, reading: Reading) -> None:
         self._now = now
-        six = (_Six(*values) for values in (reading.spots, reading.measured, reading.commanded))
-        self._reading = _Reading(now, *six, 0, 0, reading.valid, reading.enabled)
+        self._reading = _Reading.of(now, 0, reading)
         self._core.maglev_wall(self._memory)
         self._passed_on(b"")
 
@@ -224,9 +224,7 @@ class CoreFirmware:
 
     def sample(self, tick: int, now: int, reading: Reading) -> bytes | None:
         self._now = now
-        six = (_Six(*values) for values in (reading.spots, reading.measured, reading.commanded))
-        number, conversions = tick & 0xFFFFFFFF, reading.conversions & 0xFFFFFFFF
-        self._reading = _Reading(now, *six, number, conversions, reading.valid, reading.enabled)
+        self._reading = _Reading.of(now, tick & 0xFFFFFFFF, reading)
         for seconds, currents in (reading.intervals or ((0.0, reading.measured),)) if self.heats else ():
             self._core.maglev_heat(self._memory, seconds, _Six(*currents))
         frame = ctypes.create_string_buffer(LARGEST)
