@@ -120,4 +120,4 @@ from maglev_mj.lazy import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
