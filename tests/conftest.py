@@ -214,6 +214,14 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
         terminalreporter.write_line(f"to run them too: apt install {_packages(missing)}")
 
 
+@pytest.fixture(autouse=True)
+def _path_of_imports() -> Iterator[None]:
+    """Restore the path of imports: pages and files of scenes extend it, and what a test imports hung on those before."""
+    before = [*sys.path]
+    yield
+    sys.path[:] = before
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Fail if more than peers was skipped, where that is asked."""

@@ -60,6 +60,12 @@ def test_study_burns(): burn()
 @pytest.mark.machine
 def test_machine_burns(): burn()
 """
+EXTENDS = """
+import sys
+
+def test_extends(): sys.path.insert(0, "elsewhere")
+def test_is_restored(): assert "elsewhere" not in sys.path
+"""
 ALL_PACKAGES = "libosmesa6 xvfb libgl1 xdotool chromium nodejs gcc libc6-dev gcc-arm-none-eabi qemu-system-arm"
 SUITE, MACHINE = ("-m", "not study and not machine"), ("-m", "machine and not study")
 
@@ -100,6 +106,11 @@ def test_skipped_tests_are_named_by_reason_with_their_packages_and_fail_the_gate
         "to run them too: apt install xdotool chromium",
     ], out
     assert "1 passed, 4 skipped" in out.splitlines()[-1]
+
+
+def test_no_test_imports_from_where_one_before_it_did(tmp_path: Path) -> None:
+    status, out = run(tmp_path, "-p", "no:xdist", tests=EXTENDS)
+    assert status == 0 and "2 passed" in out, out
 
 
 @pytest.mark.machine
