@@ -216,7 +216,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 @pytest.fixture(autouse=True)
 def _path_of_imports() -> Iterator[None]:
-    """Restore the path of imports: pages and files of scenes extend it, and what a test imports hung on those before."""
+    """Restore the path of imports: pages and files of scenes extend it, and later tests would import from there."""
     before = [*sys.path]
     yield
     sys.path[:] = before

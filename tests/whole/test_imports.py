@@ -158,20 +158,53 @@ def test_pictures_are_imported_where_one_is_drawn() -> None:
     assert PICTURES and not early
 
 
-@together
-def test_no_imports_go_in_a_circle() -> None:
-    named = modules()
-    graph = {}
+@cache
+def graph() -> dict[str, set[str]]:
+    """Return the modules of the package that each one imports, anywhere in it."""
+    named, targets = modules(), {}
     for name, path in named.items():
         nodes = nodes_of(path)
         froms = [
             (node.module or "", one.name) for node in nodes if isinstance(node, ast.ImportFrom) for one in node.names
         ]
-        plain = [one.name for node in nodes if isinstance(node, ast.Import) for one in node.names]
-        targets = {f"{module}.{one}" if f"{module}.{one}" in named else module for module, one in froms}
-        graph[name] = (targets | set(plain)) & named.keys() - {"maglev_mj"} - PICTURES
-    assert not circles(graph)
+        plain = {one.name for node in nodes if isinstance(node, ast.Import) for one in node.names}
+        parts = {f"{module}.{one}" if f"{module}.{one}" in named else module for module, one in froms}
+        targets[name] = (parts | plain) & named.keys() - {"maglev_mj"}
+    return targets
+
+
+@together
+def test_no_imports_go_in_a_circle() -> None:
+    assert not circles({name: targets - PICTURES for name, targets in graph().items()})
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == {"a", "b", "c"}
+
+
+def reached(start: str) -> set[str]:
+    """Return the packages that the modules of a package lead to, by imports of imports too."""
+    seen, open_ends = set[str](), {name for name in graph() if name.split(".")[1:2] == [start]}
+    assert open_ends, start
+    while open_ends:
+        seen |= open_ends
+        open_ends = set().union(*(graph()[name] for name in open_ends)) - seen
+    return {name.split(".")[1] for name in seen}
+
+
+@together
+@pytest.mark.parametrize("other", ["studies", "analysis", "views", "interop"])
+def test_what_flies_a_device_and_what_studies_it_are_independent(other: str) -> None:
+    assert other not in reached("bridge") and "bridge" not in reached(other)
+    assert {other, "bridge"} <= reached("cli")  # the search finds what there is
+
+
+READING = PACKAGE.parent / "docs/explanation/architecture.md"
+
+
+@together
+def test_modules_in_reading_order_need_those_before_them() -> None:
+    rows = re.findall(r"^\| \d+ \| `(maglev_mj/[\w/]+)\.py`", READING.read_text(encoding="utf-8"), re.MULTILINE)
+    order = [row.replace("/", ".") for row in rows]
+    late = [(one, need) for at, one in enumerate(order) for need in graph()[one] & {*order[at + 1 :]}]
+    assert len(order) > 15 and not late
 
 
 @together
