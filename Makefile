@@ -112,7 +112,7 @@ firmware:  ## compile the device's firmware for a Cortex-M4, and the emulated bo
 	  PYTHONPATH=. $(BIN)/python scripts/firmware/boards/build.py build/board.elf && $(CROSS)size build/board.elf; \
 	else echo 'firmware: no program for the emulated board, which needs the package (make demo)'; fi
 
-protocol: $(READY)  ## write C code, tables, sizes and golden bytes from the messages that bridge/wire.py declares
+protocol: $(READY)  ## write C code, tables, sizes and golden bytes from the declarations in bridge/wire.py and recording/journal.py
 	PYTHONPATH=. $(BIN)/python scripts/firmware/make_protocol.py
 
 wheel: $(READY)

@@ -31,14 +31,15 @@ from maglev_mj.versions import versions
 
 _CYCLES = 200
 _CURRENTS = "held", "pulsed", "measured"
+_SIX = [part for part in journal.CYCLE_PARTS if part.format == "6<f8"]
 _NAMES: Mapping[str, Sequence[str]] = {
-    kind: AXES if kind == "pose" else [f"{kind.removesuffix('s')}{index}" for index in range(6)]
-    for kind in ("spots", "pose", *_CURRENTS, "temperatures")
+    part.name: AXES if part.name == "pose" else [f"{part.name.removesuffix('s')}{index}" for index in range(6)]
+    for part in _SIX
 }
 """Names of the six columns of each kind."""
-_UNITS = {"time": "s", "width": "s", "delay": "s", "latency": "s"} | {axis: unit_of("m", axis) for axis in AXES}
-_UNITS |= dict.fromkeys(_NAMES["spots"], "m")
-_UNITS |= {name: "A" for kind in _CURRENTS for name in _NAMES[kind]}
+_UNITS = {part.name: part.unit for part in journal.CYCLE_PARTS if part not in _SIX and part.unit}
+_UNITS |= {axis: unit_of("m", axis) for axis in AXES}
+_UNITS |= {name: part.unit for part in _SIX if part.name != "pose" and part.unit for name in _NAMES[part.name]}
 _ROWS = 20
 """Cycles shown in a table by default."""
 _HEAD = ("time [ms]", *(f"{axis} [{unit_of('mm', axis)}]" for axis in AXES), "cmd [A]", "meas [A]", "warm [%]")
@@ -154,7 +155,9 @@ def _packed(frame: Frame, pose: Sequence[float], answer: _Answer, delay: float, 
     held, pulsed, width = answer
     six = *report.spots, *pose, *held, *(held if pulsed is None else pulsed), *report.currents, *report.temperatures
     head = journal.CYCLE, frame.sequence, report.state, report.faults, frame.time * 1e-9
-    return journal.PACK_CYCLE(*head, *six, width, delay, latency)
+    reported = (getattr(report, name) for name in journal.REPORTED)
+    others = chain.from_iterable(value if isinstance(value, tuple) else (value,) for value in reported)
+    return journal.PACK_CYCLE(*head, *six, width, delay, latency, *others)
 
 
 def _write(folder: Path, data: bytes, now: Callable[[], float] = time.time) -> Path:

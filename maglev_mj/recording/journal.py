@@ -55,27 +55,76 @@ _MAX_HEADER = 1 << 20
 _RENAMES_OPEN = os.name != "nt"  # Windows cannot rename an open file
 _HEAD = struct.Struct("<II")
 _SUMS = struct.Struct("<II")
-PACK_SAMPLE = struct.Struct(f"<{_HEAD.size}x{ROW.itemsize // 8}d").pack
-"""Pack the values of a sample into its record (kind and size 0)."""
 
-_FORMATS = {
+
+class CyclePart(NamedTuple):
+    """Declaration of a value of a device cycle; `make protocol` copies it to docs/reference/recording.md."""
+
+    name: str
+    format: str
+    unit: str
+    text: str
+
+
+CYCLE_PARTS = (
+    CyclePart("kind", "<u4", "", "4"),
+    CyclePart("tick", "<u4", "", "sample number of the device"),
+    CyclePart("state", "<u4", "", "its state, as [on the wire](protocol.md)"),
+    CyclePart("faults", "<u4", "", "its faults, as [on the wire](protocol.md)"),
+    CyclePart("time", "<f8", "s", "time of the sample, device clock"),
+    CyclePart("spots", "6<f8", "m", "measured spots"),
+    CyclePart("pose", "6<f8", "m, rad", "pose computed by the host, NaN if unknown"),
+    CyclePart("held", "6<f8", "A", "commanded currents"),
+    CyclePart("pulsed", "6<f8", "A", "commanded currents of a pulse"),
+    CyclePart("measured", "6<f8", "A", "currents measured with the sample"),
+    CyclePart("temperatures", "6<f8", "", "temperature rise of the coils; the device trips at 1"),
+    CyclePart("width", "<f8", "s", "pulse duration"),
+    CyclePart("delay", "<f8", "s", "from the previous sample to its command's effect at the device"),
+    CyclePart("latency", "<f8", "s", "from the sample's arrival to its answer"),
+)
+"""Values of a device cycle. Any after `latency` is that of STATE with its name: to record one, add a line."""
+
+_NAMES = [part.name for part in CYCLE_PARTS]
+REPORTED = _NAMES[_NAMES.index("latency") + 1 :]
+"""Values of a cycle copied from STATE by name; NaN in files that lack them."""
+
+
+def _dtype_entries(formats: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
+    return {"names": list(formats), "formats": list(formats.values())}
+
+
+def _layout(formats: Mapping[str, str]) -> np.dtype[Any]:
+    return np.dtype([(name, item) for name, item in formats.items()])
+
+
+def _padded(formats: Mapping[str, str], other: Mapping[str, str]) -> Mapping[str, str]:
+    """Return formats with spare values at the end, so that a record is as long as one of the other formats."""
+    missing = max(_layout(other).itemsize - _layout(formats).itemsize, 0)
+    spare = ["<f8"] * (missing // 8) + ["<u4"] * (missing % 8 // 4)
+    return {**formats, **{f"spare{index}": item for index, item in enumerate(spare)}}
+
+
+_SAMPLE_VALUES = {
     "kind": "<u4",
     "size": "<u4",
     **{field.name: "6<f8" if field.six else "<f8" for field in FIELDS},
 }
-RECORD = np.dtype({"names": list(_FORMATS), "formats": list(_FORMATS.values())})
+_CYCLE_VALUES = {part.name: part.format for part in CYCLE_PARTS}
+_FORMATS, _CYCLE_FORMATS = _padded(_SAMPLE_VALUES, _CYCLE_VALUES), _padded(_CYCLE_VALUES, _SAMPLE_VALUES)
+RECORD = _layout(_FORMATS)
 """Structured dtype of a record."""
 
-_SIXES = "spots", "pose", "held", "pulsed", "measured", "temperatures"
-_CYCLE_FORMATS = {
-    **dict.fromkeys(("kind", "tick", "state", "faults"), "<u4"),
-    **{"time": "<f8", **dict.fromkeys(_SIXES, "6<f8"), **dict.fromkeys(("width", "delay", "latency"), "<f8")},
-}
-CYCLE_RECORD = np.dtype({"names": list(_CYCLE_FORMATS), "formats": list(_CYCLE_FORMATS.values())})
-"""Structured dtype of a record of kind CYCLE, a device cycle; same size as the record of a sample."""
 
-PACK_CYCLE = struct.Struct("<4I40d").pack
-"""Pack the values of a device cycle, in the order of its dtype."""
+def _packer(values: str) -> Callable[..., bytes]:
+    return struct.Struct(f"<{values}{RECORD.itemsize - struct.calcsize(f'<{values}')}x").pack
+
+
+_CODES = {"<u4": "I", "<f8": "d", "6<f8": "6d"}
+PACK_SAMPLE = _packer(f"{_HEAD.size}x{ROW.itemsize // 8}d")
+"""Pack the values of a sample into its record (kind and size 0)."""
+
+PACK_CYCLE = _packer("".join(_CODES[part.format] for part in CYCLE_PARTS))
+"""Pack the values of a device cycle, in the order of `CYCLE_PARTS`."""
 
 _PAYLOAD = RECORD.itemsize - _HEAD.size
 
@@ -168,10 +217,6 @@ def header() -> bytes:
     data = json.dumps(entries).encode()
     size = -(-(len(data) + 24) // _GRANULE) * _GRANULE
     return (b'{"offset": %-8d, ' % size + data[1:]).ljust(size - 1) + b"\n"
-
-
-def _dtype_entries(formats: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
-    return {"names": list(formats), "formats": list(formats.values())}
 
 
 class Journal:
@@ -392,13 +437,26 @@ class JournalContent(NamedTuple):
     def cycles(self, last: int, most: int) -> NDArray[Any]:
         """Return the newest device cycles before a record, at most `most`, a structured array (N,).
 
+        Values that the file lacks are NaN; others than those of `CYCLE_PARTS` are left out.
+
         Raises:
-            ParameterError: If their dtype is different.
+            ParameterError: If their dtype is invalid, or lacks a value that all versions record.
         """
         indices = np.flatnonzero(self.kinds[:last] == CYCLE)[-most:]
-        if len(indices) and self.header.get("cycle") != _dtype_entries(_CYCLE_FORMATS):
-            raise ParameterError(f"cycle must be a dtype with the names {CYCLE_RECORD.names}")
-        return np.asarray(self.records[indices]).view(CYCLE_RECORD) if len(indices) else np.empty(0, CYCLE_RECORD)
+        if not len(indices):
+            return np.empty(0, _layout(_CYCLE_VALUES))
+        stored, formats = _stored(self.header, "cycle")
+        needed = {name: item for name, item in _CYCLE_VALUES.items() if name in formats or name not in REPORTED}
+        _check_formats("cycle", formats, needed)
+        if stored.itemsize != self.records.dtype.itemsize:
+            size = f"{self.records.dtype.itemsize} bytes, as the records have"
+            raise ParameterError(f"cycle must have {size} (got {stored.itemsize})")
+        read = np.asarray(self.records[indices]).view(stored)
+        nan = {name: item.replace("<u4", "<f8") for name, item in _CYCLE_VALUES.items()}
+        cycles = np.empty(len(read), _layout(nan | needed))
+        for name in nan:
+            cycles[name] = read[name] if name in needed else np.nan
+        return cycles
 
 
 def open_journal(path: Path) -> JournalContent:
@@ -426,7 +484,7 @@ def open_journal(path: Path) -> JournalContent:
         line, size, repaired = data[:offset], len(data), "line endings converted to CRLF, undone: copy it as binary"
     if offset != len(line):
         raise ParameterError(f"offset must be the header's length, {len(line)} bytes")
-    kind = _dtype(value_in(entries, "dtype", dict))
+    kind = _record_dtype(entries)
     count, remainder = divmod(size - offset, kind.itemsize)
     records: NDArray[Any] = np.empty(0, kind)
     if count:
@@ -479,26 +537,39 @@ def _reason_no_journal(start: bytes) -> str:
     return "not a journal"
 
 
-_DTYPES = {"<u4", "<f8", "6<f8"}
-
-
-def _dtype(entries: Mapping[str, Any]) -> np.dtype[Any]:
-    """Return the dtype of the records from the header.
+def _record_dtype(header: Mapping[str, Any]) -> np.dtype[Any]:
+    """Return the dtype of the records.
 
     Raises:
         ParameterError: If a name or format is invalid, or a required field is missing.
     """
+    kind, formats = _stored(header, "dtype")
+    optional = [field.name for field in FIELDS if field.optional]
+    _check_formats("dtype", formats, {name: item for name, item in _SAMPLE_VALUES.items() if name not in optional})
+    if [*formats][:2] != ["kind", "size"]:
+        raise ParameterError("dtype must have kind and size first")
+    return kind
+
+
+def _stored(header: Mapping[str, Any], entry: str) -> tuple[np.dtype[Any], Mapping[str, str]]:
+    """Return a dtype from an entry of the header, and its formats by name.
+
+    Raises:
+        ParameterError: If a name or format is invalid.
+    """
+    entries = value_in(header, entry, dict)
     names, formats = value_in(entries, "names", list), value_in(entries, "formats", list)
     valid = all(isinstance(name, str) and re.fullmatch(r"\w{1,40}", name) for name in names)
     if (
         not valid
-        or not all(item in _DTYPES for item in formats)
+        or not all(item in _CODES for item in formats)
         or not len({*names}) == len(formats) == len(names) < 256
     ):
-        raise ParameterError(f"dtype must have unique names, and formats among {', '.join(sorted(_DTYPES))}")
-    stored = dict(zip(names, formats))
-    required = "kind", "size", *(field.name for field in FIELDS if not field.optional)
-    missing = [name for name in required if stored.get(name) != _FORMATS[name]]
-    if missing or names[:2] != ["kind", "size"]:
-        raise ParameterError(f"dtype must have {', '.join(missing) or 'kind and size first'} as {RECORD[0]}")
-    return np.dtype({"names": names, "formats": formats})
+        raise ParameterError(f"{entry} must have unique names, and formats among {', '.join(sorted(_CODES))}")
+    return np.dtype({"names": names, "formats": formats}), dict(zip(names, formats))
+
+
+def _check_formats(entry: str, stored: Mapping[str, str], needed: Mapping[str, str]) -> None:
+    wrong = [f"{name} as {item}" for name, item in needed.items() if stored.get(name) != item]
+    if wrong:
+        raise ParameterError(f"{entry} must have {', '.join(wrong)}")

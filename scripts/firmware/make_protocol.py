@@ -1,4 +1,6 @@
-"""Write what follows from the messages declared in maglev_mj/bridge/wire.py: C code, tables, sizes and golden bytes.
+"""Write what follows from declarations: C code, tables, sizes and golden bytes.
+
+The messages are declared in maglev_mj/bridge/wire.py, the values of a device cycle in maglev_mj/recording/journal.py.
 
 Run: python scripts/firmware/make_protocol.py [--check]     (make protocol); `--check` lists what is stale
 """
@@ -18,9 +20,11 @@ from typing import Any
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.links import BAUD, cobs_encode
 from maglev_mj.bridge.safety import Limits
+from maglev_mj.recording import journal
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE, PAGE = ROOT / "scripts" / "firmware", ROOT / "docs" / "reference" / "protocol.md"
+RECORDING, RECORDER = PAGE.with_name("recording.md"), ROOT / "docs" / "explanation" / "recorder.md"
 KEY = bytes(range(32))
 HEADER = 20
 WIDTH = 120
@@ -167,6 +171,19 @@ def together(frames: dict[str, bytes]) -> str:
     return f"{(on_link(frames['STATE']) + on_link(frames['CMD'])) * 1e4 / BAUD:.1f}"
 
 
+def recording(text: str) -> str:
+    """Return the page of the format of recordings."""
+    size, types = journal.RECORD.itemsize, {"<u4": "uint32", "<f8": "float64", "6<f8": "6 float64"}
+    text = put(text, r"end of the file, (\d+) bytes each", size)
+    text = put(
+        text, r"grows by (\d+ kB/s at 1 kHz, [\d.]+ GB) per hour", f"{size} kB/s at 1 kHz, {size * 3.6e-3:.2f} GB"
+    )
+    rows = ""
+    for name, kind, unit, meaning in journal.CYCLE_PARTS:
+        rows += f"| `{name}`{f' [{unit}]' if unit else ''} | {types[kind]} | {meaning} |\n"
+    return put(text, r"\| field \| type \| meaning \|\n\|---[^\n]*\n((?:\|[^\n]*\n)*)", rows)
+
+
 def files() -> Iterator[tuple[Path, str]]:
     """Yield each file with the text that it should have."""
     text = PAGE.read_text("utf-8")
@@ -174,6 +191,8 @@ def files() -> Iterator[tuple[Path, str]]:
     values = with_values(block)
     frames = golden(values)
     yield PAGE, page(text.replace(block, values), frames)
+    yield RECORDING, recording(RECORDING.read_text("utf-8"))
+    yield RECORDER, put(RECORDER.read_text("utf-8"), r"its sample into (\d+) bytes", journal.RECORD.itemsize)
 
     path = FIRMWARE / "maglev_firmware.h"
     text = put(path.read_text("utf-8"), r"MAGLEV_VERSION = (\d+)", wire.VERSION)

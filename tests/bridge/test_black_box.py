@@ -6,20 +6,22 @@ import errno
 import json
 from contextlib import nullcontext
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from maglev_mj import recording
+from maglev_mj.bridge import fault
 from maglev_mj.bridge.fault import DeviceFault, FaultRecord, LastCycles, load_fault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.links import LinkError
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.errors import PlantError
-from maglev_mj.recording import InvalidRecordingError, Recording, open_recording
-from maglev_mj.recording.journal import RECORD, open_journal
+from maglev_mj.recording import InvalidRecordingError, Recording, journal, open_recording
 from maglev_mj.scenes import find_scene
 from tests.bridge.test_bridge import CENTRE, Rig
 from tests.sweeps import sweep
@@ -121,7 +123,7 @@ def test_a_recording_without_cycles_and_a_changed_bit_are_refused(failed: Failed
     with pytest.raises(InvalidRecordingError, match=r"no device cycles \(only recordings of flights contain them\)"):
         load_fault(ROOT / "tests/golden/recordings/drop-exact.maglev")
     data, path = bytearray(failed.path.read_bytes()), tmp_path / "changed.maglev"
-    data[4096 + 100 * RECORD.itemsize + 50] ^= 1
+    data[4096 + 100 * journal.RECORD.itemsize + 50] ^= 1
     path.write_bytes(data)
     with pytest.raises(InvalidRecordingError, match="wrong checksum of records 0 to "):
         load_fault(path)
@@ -143,7 +145,111 @@ def test_numpy_alone_reads_the_cycles(failed: Failed) -> None:
     cycles = records[records["kind"] == 4].view(np.dtype(header["cycle"]))
     assert (cycles["measured"] == record.six("measured")).all() and len(cycles) == 200
     assert (cycles["state"] == record.values["state"]).all() and cycles["time"][-1] == record.values["time"][-1]
-    assert cycles.dtype.itemsize == RECORD.itemsize
+    assert cycles.dtype.itemsize == journal.RECORD.itemsize
+
+
+STORED = ROOT / "tests/golden/recordings/fault.maglev"
+"""Last eight cycles of a flight, written before values could be added to a cycle."""
+
+
+def test_a_stored_file_is_read_and_would_be_written_the_same() -> None:
+    stored = journal.open_journal(STORED)
+    fixed = {name: stored.header[name] for name in ("dtype", "cycle", "format", "version", "units", "checksums")}
+    assert fixed.items() <= json.loads(journal.header()).items()
+    cycles = stored.records[stored.kinds == journal.CYCLE].view(np.dtype(stored.header["cycle"]))
+    flat = [[value for part in cycle.tolist() for value in np.ravel(part).tolist()] for cycle in cycles]
+    assert b"".join(journal.PACK_CYCLE(*values) for values in flat) == cycles.tobytes() and len(flat) == 8
+    run = journal.open_journal(STORED.with_name("drop-exact.maglev"))
+    samples = run.records[run.kinds == journal.SAMPLE]
+    flat = [[value for part in sample.tolist()[2:] for value in np.ravel(part).tolist()] for sample in samples]
+    assert b"".join(journal.PACK_SAMPLE(*values) for values in flat) == samples.tobytes()
+
+    record = load_fault(STORED)
+    assert record.faults == "COIL_NOT_FOLLOWING" and record.tick == 22 and record.period == 0.005
+    assert record.values["state"].tolist() == [1.0] * 7 + [2.0] and np.isnan(record.six("pose")[-1]).all()
+    assert all((cycles[name] == record.values[name]).all() for name in ("time", "width", "delay", "latency"))
+    assert (cycles["held"] == record.six("held")).all()
+
+
+def changed(module: ModuleType, old: str = "", new: str = "") -> Any:
+    """Return a module made again of its source, with a change."""
+    source = Path(str(module.__file__)).read_text(encoding="utf-8")
+    again = ModuleType(module.__name__)
+    exec(compile(source.replace(old, new), str(module.__file__), "exec"), vars(again))
+    return again
+
+
+@pytest.mark.parametrize(
+    ("parts", "size", "spare", "columns"),
+    [
+        (['"conversions", "<u4", "", "counter"'], 340, {"spare0": "<u4"}, {"conversions"}),
+        (['"age", "<f8", "us", "age"'], 344, {"spare0": "<f8"}, {"age"}),
+        (
+            ['"currents", "6<f8", "A", "currents"', '"valid", "<u4", "", "bits"'],
+            388,
+            {"spare6": "<u4"},
+            {"valid", *(f"current{index}" for index in range(6))},
+        ),
+    ],
+)
+def test_a_value_of_state_is_recorded_by_one_line(
+    parts: list[str],
+    size: int,
+    spare: dict[str, str],
+    columns: set[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lines = "".join(f"    CyclePart({part}),\n" for part in parts)
+    newer = changed(journal, ')\n"""Values of a device cycle', f'{lines})\n"""Values of a device cycle')
+    stored = load_fault(STORED)
+    monkeypatch.setattr(fault, "journal", newer)
+    monkeypatch.setattr(recording, "journal", newer)
+    load_newer = changed(fault).load_fault
+    rig, error = flown(tmp_path)
+    assert error.path is not None
+    content = newer.open_journal(error.path)
+    assert newer.RECORD.itemsize == size and spare.items() <= dict(zip(*content.header["dtype"].values())).items()
+    cycles, names = content.cycles(len(content.records), 200), [part.split('"')[1] for part in parts]
+    assert cycles.dtype.names[-len(names) :] == tuple(names) == tuple(newer.REPORTED)
+    states = [frame.body for frame, *_ in [*rig.plant.cycles._rows][: len(cycles)]]  # one more follows the fault
+    assert all((cycles[name] == [getattr(state, name) for state in states]).all() for name in names)
+    assert {*load_newer(error.path).values} - stored.values.keys() == columns
+
+    old = newer.open_journal(STORED)
+    cycles = old.cycles(len(old.records), 200)
+    assert all(np.isnan(cycles[name]).all() for name in names) and cycles["tick"].tolist() == [*range(15, 23)]
+    assert all(np.isnan(load_newer(STORED).values[name]).all() for name in columns)
+    monkeypatch.undo()
+    record = load_fault(error.path)  # values of newer versions are left out
+    assert record.values.keys() == stored.values.keys() and record.tick == record.values["sample"][-1]
+
+
+CYCLE = json.loads(STORED.read_bytes().splitlines()[0])["cycle"]
+
+
+@pytest.mark.parametrize(
+    ("names", "formats", "says"),
+    [
+        (CYCLE["names"][:-1], CYCLE["formats"][:-1], "cycle must have latency as <f8"),
+        (CYCLE["names"], ["<u4", *CYCLE["formats"][:-1]], "cycle must have time as <f8, spots as 6<f8"),
+        (
+            [*CYCLE["names"], "more"],
+            [*CYCLE["formats"], "<u4"],
+            "cycle must have 336 bytes, as the records have .got 340",
+        ),
+        (CYCLE["names"], ["O", *CYCLE["formats"][1:]], "cycle must have unique names, and formats among"),
+    ],
+)
+def test_a_cycle_that_cannot_be_read_is_named(names: list[str], formats: list[str], says: str, tmp_path: Path) -> None:
+    line, rest = STORED.read_bytes().split(b"\n", 1)
+    header = json.loads(line) | {"cycle": {"names": names, "formats": formats}}
+    head = json.dumps(header).encode().ljust(len(line)) + b"\n"
+    path = tmp_path / "changed.maglev"
+    block = rest[: rest.rindex((journal.CHECKSUM).to_bytes(4, "little"))]
+    path.write_bytes(head + block + journal.Seal(head)(block))
+    with pytest.raises(InvalidRecordingError, match=says):
+        load_fault(path)
 
 
 def recorded(folder: Path, law: Any = None, hurt: bool = False) -> tuple[Path, Path | None]:
@@ -170,8 +276,8 @@ def test_the_recording_of_a_flight_holds_what_the_file_of_its_fault_does(tmp_pat
     assert str(one.table(whole=True)) == str(other.table(whole=True)) and len(one.time) == 200
     assert one.message == "reported by the device" and one.faults == "COIL_NOT_FOLLOWING"
     assert all(np.array_equal(one.values[name], other.values[name], equal_nan=True) for name in other.values)
-    recording = Recording.load(run)  # skips the cycles
-    assert recording.ticks and not recording.damage
+    run_recorded = Recording.load(run)  # skips the cycles
+    assert run_recorded.ticks and not run_recorded.damage
 
 
 def test_an_early_landing_stores_the_cycles_before_it(tmp_path: Path) -> None:
@@ -182,8 +288,8 @@ def test_an_early_landing_stores_the_cycles_before_it(tmp_path: Path) -> None:
     one, other = load_fault(run), load_fault(path)
     assert str(one.table(whole=True)) == str(other.table(whole=True))
     assert one.message == "for a test" and one.tick == one.values["sample"][-1]
-    journal = open_journal(run)
-    later = journal.cycles(len(journal.records), 1)["tick"][0]
+    content = journal.open_journal(run)
+    later = content.cycles(len(content.records), 1)["tick"][0]
     assert later > one.tick  # the landing is in the recording too
 
 

@@ -19,7 +19,15 @@ from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import InvalidRecordingError, MemoryFile, Recording, RecordingError, ReplayCheck, load_samples
+from maglev_mj.recording import (
+    InvalidRecordingError,
+    MemoryFile,
+    Recording,
+    RecordingError,
+    ReplayCheck,
+    journal,
+    load_samples,
+)
 from maglev_mj.recording.reading import Content
 from maglev_mj.recording.verify import verify
 from maglev_mj.session.replay import rebuild
@@ -40,6 +48,7 @@ from tests.recorded import (
     with_value,
 )
 
+SIZE = journal.RECORD.itemsize
 BAD: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 1e308, -1e308, None, True, "1", [], {}, -1, 1.5, 10**400)
 NONE: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 10**400, "1", [], {})
 Case = tuple[str, Callable[[], bytes]]
@@ -194,7 +203,7 @@ DAMAGED: list[tuple[Damage, str]] = [
     ),
     (entry("dtype", lambda old: {**old, "names": ["kind", *old["names"][:-1]]}), "dtype must have unique names, and"),
     (
-        entry("dtype", lambda old: {name: part[:-5] for name, part in old.items()}),
+        entry("dtype", lambda old: {name: part[: old["names"].index("applied_pulse")] for name, part in old.items()}),
         "dtype must have applied_pulse",
     ),
     (
@@ -252,7 +261,11 @@ def test_a_file_is_passed_only_as_a_whole_and_run_again_all_the_same(tmp_path: P
     for changed_data, status, words in (
         (data, 0, "equal: tick"),
         (data[:-5000], 1, "incomplete (not closed): readable up to 0."),
-        (data[:-337], 1, "incomplete (not closed): readable up to 0."),  # the last checksum is of a file that is closed
+        (
+            data[: -SIZE - 1],
+            1,
+            "incomplete (not closed): readable up to 0.",
+        ),  # the last checksum is of a file that is closed
         (data + b"\x00", 1, "data after the end record"),
         (data + data, 1, "data after the end record"),
     ):
@@ -282,19 +295,17 @@ def test_a_newer_kind_of_record_and_a_further_value_are_skipped(tmp_path: Path) 
     entries = json.loads(line)
     entries["dtype"]["names"].append("more")
     entries["dtype"]["formats"].append("<f8")
-    records = [data[at : at + 336] + bytes(8) for at in range(offset, len(data), 336)]
+    records = [data[at : at + SIZE] + bytes(8) for at in range(offset, len(data), SIZE)]
     kinds = [int.from_bytes(record[:4], "little") for record in records]
     block = b"".join(one for one, kind in zip(records, kinds) if kind == 0)
-    newer = (99).to_bytes(4, "little") + bytes(340)
+    newer = (99).to_bytes(4, "little") + bytes(SIZE + 4)
     texts = [part for part in parts_in(data) if isinstance(part, dict)]
-    from maglev_mj.recording import journal
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(journal, "_PAYLOAD", 344 - 8)
+        patch.setattr(journal, "_PAYLOAD", SIZE)
         begun, ended = (journal.text_records(one) for one in (texts[-2], texts[-1]))
     whole = begun + newer + block + newer + ended
     head = json.dumps(entries).encode().ljust(offset - 1) + b"\n"
-    new = head + whole + journal.Seal(head, 344)(whole)
+    new = head + whole + journal.Seal(head, SIZE + 8)(whole)
     (one,), (other,) = load(new, tmp_path).segments, load(data, tmp_path).segments
     assert all(values.tobytes() == other.arrays[name].tobytes() for name, values in one.arrays.items())
 
@@ -423,7 +434,7 @@ def test_a_file_of_any_header_takes_no_more_memory_than_its_size(tmp_path: Path)
     data = made("drop")
     offset = data.index(b"\n") + 1
     endless = b'{"offset": 8, "x": "' + bytes(30 << 20)
-    at = next(at for at in range(offset, len(data), 336) if data[at] == 1)
+    at = next(at for at in range(offset, len(data), SIZE) if data[at] == 1)
     long = bytearray(data)
     long[at + 4 : at + 8] = (0xFFFFFFFF).to_bytes(4, "little")
     for one in (endless, bytes(long)):
