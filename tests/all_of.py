@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj import control
+from maglev_mj import control, plants
 from maglev_mj.bridge.twin.simulated_links import Line, VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.cli.program import COMMANDS as COMMANDS
@@ -24,7 +24,6 @@ from maglev_mj.control import (
     LuGre,
     PassivityController,
     StickSlip,
-    VelocityEstimator,
     VirtualCoupling,
     Wall,
 )
@@ -36,17 +35,23 @@ from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledP
 from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.plants.hand import GuidedHand, Hand, SpringHand, Trajectory
 from maglev_mj.plants.model import load_model
+from maglev_mj.plants.sensor import SimulatedSensor
 from maglev_mj.recording.export import EXPORTS as EXPORTS
 from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.spec import INERTIA
 from tests.published import WEIGHT
 
 SCENES = [*BUILT_IN]
-SENSORS: Mapping[str, Any] = {
-    "ideal": Sensor(),
-    "coarse": Sensor(quantum=5e-6, noise=2e-5, seed=3),
-    "spots": SpotSensor(quantum=5e-6),
+IDEAL: Mapping[str, type[SimulatedSensor]] = {one.__name__: one for one in public(plants, SimulatedSensor)}
+SENSORS: Mapping[str, tuple[Any, float]] = {
+    **{name: (one(), 1e-13) for name, one in IDEAL.items()},
+    "Sensor": (Sensor(), 1e-15),
+    # half a step and six standard deviations; a step of a spot turns the flotor by that over its arm
+    "coarse": (Sensor(quantum=5e-6), 2.5e-6 + 1e-15),
+    "noisy": (Sensor(quantum=5e-6, noise=2e-5, seed=3), 2.5e-6 + 6.0 * 2e-5),
+    "spots": (SpotSensor(quantum=5e-6), 1e-4),
 }
+"""Every sensor of the package, and some with resolution or noise; the largest error of a reading [m, rad]."""
 
 PERIOD, DELAY = 0.002, 0.003
 ALL: dict[str, Any] = {"stiffness": 300.0, "damping": 5.0, "axes": ("x", "y", "z")}
@@ -85,7 +90,7 @@ LAWS: Mapping[str, list[Law]] = {
     for one in public(control, Law)
 }
 _SET: Mapping[str, dict[str, Any]] = {"LowPass": {"cutoff": 80.0}, "Window": {"samples": 4}}
-VELOCITIES: list[VelocityEstimator] = [one(**_SET.get(one.__name__, {})) for one in public(control, Estimator)]
+VELOCITIES: list[Estimator] = [one(**_SET.get(one.__name__, {})) for one in public(control, Estimator)]
 _MANY = ("StickSlip", "LowPass"), ("Wall", "Window"), ("LuGre", "AdaptiveWindow")
 _PAIRED = {law: next(one for one in VELOCITIES if type(one).__name__ == name) for law, name in _MANY}
 """Velocity estimates that laws are tried with, by name; the finite difference with the others."""

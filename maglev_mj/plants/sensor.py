@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import product
 from operator import add
-from typing import Any, Protocol, Self, TypeAlias
+from typing import Any, ClassVar, Protocol, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -489,6 +489,17 @@ class PoseSensor(Protocol):
         """Return a measurement function in its initial state, from true to measured pose components."""
 
 
+class SimulatedSensor:
+    """Base class of the package's pose sensors; see `PoseSensor`."""
+
+    remembers: ClassVar = False
+    """True if a reading depends on earlier poses, as with hysteresis."""
+
+    def start(self) -> Measure:
+        """See `PoseSensor`."""
+        raise NotImplementedError
+
+
 def measuring(sensor: PoseSensor) -> Measure:
     """Start a sensor and return its measurement function.
 
@@ -504,7 +515,7 @@ def measuring(sensor: PoseSensor) -> Measure:
 
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sensor:
+class Sensor(SimulatedSensor):
     """Pose sensor with white Gaussian noise and quantization, in this order.
 
     Args:
@@ -630,7 +641,7 @@ class SpotReader:
 
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SpotSensor:
+class SpotSensor(SimulatedSensor):
     """Optical pose sensor of the device: light spots with noise and quantization, and the pose computed from them.
 
     Uses `SpotReader` and `PoseTracker` for one device, `Beams` for a batch.

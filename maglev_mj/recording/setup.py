@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from maglev_mj import control as _laws
+from maglev_mj import plants
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.laws.base import FunctionLaw, Law
 from maglev_mj.control.laws.velocity import Estimator
@@ -20,9 +21,10 @@ from maglev_mj.device import Device
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.lazy import public
 from maglev_mj.parameters import number
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing, engine_warnings_silenced
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing, engine_warnings_silenced
 from maglev_mj.plants.hand import GuidedHand, Hand, HandForce, SpringHand, Trajectory
 from maglev_mj.plants.model import model_files, model_names
+from maglev_mj.plants.sensor import SimulatedSensor
 from maglev_mj.recording.journal import InvalidRecordingError
 from maglev_mj.recording.sample import RecordedPlant, RunMetadata, Setup, check_setup, value_in
 from maglev_mj.versions import file_of, hash_of
@@ -36,13 +38,13 @@ _TYPES: Mapping[str, tuple[type, ...]] = {
     "velocity": public(_laws, Estimator),
     "plant": (ExactPlant, MuJoCoPlant),
     "timing": (Timing,),
-    "sensor": (Sensor, SpotSensor),
+    "sensor": public(plants, SimulatedSensor),
     "hand": (Hand,),
     "hand_force": (GuidedHand, SpringHand),
     "path": (Trajectory,),
     "target": (Trajectory,),
 }
-"""Allowed types by argument name, with every law and estimator of the package; no other type is constructed."""
+"""Allowed types by argument name, with every law, estimator and sensor of the package; no other type is constructed."""
 
 ALLOW_HINT = "allow it with --scene {}, or with --scene attached for the source in the recording"
 """Advice to the user in an `UserCodeError`."""
