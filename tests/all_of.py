@@ -36,7 +36,7 @@ from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.plants.hand import GuidedHand, Hand, SpringHand, Trajectory
 from maglev_mj.plants.model import load_model
 from maglev_mj.plants.sensor import SimulatedSensor
-from maglev_mj.recording.export import EXPORTS as EXPORTS
+from maglev_mj.recording.formats import FORMATS as FORMATS
 from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.spec import INERTIA
 from tests.published import WEIGHT

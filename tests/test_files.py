@@ -28,7 +28,7 @@ from maglev_mj.plants.model import load_model
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.session.replay import write_run
 from maglev_mj.versions import MODELS
-from tests.all_of import EXPORTS
+from tests.all_of import FORMATS as EXPORTS
 
 RUN = partial(record_run, Drop(duration=0.05), plant="exact")
 WRITERS: dict[str, Callable[[Path], Any]] = {

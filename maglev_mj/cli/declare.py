@@ -234,7 +234,7 @@ def option(
         const: Value of the option without an argument; None if it requires one.
         default: Function that returns the default, if that needs a slow import.
         several: True for a list of which each use of the option takes one or more.
-        meanings: Meaning of each value, listed at the end of the help.
+        meanings: Meaning of each value, listed at the end of the help; those of a text are its choices.
         bounds: Bounds of a number; see `number`.
     """
     return Option(help, group, metavar, name, kind, take, inverse, const, default, several, meanings, bounds)
@@ -325,6 +325,8 @@ def _reading(kind: Any, about: Option) -> dict[str, Any]:
     for part in (kind, *get_args(kind)):  # also of one that may be None
         if get_origin(part) is Literal:
             return {"choices": get_args(part), "metavar": about.metavar}
+    if kind is str and about.meanings:
+        return {"choices": tuple(about.meanings), "metavar": about.metavar}
     kinds = [about.kind] if about.kind is not None else [*get_args(kind), kind]
     kind = next(part for part in kinds if part is not NoneType)
     read, metavar = KINDS.get(kind, (kind, None))

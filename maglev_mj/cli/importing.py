@@ -9,11 +9,13 @@ from maglev_mj.cli.declare import option
 from maglev_mj.cli.options import assignments
 from maglev_mj.cli.output import check_files, print_written
 from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.recording.formats import FORMATS
 from maglev_mj.terminal import wrapped
 
 if TYPE_CHECKING:
     from maglev_mj.recording.sample import Face
 
+_SUFFIXES = ".maglev", *(f".{kind}" for kind in FORMATS)
 _TABLE, _DEVICE = "table", "device"
 _DECIDED = "(default: decided by the file)"
 _VALUES = (
@@ -70,9 +72,7 @@ def import_log(
         Literal["point", "comma"] | None, option(f"decimal mark {_DECIDED}; the other one groups thousands", _TABLE)
     ] = None,
     names: Annotated[str | None, option(f"names of all columns {_DECIDED}", _TABLE, "A,B,...")] = None,
-    out: Annotated[
-        Path | None, option("file .maglev, .mcap, .npz, .csv, .parquet or .wav (default: beside the table)", "output")
-    ] = None,
+    out: Annotated[Path | None, option(f"file {' '.join(_SUFFIXES)} (default: beside the table)", "output")] = None,
 ) -> int:
     """Import a text table of another program as a recording, for analyse, diagnose, export and replay.
 
@@ -83,12 +83,12 @@ def import_log(
     from maglev_mj.device import Device
     from maglev_mj.parameters import parsed_number
     from maglev_mj.plants.coils import CoilMap
-    from maglev_mj.recording.export import EXPORTS, export
+    from maglev_mj.recording.export import export
     from maglev_mj.recording.table import import_table
 
     path = out or file.with_suffix(".maglev")
     check_files({"out": path}, file)
-    check_one_of("suffix of out", (".maglev", *(f".{kind}" for kind in EXPORTS)), path.suffix)
+    check_one_of("suffix of out", _SUFFIXES, path.suffix)
     body: dict[str, Any] = {}
     if device is not None:
         known = Device.load(device)

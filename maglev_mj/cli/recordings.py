@@ -6,13 +6,14 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from maglev_mj.cli.declare import option
 from maglev_mj.cli.options import Picture, Pictures, Recorded, json_of
 from maglev_mj.cli.output import LAYOUT, Progress, check_files, write_json
 from maglev_mj.cli.peripherals import PageOptions, window
 from maglev_mj.errors import ParameterError
+from maglev_mj.recording.formats import FORMATS
 from maglev_mj.terminal import printable, say, wrapped
 
 if TYPE_CHECKING:
@@ -249,8 +250,7 @@ def _draw(analysed: SegmentReport, axis: str | None, pictures: PictureFolder, st
 def export(
     file: Annotated[Path, option("recording", "", "FILE")],
     to: Annotated[
-        Literal["npz", "mcap", "csv", "parquet", "wav"],
-        option("format: mcap for Foxglove and Rerun, wav for the force as sound", "output"),
+        str, option("format", "output", "FORMAT", meanings={name: row.text for name, row in FORMATS.items()})
     ],
     out: Annotated[Path | None, option("output file (default: beside the recording)", "output")] = None,
 ) -> int:

@@ -1,4 +1,4 @@
-from maglev_mj.recording.export import EXPORTS as EXPORTS
+from maglev_mj.recording.formats import FORMATS as FORMATS
 from maglev_mj.recording.journal import InvalidRecordingError as InvalidRecordingError
 from maglev_mj.recording.journal import RecordingError as RecordingError
 from maglev_mj.recording.recording import Recording as Recording

@@ -8,7 +8,7 @@ import json
 import math
 import time
 import wave
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -20,6 +20,8 @@ from maglev_mj.errors import check_instance, check_one_of, file_path, require
 from maglev_mj.files import atomic_path
 from maglev_mj.frames import AXES, Array
 from maglev_mj.keywords import checked
+from maglev_mj.lazy import loaded
+from maglev_mj.recording.formats import FORMATS
 from maglev_mj.recording.journal import InvalidRecordingError
 from maglev_mj.recording.recording import RECORDING_TYPE, Recording
 from maglev_mj.recording.sample import ARRAYS, FIELDS, TOTALS, is_recorded, units
@@ -36,7 +38,7 @@ def export(recording: Recording, kind: str, path: Path | str) -> None:
 
     Args:
         recording: The recording.
-        kind: One of EXPORTS; csv writes all content besides the table to PATH.json.
+        kind: One of FORMATS; csv writes all content besides the table to PATH.json.
         path: Path of the new file.
 
     Raises:
@@ -54,14 +56,15 @@ def export(recording: Recording, kind: str, path: Path | str) -> None:
         >>> [line.split(",")[:2] for line in lines if not line.startswith("#")][:2]
         [['segment', 'tick'], ['0', '0']]
     """
-    check_one_of("to", EXPORTS, kind)
+    check_one_of("to", FORMATS, kind)
     check_instance("recording", recording, Recording, RECORDING_TYPE)
     path = file_path(path)
     with atomic_path(path) as partial:
-        EXPORTS[kind](recording, partial, path)
+        loaded(FORMATS[kind].writer)(recording, partial, path)
 
 
-def _as_npz(recording: Recording, partial: Path, _path: Path) -> None:
+def as_npz(recording: Recording, partial: Path, _path: Path) -> None:
+    """Write arrays, one per value and segment; see `Format.writer`."""
     arrays: dict[str, Any] = {
         f"attachment/{index}": np.frombuffer(data, np.uint8)
         for index, data in enumerate(recording.attachments.values())
@@ -122,7 +125,8 @@ class _DeferredErrorFile:
             return None
 
 
-def _as_mcap(recording: Recording, partial: Path, _path: Path) -> None:
+def as_mcap(recording: Recording, partial: Path, _path: Path) -> None:
+    """Write messages with time; see `Format.writer`."""
     require(("foxglove", "google.protobuf"), "mcap", "MCAP needs foxglove-sdk and protobuf")
     from foxglove import Context, open_mcap
     from foxglove.mcap import MCAPWriteOptions
@@ -182,7 +186,8 @@ def _encoded(recording: Recording) -> dict[str, Any]:
     return _context(recording, {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()})
 
 
-def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
+def as_csv(recording: Recording, partial: Path, path: Path) -> None:
+    """Write a text table, and everything else beside it; see `Format.writer`."""
     columns = _columns(recording)
     with atomic_path(path.with_name(f"{path.name}.json")) as context:
         context.write_text(json.dumps(_encoded(recording), indent=1), encoding="utf-8")
@@ -193,7 +198,8 @@ def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
                 table.writerows(zip(*(column[first : first + _BLOCK].tolist() for column in columns.values())))
 
 
-def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
+def as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
+    """Write a table, and everything else as its metadata; see `Format.writer`."""
     require(("pyarrow",), "parquet", "Parquet needs pyarrow")
     import pyarrow
     from pyarrow import parquet
@@ -213,7 +219,8 @@ _SOUND_RATE, _CUTOFF, _FULL_SCALE = 48_000, 20.0, (50.0, 1.0)
 _STEP = 0.005  # longest step of the high-pass filter [s]
 
 
-def _as_wav(recording: Recording, partial: Path, _path: Path) -> None:
+def as_wav(recording: Recording, partial: Path, _path: Path) -> None:
+    """Write the held force as sound; see `Format.writer`."""
     if not recording.ticks:
         raise InvalidRecordingError("nothing to export to wav: the recording has no samples")
     parts = [(segment.applied, segment.metadata.period) for segment in recording.segments]
@@ -253,13 +260,3 @@ def _high_pass(values: Array, period: float) -> Array:
         state = decay * (state + change)
         out.append(state)
     return np.array(out)
-
-
-EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {
-    "npz": _as_npz,
-    "mcap": _as_mcap,
-    "csv": _as_csv,
-    "parquet": _as_parquet,
-    "wav": _as_wav,
-}
-"""Export functions by format, of a recording, a temporary path to write to, and the final path."""

@@ -13,6 +13,7 @@ from maglev_mj.errors import ParameterError, file_path
 from maglev_mj.frames import Command, Sample
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import flag
+from maglev_mj.recording.formats import FORMATS
 from maglev_mj.recording.journal import PACK_SAMPLE, SUFFIX, Journal, microseconds
 from maglev_mj.recording.recording import Recording, Segment, stick_as_json
 from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, as_rows, row_of
@@ -20,7 +21,6 @@ from maglev_mj.recording.setup import RecordingFile, attach_parts, complete_setu
 from maglev_mj.versions import versions
 
 _FAULT = "fault"  # kind of the events that are synced to disk immediately
-_EXPORTED = (".mcap", ".npz", ".csv", ".parquet", ".wav")
 
 
 class JournalFile:
@@ -192,8 +192,9 @@ def check_name(path: Path) -> None:
     Raises:
         ParameterError: If its suffix is not .maglev, or it is a device or FIFO: readers map the file into memory.
     """
-    if path.suffix in _EXPORTED:
-        journal, kind = path.with_suffix(SUFFIX), path.suffix[1:]
+    kind = path.suffix[1:]
+    if kind in FORMATS:
+        journal = path.with_suffix(SUFFIX)
         raise ParameterError(
             f"record must end in {SUFFIX} (got {path.suffix}): record to {journal}, then run "
             f"`maglev-mj export {journal} --to {kind}`"

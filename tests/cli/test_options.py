@@ -8,14 +8,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from inspect import signature
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 
 from maglev_mj import cli
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.twin import TwinParameters
-from maglev_mj.cli import output, peripherals, program, recordings
+from maglev_mj.cli import output, peripherals, program
 from maglev_mj.cli import twin as cli_twin
 from maglev_mj.cli.declare import Parser
 from maglev_mj.cli.options import add_parameters, chosen
@@ -23,7 +23,6 @@ from maglev_mj.cli.program import COMMANDS
 from maglev_mj.interop.hand_devices import AUTO
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.pictures import FORMATS
-from maglev_mj.recording import EXPORTS
 
 
 class Lever(Parameters):
@@ -194,14 +193,7 @@ def defaults(function: Callable[..., int]) -> dict[str, Any]:
     return {name: one.default for name, one in signature(function).parameters.items()}
 
 
-def allowed(function: Callable[..., int], name: str) -> tuple[str, ...]:
-    """Return the choices of an option of a command."""
-    kind, _ = get_args(signature(function, eval_str=True).parameters[name].annotation)
-    return get_args(kind)
-
-
 def test_what_a_help_says_without_its_library_is_what_the_library_has() -> None:
     twin = defaults(cli_twin.twin)
     assert (twin["watchdog"], twin["noise"]) == (Limits.watchdog, TwinParameters.noise)
     assert output.FORMATS == FORMATS and peripherals._AUTO == AUTO
-    assert allowed(recordings.export, "to") == tuple(EXPORTS)

@@ -6,20 +6,23 @@ import base64
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from inspect import isfunction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.recording import Recording, load_samples
+from maglev_mj.lazy import loaded
+from maglev_mj.recording import Recording, check_name, load_samples
 from maglev_mj.recording.export import export
+from maglev_mj.recording.formats import Format
 from maglev_mj.recording.sample import ARRAYS, ROW, TOTALS
 from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.session.replay import record_run
-from tests.all_of import EXPORTS
+from tests.all_of import FORMATS
 from tests.processes import run_here
 from tests.recorded import load, made, messages_in
 
@@ -115,7 +118,7 @@ def _mcap(path: Path) -> Content:
 
 
 READERS: Mapping[str, Callable[[Path], Content]] = {"csv": _csv, "parquet": _parquet, "npz": _npz, "mcap": _mcap}
-assert {*READERS, "wav"} == {*EXPORTS}
+assert {*READERS, "wav"} == {*FORMATS}
 """Plain readers of other programs; a sound holds one force alone, and is heard in `test_sound`."""
 
 
@@ -219,7 +222,31 @@ def test_fields_are_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, monkeyp
         export(samples.recording, "mcap", tmp_path / "run.mcap")
 
 
-@pytest.mark.parametrize("kind", EXPORTS)
+def test_a_format_is_added_by_one_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, row in FORMATS.items():
+        assert isfunction(loaded(row.writer)) and row.text and name.isalnum()
+    monkeypatch.setitem(cast(dict[str, Format], FORMATS), "txt", Format(f"{__name__}:as_text", "ticks"))
+    recording = load(made("drop"), tmp_path)
+    export(recording, "txt", tmp_path / "run.txt")
+    assert int((tmp_path / "run.txt").read_text()) == recording.ticks
+    with pytest.raises(ParameterError, match=r"record must end in \.maglev \(got \.txt.*--to txt"):
+        check_name(Path("run.txt"))
+    with pytest.raises(ParameterError, match=f"to must be one of {', '.join(FORMATS)} "):
+        export(recording, "tex", tmp_path / "run.tex")
+    monkeypatch.undo()
+    with pytest.raises(SystemExit, match="2"):
+        main(["export", "run.maglev", "--to", "tex"])
+    assert capsys.readouterr().err.endswith(f"--to must be one of {', '.join(FORMATS)} (got 'tex')\n")
+
+
+def as_text(recording: Recording, partial: Path, _path: Path) -> None:
+    """Write the number of samples."""
+    partial.write_text(str(recording.ticks))
+
+
+@pytest.mark.parametrize("kind", FORMATS)
 def test_an_export_that_cannot_be_is_one_line_and_an_older_file_stays(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

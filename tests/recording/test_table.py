@@ -21,7 +21,8 @@ from maglev_mj.frames import quaternions, rotation_matrix
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import GuidedHand
 from maglev_mj.recording import InvalidRecordingError, import_table
-from maglev_mj.recording.export import EXPORTS, export
+from maglev_mj.recording.export import export
+from maglev_mj.recording.formats import FORMATS
 from maglev_mj.recording.text_table import read_table
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
@@ -171,7 +172,7 @@ def test_a_measured_recording_is_replayed_exported_and_analysed_without_a_simula
     assert report.simulated is None and report.kind == "measured"
     with pytest.raises(InvalidRecordingError, match="without controller"):
         rebuild(recording.segments[0].setup, None)
-    for kind in EXPORTS:
+    for kind in FORMATS:
         export(recording, kind, Path(f"log_.{kind}"))
 
 

@@ -16,7 +16,7 @@ from unittest.mock import patch
 from maglev_mj.cli import main
 from maglev_mj.cli.program import COMMANDS, add_options, command_parser
 from maglev_mj.device import _SECTIONS
-from maglev_mj.recording.export import EXPORTS
+from maglev_mj.recording import FORMATS
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.scenes.names import BUILT_IN
@@ -148,7 +148,7 @@ def written(text: str) -> set[str]:
     fenced = re.findall(r"^```\w*\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     words = {word.rstrip("/") for word in re.findall(r"[\w./*-]+", "\n".join([*map("".join, lines), *fenced]))}
     stems = {word.removesuffix(".maglev") for word in words if word.endswith(".maglev")}
-    return words | {f"{stem}.{kind}" for stem in stems for kind in EXPORTS}
+    return words | {f"{stem}.{kind}" for stem in stems for kind in FORMATS}
 
 
 def charts_of(page: str, folder: Path) -> set[str]:
