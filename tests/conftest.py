@@ -67,6 +67,7 @@ NEEDS = {
     "browser": Need("Chromium", lambda: any(map(shutil.which, BROWSERS)), "chromium"),
     "node": Need("Node.js", lambda: shutil.which("node") is not None, "nodejs"),
     "compiler": Need("a C compiler", lambda: COMPILER is not None, "gcc libc6-dev"),
+    "own compiler": Need("a C compiler", lambda: COMPILER is not None),  # used where it is, no reason to install one
     "sanitizers": Need("a C compiler's sanitizers", _has_sanitizers, "gcc libc6-dev"),
     "cross": Need("a compiler for boards", lambda: bool(shutil.which("arm-none-eabi-gcc")), "gcc-arm-none-eabi"),
     "emulator": Need("an emulator of boards", lambda: bool(shutil.which("qemu-system-arm")), "qemu-system-arm"),

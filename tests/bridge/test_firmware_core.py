@@ -49,7 +49,7 @@ HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
 ODD = (math.nan, math.inf, -math.inf, 10.1, -10.1, 1e308, 5e-324)
 BY_DEVICE = Fault(sum(Fault)) & ~(Fault.BOUNDARY | Fault.CLOCK | Fault.NOT_FOLLOWING)
 
-pytestmark = pytest.mark.needs("compiler")
+pytestmark = [pytest.mark.needs("own compiler"), pytest.mark.xdist_group("firmware in C")]  # compiled once
 
 
 class Amplifiers:
@@ -119,11 +119,11 @@ class Exchange:
         self.faults, self.frames, self.stops, self.forces = Fault(0), Counter[int](), 0, 0
         self.walls = 3 if profile.wall_period else 0
 
-    def run(self, steps: int) -> None:
-        """Run frames and samples; compare after each."""
+    def run(self, steps: int, each: int = 120) -> None:
+        """Run frames and samples; compare after each. What goes wrong changes after as many steps as `each`."""
         for number in range(steps):
-            if number % 120 == 0:
-                self.wrong = self.WRONGS[number // 120 % len(self.WRONGS)]
+            if number % each == 0:
+                self.wrong = self.WRONGS[number // each % len(self.WRONGS)]
                 self.now += self.draw.choice([0, 3_000_000_000])  # coils cool, and a session may be taken over
             (self.sample if self.draw.random() < 0.5 else self.frame)()
             if self.draw.random() < 0.5:
@@ -234,10 +234,34 @@ class Exchange:
         self.compare([side.outcome(side.device.sample(*told)) for side in self.sides])
 
 
+DEVICES: dict[str, dict[str, Any]] = {
+    "lockstep": {"real time": False, "lockstep": True},
+    "key": {"no key": None, "key": KEY},
+    "profile": {"no walls": PROFILE, "walls": WALLED},
+}
+
+
+def every(test: Any) -> Any:
+    """Run a test for each kind of device."""
+    for name, kinds in DEVICES.items():
+        test = pytest.mark.parametrize(name, [*kinds.values()], ids=[*kinds])(test)
+    return test
+
+
+@every
+def test_it_does_in_a_short_exchange_what_the_firmware_in_python_does(
+    profile: Profile, key: bytes | None, lockstep: bool
+) -> None:
+    """A tenth of the steps below, so that a broken core is noticed wherever there is a compiler."""
+    exchange = Exchange(replace(profile, lockstep=lockstep), key, 7)
+    exchange.run(1000, each=70)
+    assert {2, 4, 5} <= set(exchange.frames) and len(exchange.faults) > 5 and exchange.stops
+    assert exchange.forces or not profile.wall_period
+
+
+@pytest.mark.needs("compiler")
 @pytest.mark.parametrize("seeds", [2, pytest.param(4, marks=pytest.mark.study)])
-@pytest.mark.parametrize("lockstep", [False, True], ids=["real time", "lockstep"])
-@pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
-@pytest.mark.parametrize("profile", [PROFILE, WALLED], ids=["no walls", "walls"])
+@every
 def test_it_does_what_the_firmware_in_python_does(
     profile: Profile, key: bytes | None, lockstep: bool, seeds: int
 ) -> None:
