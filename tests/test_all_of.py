@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from types import ModuleType
@@ -323,6 +324,7 @@ ANY = {"lower", "upper", "target"}
 ABOVE_ZERO = {"breakaway", "v_min", "period", "inertia", "slow", "stribeck", "coulomb", "elastic", "stick"}
 TOO_MUCH = {"pole": 1.0, "elastic": 1.0, "stick": 1.0, "coulomb": 1.0 + 1e-9}
 INFINITE = {("Wall", "lower"), ("Wall", "upper"), ("Wall", "force_limit")}
+LISTS = "ANY, ABOVE_ZERO, TOO_MUCH or INFINITE of tests/test_all_of.py"
 NUMBERS = [
     (name, one.name) for name, law in ALONE.items() for one in fields(law) if {"gain", "setting"} & one.metadata.keys()
 ]
@@ -334,11 +336,19 @@ def test_a_number_outside_its_bounds_is_refused_with_the_value(law: str) -> None
         above = name in ABOVE_ZERO or (name == "stiffness" and law in FRICTION)
         bad = [math.nan, "stiff", *([] if name in ANY else [0.0 if above else -1e-9]), TOO_MUCH.get(name, math.nan)]
         for value in [*bad, *([] if (law, name) in INFINITE else [math.inf])]:
-            with pytest.raises(ParameterError, match=rf"{name} .*(not|got) ") as refused:
-                replace(ALONE[law], **{name: value})
-            assert (repr(value) if isinstance(value, str) else f"{value:g}") in str(refused.value)
+            try:
+                taken = replace(ALONE[law], **{name: value})
+            except ParameterError as error:
+                refused = str(error)
+            else:
+                pytest.fail(f"{taken} accepts {name} = {value}: declare its bound, or list {name} in {LISTS}")
+            assert re.search(rf"{name} .*(not|got) ", refused)
+            assert (repr(value) if isinstance(value, str) else f"{value:g}") in refused
         if not above and name not in ANY:
-            replace(ALONE[law], **{name: 0.0})
+            try:
+                replace(ALONE[law], **{name: 0.0})
+            except ParameterError as error:
+                pytest.fail(f"{error}: if that is right, list {name} in {LISTS}")
     for axes, words in (
         ("q", r"axis must be one of x, y, z, .*got 'q'"),
         (("x", "x"), "without duplicates"),
