@@ -303,18 +303,25 @@ def test_frames_without_the_right_key_are_dropped() -> None:
         assert codec.dropped == {reason: 1}
 
 
+WALL = WallMessage(2, 1, 0.0, 0.0, 0.0, 0.0)
+CMD, WALLED = (
+    len(Codec().encode(0, 0, 0, CommandFrame(0, 0, (0.0,) * 6, (0.0,) * 6, 0.0, walls))) - 4 for walls in ((), (WALL,))
+)
+"""Bytes of a CMD behind its type, without walls and with one."""
+
+
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
         (b"", "short"),
         (b"MJ" + NOW + b"\x06", "crc"),
-        (b"JM\x03\x06" + bytes(132), "magic"),
+        (b"JM" + NOW + b"\x06" + bytes(CMD), "magic"),
         (sealed(b"MJ" + LATER + b"\x07" + bytes(28)), "version"),
-        (sealed(b"MJ" + NOW + b"\x09" + bytes(132)), "type"),
+        (sealed(b"MJ" + NOW + b"\x09" + bytes(CMD)), "type"),
         (sealed(b"MJ" + NOW + b"\x06" + bytes(4)), "length"),
-        (sealed(b"MJ" + NOW + b"\x06" + bytes(133)), "length"),
-        (sealed(b"MJ" + NOW + b"\x06" + bytes(132 + 13 * 36)), "length"),
-        (b"MJ" + LATER + b"\x06" + bytes(132), "crc"),
+        (sealed(b"MJ" + NOW + b"\x06" + bytes(CMD + 1)), "length"),
+        (sealed(b"MJ" + NOW + b"\x06" + bytes(CMD + (wire.MOST_WALLS + 1) * (WALLED - CMD))), "length"),
+        (b"MJ" + LATER + b"\x06" + bytes(CMD), "crc"),
     ],
 )
 def test_what_is_no_frame_is_counted_by_reason(data: bytes, reason: str) -> None:
