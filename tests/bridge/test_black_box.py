@@ -148,7 +148,7 @@ def test_numpy_alone_reads_the_cycles(failed: Failed) -> None:
     assert cycles.dtype.itemsize == journal.RECORD.itemsize
 
 
-STORED = ROOT / "tests/golden/recordings/fault.maglev"
+STORED = Path(__file__).with_name("fault.maglev")
 """Last eight cycles of a flight, written before values could be added to a cycle."""
 
 
@@ -159,7 +159,7 @@ def test_a_stored_file_is_read_and_would_be_written_the_same() -> None:
     cycles = stored.records[stored.kinds == journal.CYCLE].view(np.dtype(stored.header["cycle"]))
     flat = [[value for part in cycle.tolist() for value in np.ravel(part).tolist()] for cycle in cycles]
     assert b"".join(journal.PACK_CYCLE(*values) for values in flat) == cycles.tobytes() and len(flat) == 8
-    run = journal.open_journal(STORED.with_name("drop-exact.maglev"))
+    run = journal.open_journal(ROOT / "tests/golden/recordings/drop-exact.maglev")
     samples = run.records[run.kinds == journal.SAMPLE]
     flat = [[value for part in sample.tolist()[2:] for value in np.ravel(part).tolist()] for sample in samples]
     assert b"".join(journal.PACK_SAMPLE(*values) for values in flat) == samples.tobytes()
