@@ -225,6 +225,17 @@ def test_a_value_of_state_is_recorded_by_one_line(
     assert record.values.keys() == stored.values.keys() and record.tick == record.values["sample"][-1]
 
 
+def test_a_cycle_shorter_than_a_sample_is_padded() -> None:
+    width = next(part for part in journal.CYCLE_PARTS if part.name == "width")
+    shorter = changed(journal, f'    CyclePart("width", "<f8", "s", "{width.text}"),\n')
+    header = json.loads(shorter.header())
+    assert header["dtype"] == json.loads(journal.header())["dtype"] and shorter.RECORD == journal.RECORD
+    assert dict(zip(*header["cycle"].values())).popitem() == ("spare0", "<f8")
+    assert np.dtype(header["cycle"]).itemsize == len(shorter.PACK_CYCLE(4, *range(42))) == journal.RECORD.itemsize
+    content = shorter.open_journal(STORED)
+    assert content.cycles(len(content.records), 8)["latency"].tolist() == load_fault(STORED).values["latency"].tolist()
+
+
 CYCLE = json.loads(STORED.read_bytes().splitlines()[0])["cycle"]
 
 
