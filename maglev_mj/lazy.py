@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from importlib import import_module
 from types import ModuleType
 
@@ -21,7 +22,10 @@ class _LazyModule(ModuleType):
         from maglev_mj.process import interrupts_held
 
         with interrupts_held():  # its libraries start a subprocess
-            value = getattr(_engine(self.__name__), name)
+            engine = _engine(self.__name__)
+        if _profiler_stopped:
+            _clear_timer(engine)
+        value = getattr(engine, name)
         setattr(self, name, value)  # cache: bypasses __getattr__
         return value
 
@@ -44,6 +48,38 @@ else:
     mujoco = _LazyModule("mujoco")  # recordings and devices work without it
 
 
+_profiler_stopped = False
+
+
+def stop_profiler() -> None:
+    """Stop MuJoCo's profiler in this process, for a program that does not read `MjData.timer`.
+
+    MuJoCo's Python bindings install a clock, `mjcb_time`, that is read at every stage of a step: half the time of a
+    step of one body. Results are the same to the last bit; `MjData.timer` stays 0. A timer that a program sets by
+    `mujoco.set_mjcb_time`, before or after, is used. The clock is global to the process, so a program may call this
+    (as the commands do) and a library should not; call it before threads step models. MuJoCo is not imported: if it is
+    not loaded yet, its profiler is stopped when this package loads it. Where the symbol cannot be found, as on
+    Windows, nothing happens.
+    """
+    global _profiler_stopped
+    _profiler_stopped = True
+    if "mujoco" in sys.modules:
+        _clear_timer(sys.modules["mujoco"])
+
+
+def _clear_timer(engine: Any) -> None:
+    """Set the engine's `mjcb_time` to NULL, its default in C, unless a program has set its own."""
+    if engine.get_mjcb_time() is not None:
+        return
+    try:
+        import ctypes
+
+        # the bindings offer no way: set_mjcb_time(None) brings their own clock back
+        ctypes.c_void_p.in_dll(ctypes.CDLL(engine._functions.__file__), "mjcb_time").value = None
+    except (AttributeError, ImportError, OSError, ValueError):  # no such symbol here: everything stays as it is
+        return
+
+
 def has_engine() -> bool:
     """Return True if MuJoCo is installed; exact plants, laws and theory do not need it."""
     from importlib.util import find_spec  # imported here: slow
@@ -59,12 +95,10 @@ def loaded(reference: str) -> Any:
 
 def public(package: ModuleType, kind: type[_T]) -> tuple[type[_T], ...]:
     """Return the public classes of a package that derive from one, without bases of others, in order of definition."""
-    from sys import modules
-
     parts = [part for name in package.__all__ if isinstance(part := getattr(package, name), type)]
     parts = [part for part in parts if kind in part.__mro__[1:]]
     bases = {base for part in parts for base in part.__mro__[1:]}
-    order = {part: [*vars(modules[part.__module__])].index(part.__name__) for part in parts}
+    order = {part: [*vars(sys.modules[part.__module__])].index(part.__name__) for part in parts}
     return tuple(sorted(order.keys() - bases, key=lambda part: (part.__module__, order[part])))
 
 

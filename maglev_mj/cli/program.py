@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, TextIO
 import maglev_mj
 from maglev_mj.cli.declare import Parser, joined
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
+from maglev_mj.lazy import stop_profiler
 from maglev_mj.terminal import printable, say, wrapped
 
 
@@ -127,8 +128,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in ("stdin", "stdout", "stderr"):  # a closed one: nothing else must get its file number
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8"))
-    if arguments is None:  # as a program: skip garbage collection at exit, which takes 25 ms
-        atexit.register(gc.freeze)
+    if arguments is None:  # as a program
+        stop_profiler()
+        atexit.register(gc.freeze)  # skip garbage collection at exit, which takes 25 ms
         for name in ("stdout", "stderr"):
             if isinstance(stream := getattr(sys, name), io.TextIOWrapper):
                 stream.reconfigure(errors="replace")  # some system encodings lack the unit symbols

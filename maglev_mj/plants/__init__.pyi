@@ -1,4 +1,5 @@
 from maglev_mj.control.timeline import Timing as Timing
+from maglev_mj.lazy import stop_profiler as stop_profiler
 from maglev_mj.plants.base import SampledPlant as SampledPlant
 from maglev_mj.plants.coils import CoilMap as CoilMap
 from maglev_mj.plants.engine import INTEGRATORS as INTEGRATORS

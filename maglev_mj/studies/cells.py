@@ -26,6 +26,7 @@ import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.keywords import checked
+from maglev_mj.lazy import stop_profiler
 from maglev_mj.parameters import whole
 from maglev_mj.process import process_start
 from maglev_mj.studies.record import Cell, Columns, Record, pack
@@ -68,6 +69,12 @@ class _Inline(Executor):
         return future
 
 
+def _start_worker() -> None:
+    """Prepare a worker process, which is a program of its own."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # where interrupts cannot be held
+    stop_profiler()
+
+
 class _Processes(Executor):
     """Pool of local processes that ignore Ctrl-C.
 
@@ -78,9 +85,8 @@ class _Processes(Executor):
         from concurrent.futures import ProcessPoolExecutor  # not available in a browser
         from multiprocessing import get_context
 
-        quiet = (signal.SIGINT, signal.SIG_IGN)  # where interrupts cannot be held
         with process_start():  # its locks start the resource tracker
-            self._pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=signal.signal, initargs=quiet)
+            self._pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=_start_worker)
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
         with process_start():  # the processes start here

@@ -16,6 +16,7 @@ import numpy as np
 
 from maglev_mj import session
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.lazy import stop_profiler
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import SpringHand
@@ -338,6 +339,7 @@ class RemoteSession:
 
 def _open(pipe: Connection, snapshot: Snapshot, front: ViewerFunction) -> None:
     """Run the viewer function in the viewer process, and say why it ended."""
+    stop_profiler()
     reason = ""
     try:
         front(RemoteSession(pipe, snapshot))

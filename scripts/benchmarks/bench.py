@@ -77,6 +77,8 @@ DRAWN = {"speed_accuracy": speed_accuracy.draw, "realism": realism.draw, "growth
 _CHILD = """import importlib, json, sys
 sys.path.insert(0, sys.argv[1])
 import maglev_mj
+if hasattr(maglev_mj.lazy, "stop_profiler"):  # as the command does; not before version 0.4
+    maglev_mj.lazy.stop_profiler()
 figures = importlib.import_module(sys.argv[2]).measure(sys.argv[3] == "quick")
 print()
 print(json.dumps({"package": maglev_mj.__file__, "figures": figures}))
