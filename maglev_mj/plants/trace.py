@@ -32,6 +32,11 @@ def lagging_parts(duration: Component, lag: float) -> list[Component]:
     return [*(end - start for start, end in pairwise(ends)), duration - ends[-1]]
 
 
+BLOCK = 1000
+"""Rows of a running log that are packed into arrays together: as objects they would take ten times the memory, and the
+garbage collector would visit each of them again and again, so that a tick of a long run would cost twice as much."""
+
+
 class TraceRecorder:
     """Recorder of the states at each switch.
 
@@ -47,19 +52,28 @@ class TraceRecorder:
     ) -> None:
         self._time, self._arrays = time, arrays
         self._rows: list[tuple[int, Component, Any]] = []
+        self._blocks: list[Sequence[Array]] = []
 
     def add(self, tick: int, offset: Component, state: Any) -> None:
         """Store an immutable state at `offset` [s] after sample `tick`."""
         self._rows.append((tick, offset, state))
+        if len(self._rows) == BLOCK:
+            self._blocks.append(self._packed(self._rows))
+            self._rows = []
 
     def finish(self, tick: int, state: Any) -> Trace:
         """Return the trace up to the state at `tick`."""
-        ticks, offsets, states = zip(*self._rows, (tick, 0.0, state))
+        blocks = [*self._blocks, self._packed([*self._rows, (tick, 0.0, state)])]
+        return Trace(*map(np.concatenate, zip(*blocks, strict=True)))
+
+    def _packed(self, rows: Sequence[tuple[int, Component, Any]]) -> Sequence[Array]:
+        """Return times, poses, twists and wrenches of rows."""
+        ticks, offsets, states = zip(*rows, strict=True)
         pose, twist, wrench = self._arrays(states)
         time = np.empty(pose.shape[:-1])
         for row, instant in enumerate(map(self._time, ticks, offsets)):
             time[row] = instant
-        return Trace(time, pose, twist, wrench)
+        return time, pose, twist, wrench
 
 
 @dataclass(frozen=True, eq=False)

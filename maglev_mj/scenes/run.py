@@ -20,7 +20,7 @@ from maglev_mj.keywords import checked
 from maglev_mj.lazy import has_engine
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.plants.trace import Trace
+from maglev_mj.plants.trace import BLOCK, Trace
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.results import Phases, RunResult, Variants, scene_conditions
 from maglev_mj.scenes.scene import PLANTS, Scene
@@ -265,15 +265,17 @@ class _SignalLog:
 
     def __init__(self, controller: Controller, observe: Observe | None, batch: tuple[int, ...]) -> None:
         self._controller, self._observe, self._batch = controller, observe, batch
-        self._time: list[Any] = []
         self._rows: list[dict[str, Any]] = []
+        self._blocks: list[dict[str, Array]] = []
 
     def observe(self, sample: Sample, command: Command) -> None:
         """Store the laws' signals of a sample."""
         if signals := self._controller.signals:
             row = {name: self._copied(parts) for name, parts in (("position", sample.position), *signals.items())}
-            self._time.append(sample.time)
-            self._rows.append(row)
+            self._rows.append({"time": sample.time, **row})
+            if len(self._rows) == BLOCK:
+                self._blocks.append(self._packed())
+                self._rows = []
         if self._observe is not None:
             self._observe(sample, command)
 
@@ -284,12 +286,17 @@ class _SignalLog:
 
     def result(self, scene: Scene, plant: str, phase: Any, trace: Trace) -> RunResult:
         """Return the result up to the end of a trace."""
-        time = np.array(self._time)
+        blocks = [*self._blocks, self._packed()] if self._rows else self._blocks
+        columns = {name: np.concatenate([block[name] for block in blocks]) for block in blocks[:1] for name in block}
+        time = columns.pop("time", np.array([]))
         within = time <= float(trace.time[-1]) if time.ndim == 1 and trace.time.ndim == 1 else slice(None)
-        columns = (
-            {name: np.array([row[name] for row in self._rows])[within] for name in self._rows[0]} if self._rows else {}
+        return RunResult(
+            scene, plant, phase, trace, time[within], {name: column[within] for name, column in columns.items()}
         )
-        return RunResult(scene, plant, phase, trace, time[within], columns)
+
+    def _packed(self) -> dict[str, Array]:
+        """Return the rows as columns."""
+        return {name: np.array([row[name] for row in self._rows]) for name in self._rows[0]}
 
 
 def _trace(device: Any, scene: Scene, plant: str) -> Trace:

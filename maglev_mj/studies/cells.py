@@ -241,7 +241,7 @@ def run_cells(
         ParameterError: If a cell is not JSON, `function` is not a function that returns a result for each cell, or the
             record is of other cells or code.
         StudyInterrupted: On Ctrl-C; running jobs have a second to finish. If a job fails, they all finish.
-        WorkersError: If a cluster is gone, or one of its workers has other code.
+        WorkersError: If workers die before their first job or have other code, or a cluster is gone.
 
     Example:
         >>> from maglev_mj import run_cells
@@ -279,6 +279,7 @@ class Study:
             raise ParameterError(f"function must map cells to results, not be {self.function!r}")
         check_instance("cells", self.cells, Sequence, "a list of cells")
         self.record.begin(self.cells)
+        self._succeeded = False
         self.done = int(self.record.done.sum())
 
     def run(self, together: int) -> Record:
@@ -290,6 +291,8 @@ class Study:
         try:
             while jobs:
                 lost += self._run_in_pool(jobs, self.workers.window)
+                if lost and not self._succeeded:
+                    self._check_workers()
             for index in lost:
                 alone = deque([range(index, index + 1)])
                 if self._run_in_pool(alone, 1) or alone:
@@ -306,6 +309,20 @@ class Study:
         finally:
             self.record.flush()
         return self.record
+
+    def _check_workers(self) -> None:
+        """Raise a WorkersError if a worker dies of a job that does nothing."""
+        pool = self.workers.make()
+        try:
+            pool.submit(int).result()
+        except self.workers.deaths:
+            raise WorkersError(
+                "the worker processes died before their first job; a script that starts some must do so below "
+                'if __name__ == "__main__":, because each of them runs the rest of the script again'
+            ) from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+        self._succeeded = True
 
     def _run_in_pool(self, jobs: deque[range], window: int) -> list[int]:
         """Run jobs in one pool until it breaks; return the cells lost with a worker."""
@@ -343,6 +360,7 @@ class Study:
             columns = future.result()
         except self.workers.deaths:
             return False
+        self._succeeded = True
         self.record.add(job, columns)
         self._count(len(job))
         return True

@@ -43,7 +43,7 @@ MOST_CELLS = 100_000_000
 
 _SHARES = 0.0, 50.0, 100.0
 _JOBS, _LEAST_TOGETHER, _MOST_TOGETHER = 8, 4, 50
-_LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
+_MOST_IN_BATCHES = 1024  # more would make a job long to wait for, and to lose
 _CHAOS = 5  # cells, of two runs each; with `STARTS`, 16 runs
 _CHECKED = 1000  # cells computed to check a grid
 
@@ -348,12 +348,12 @@ def _count(cells: int) -> str:
 def _cells_a_job(missing: int, window: int, batches: bool) -> int:
     """Return the number of cells per job: several jobs per worker, but negligible overhead.
 
-    Small batches are expensive: a job has at least a worker's share of the cells, up to 64. So are verdicts on single
-    laws of a user: without batches it has at least half of that share, up to 4.
+    A batch costs nearly the same whatever its size: a job is a worker's share of the cells. Verdicts on single laws of
+    a user are expensive too: without batches a job has at least half of that share, up to 4.
     """
-    several = missing // (_JOBS * window)
     if batches:
-        return max(min(several, _MOST_IN_BATCHES), min(-(-2 * missing // max(window, 2)), _LEAST_IN_BATCHES), 1)
+        return max(min(-(-2 * missing // max(window, 2)), _MOST_IN_BATCHES), 1)
+    several = missing // (_JOBS * window)
     return max(min(several, _MOST_TOGETHER), min(-(-missing // (2 * max(window, 1))), _LEAST_TOGETHER), 1)
 
 

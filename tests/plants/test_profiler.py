@@ -30,7 +30,10 @@ CASES = {
     "stopped after a plant": ("timed()\nstop_profiler()\ntimed()\n", [True, False]),
     "an own timer set before is used": (OWN + "stop_profiler()\ntimed()\nassert calls\n", [True]),
     "an own timer set after is used": ("stop_profiler()\n" + OWN + "timed()\nassert calls\n", [True]),
-    "the default can be brought back": ("stop_profiler()\ntimed()\nmujoco.set_mjcb_time(None)\ntimed()\n", [False, True]),
+    "the default can be brought back": (
+        "stop_profiler()\ntimed()\nmujoco.set_mjcb_time(None)\ntimed()\n",
+        [False, True],
+    ),
     "no symbol, no effect": (
         "import ctypes\ndef none(name): raise OSError(name)\nctypes.CDLL = none\nstop_profiler()\ntimed()\n",
         [True],

@@ -197,12 +197,12 @@ def test_a_large_grid_is_refused_at_its_corners_at_once_and_inside_by_the_worker
         .replace("import AxisLaw, gain", "import AxisLaw, Gains, gain")
         + """
     def check(self):
-        if (self.stiffness, self.damping) == (1310.0, 57.0):
+        if (self.stiffness, self.damping) == (1350.0, 57.0):
             raise ValueError("stiffness must be another")
 """
     )
     with pytest.raises(ValueError, match="stiffness must be another"):  # in the middle of a small one
-        Grid(find_scene(str(file))(), {"stiffness": [1300.0, 1310.0, 1320.0], "damping": [56.0, 57.0, 58.0]})
+        Grid(find_scene(str(file))(), {"stiffness": [1340.0, 1350.0, 1360.0], "damping": [56.0, 57.0, 58.0]})
     grid = {"stiffness": [1000.0 + 10.0 * k for k in range(40)], "damping": [40.0 + k for k in range(30)]}
     record = tmp_path / "record"
     with pytest.raises(ValueError, match="stiffness must be another"):

@@ -382,3 +382,27 @@ def slowly(cells: list[Cell]) -> list[Any]:
     """Run a drop slowly enough for two busy workers."""
     time.sleep(0.1)
     return run_scene_cells(cells)
+
+
+UNGUARDED = """
+from maglev_mj import run_cells
+from tests.studies.test_study import squares
+print("read", flush=True)
+run_cells(squares, [{"x": x} for x in range(200)], workers=2)
+"""
+
+
+@pytest.mark.machine
+def test_a_script_that_its_workers_run_again_ends_at_once_and_says_what_is_missing(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), *sys.path])}
+    done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and done.stdout.count("read") <= 5  # itself, two workers, and one that is tried alone
+    assert 'below if __name__ == "__main__":, because' in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.machine
+def test_cells_that_all_kill_their_workers_do_not_make_the_workers_broken() -> None:
+    cells: list[Cell] = [{"x": x, "kill": "always"} for x in range(2)]
+    assert run_cells(deadly, cells, workers=1) == [{"error": "worker died twice"}] * 2
