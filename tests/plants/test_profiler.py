@@ -83,7 +83,7 @@ def _timed() -> bool:
     plant.read()
     plant.write(Command([0.0] * 6))
     plant.read()
-    return sum(timer.duration for timer in plant._data.timer) > 0.0
+    return bool(sum(timer.duration for timer in plant._data.timer) > 0.0)
 
 
 @pytest.mark.machine

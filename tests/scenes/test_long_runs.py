@@ -37,7 +37,8 @@ def test_a_run_is_the_same_in_blocks_of_any_size(name: str, plant: str, phase: A
 
 def test_a_diverging_run_keeps_all_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trace, "BLOCK", 10)
-    scene = find_scene("drop")(duration=5.0, stiffness=40_000.0, force_limit=0.0)
+    drop: Any = find_scene("drop")
+    scene = drop(duration=5.0, stiffness=40_000.0, force_limit=0.0)
     with pytest.raises(DivergenceError) as caught:
         run(scene, plant="exact")
     times = caught.value.partial.trace.time
@@ -47,7 +48,8 @@ def test_a_diverging_run_keeps_all_blocks(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize("name", ["drop", "stick-slip"])
 def test_a_long_run_keeps_less_than_400_bytes_a_tick(name: str) -> None:
     """Two knots of 19 numbers are 304 bytes."""
-    scene = find_scene(name)(duration=10.0)
+    chosen: Any = find_scene(name)
+    scene = chosen(duration=10.0)
     run(scene, plant="exact")
     gc.collect()
     tracemalloc.start()
