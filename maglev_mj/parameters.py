@@ -12,7 +12,7 @@ import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import (
     Any,
@@ -192,6 +192,7 @@ def numbers(
     return array
 
 
+@lru_cache(maxsize=256)
 def _has_shape(shape: tuple[int, ...], allowed: str) -> bool:
     sizes = re.findall(r"\w+|\.{3}", allowed)
     if sizes[:1] == ["..."]:

@@ -472,7 +472,7 @@ def face_figures(trace: Trace, face: Face, *, rest: float | None = None) -> Face
         return None
     contacts = curve.contacts()
     end = float(line.time[-1])
-    tail = line.at(np.linspace(end * (1.0 - _REST), end, 201))[0][:, 0]
+    tail = line.positions(np.linspace(end * (1.0 - _REST), end, 201))[:, 0]
     resting = float(tail.mean()) if rest is None else normal * (rest - edge)
     bounce = summarise_bounce(line, resting, axis=0)
     settled = float(bounce.settling_time)

@@ -76,6 +76,11 @@ class TraceRecorder:
         return time, pose, twist, wrench
 
 
+def _pose(h: Array, s: Array, x0: Array, v0: Array, v1: Array, cubic: Array) -> Array:
+    """Return poses on cubics of length h [s] at shares s of it."""
+    return x0 + h * s * (v0 + 0.5 * s * (v1 - v0)) + cubic * s * s * (3.0 - 2.0 * s)
+
+
 @dataclass(frozen=True, eq=False)
 class Trace(Result):
     """Motion as knots at the switches of the wrench: the state, and the wrench until the next knot.
@@ -137,6 +142,18 @@ class Trace(Result):
         Raises:
             ParameterError: If a time is outside the trace.
         """
+        times, knot, h, s, x0, v0, v1, cubic = self._between(time)
+        wrench = np.take_along_axis(self.wrench, knot, axis=0)
+        twist = v0 + s * (v1 - v0) + cubic * 6.0 * s * (1.0 - s) / h
+        final = np.abs(times.reshape(s.shape[:1] + (1,) * (s.ndim - 1)) - self.time[-1][..., None]) <= 1e-12
+        return _pose(h, s, x0, v0, v1, cubic), twist, np.where(final, self.wrench[-1], wrench)
+
+    def positions(self, time: ArrayLike) -> Array:
+        """Interpolate the pose alone, (M, ..., 6): the first part of `at`, in half its time."""
+        return _pose(*self._between(time)[2:])
+
+    def _between(self, time: ArrayLike) -> tuple[Array, Any, Array, Array, Array, Array, Array, Array]:
+        """Return times and the knots before them, and of the cubics from there: length, share, x0, v0, v1, cubic."""
         times = np.atleast_1d(numbers("time", time, shape="() or (M,)"))
         first, last = float(self.time[0].max()), float(self.time[-1].min())
         if times.size and not (first - 1e-12 <= times.min() and times.max() <= last + 1e-12):
@@ -153,15 +170,11 @@ class Trace(Result):
         x0, x1, v0, v1 = (
             np.take_along_axis(values, knot + shift, axis=0) for values in (self.pose, self.twist) for shift in (0, 1)
         )
-        wrench = np.take_along_axis(self.wrench, knot, axis=0)
         h = width[..., None]
         s = elapsed / h
         # cubic term in addition to the parabola through x0, v0, v1; zero to rounding under a constant wrench
         cubic = (x1 - x0) - 0.5 * h * (v0 + v1)
-        pose = x0 + h * s * (v0 + 0.5 * s * (v1 - v0)) + cubic * s * s * (3.0 - 2.0 * s)
-        twist = v0 + s * (v1 - v0) + cubic * 6.0 * s * (1.0 - s) / h
-        final = np.abs(times.reshape(elapsed.shape[:1] + (1,) * (elapsed.ndim - 1)) - self.time[-1][..., None]) <= 1e-12
-        return pose, twist, np.where(final, self.wrench[-1], wrench)
+        return times, knot, h, s, x0, v0, v1, cubic
 
     def along(self, axis: int) -> Trace:
         """Return one coordinate of the motion; the last dimension is 1."""

@@ -27,10 +27,10 @@ def cell_verdicts(scenes: Sequence[Scene]) -> list[Verdict | Exception]:
     """Return the verdict of `stability` on each scene, or the error that it raises."""
     result: list[Verdict | Exception] = [MaglevError()] * len(scenes)
     equal, groups = defaultdict[Any, list[int]](list), defaultdict[Any, list[int]](list)
-    kinds: dict[int, Any] = {}
+    kinds, controllers = dict[int, Any](), dict[int, Controller]()
     for index, scene in enumerate(scenes):
         try:
-            controller = scene.controller()
+            controllers[index] = controller = scene.controller()
             kinds[index] = _kind(scene, controller, index)
             equal[_content(scene, controller, index)].append(index)
         except Exception as error:  # of a user's scene
@@ -41,7 +41,8 @@ def cell_verdicts(scenes: Sequence[Scene]) -> list[Verdict | Exception]:
         size = len(indices) if kind == _STATED else _AT_ONCE
         for start in range(0, len(indices), size):
             some = indices[start : start + size]
-            for index, verdict in zip(some, _together([scenes[index] for index in some]), strict=True):
+            members = [(scenes[index], controllers[index]) for index in some]
+            for index, verdict in zip(some, _together(members), strict=True):
                 result[index] = verdict
     for first, *others in equal.values():
         for index in others:
@@ -72,18 +73,19 @@ def _kind(scene: Scene, controller: Controller, index: int) -> Any:
     return (own, *kinds, *map(np.ndarray.tobytes, map(np.asarray, (scene.start().pose, body.range, body.load))))
 
 
-def _together(scenes: Sequence[Scene]) -> Sequence[Verdict | Exception]:
-    """Return the verdict on each scene of one kind; one after another if one fails."""
+def _together(members: Sequence[tuple[Scene, Controller]]) -> Sequence[Verdict | Exception]:
+    """Return the verdict on each scene of one kind with its controller; one after another if one fails."""
     try:
-        controllers, first = [scene.controller() for scene in scenes], scenes[0]
-        if len(scenes) == 1 or stated_gains(controllers[0]) is not None:
-            return verdicts([of_scene(scene) for scene in scenes])
+        controllers, first = [controller for _, controller in members], members[0][0]
+        if len(members) == 1 or stated_gains(controllers[0]) is not None:
+            return verdicts([of_scene(scene, controller=controller) for scene, controller in members])
         body, pose = first.body.bounded, np.asarray(first.start().pose, dtype=np.float64)
         around: Any = {"reach": np.asarray(body.range), "load": np.asarray(body.load)}
         probed = probed_at(controllers, pose=pose, **around)
-        return verdicts([of_scene(scene, probed=one) for scene, one in zip(scenes, probed, strict=True)])
+        pairs = zip(members, probed, strict=True)
+        return verdicts([of_scene(scene, controller=controller, probed=one) for (scene, controller), one in pairs])
     except Exception as error:
-        return [error] if len(scenes) == 1 else [_alone(scene) for scene in scenes]
+        return [error] if len(members) == 1 else [_alone(scene) for scene, _ in members]
 
 
 def _alone(scene: Scene) -> Verdict | Exception:

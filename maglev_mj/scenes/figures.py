@@ -84,7 +84,7 @@ def _settling_time(line: Trace, rest: float, share: float = 0.02, step: float = 
     """Return the last entry into the band around `rest` [s], interpolated on a grid of `step` [s]."""
     end = float(line.time[-1].min())
     grid = np.minimum(step * np.arange(int(np.ceil(end / step)) + 1), end)
-    away = np.abs(line.at(grid)[0][..., 0] - rest)
+    away = np.abs(line.positions(grid)[..., 0] - rest)
     band = share * np.abs(line.pose[0, ..., 0] - rest)
     outside = ~(away <= band)
     last = len(grid) - 1 - np.argmax(outside[::-1], axis=0)
@@ -303,7 +303,7 @@ def _stick_time(result: RunResult) -> float:
 
 def _ripple(result: RunResult) -> Any:
     end = float(result.line.time[-1].min())
-    return np.ptp(result.line.at(np.linspace(max(end - 0.05, 0.0), end, 501))[0][..., 0], axis=0)
+    return np.ptp(result.line.positions(np.linspace(max(end - 0.05, 0.0), end, 501))[..., 0], axis=0)
 
 
 def _hardness(result: RunResult) -> Any:

@@ -124,6 +124,7 @@ def of_scene(
     driver_lag: float | None = None,
     hand: Hand | str | None = None,
     poses: ArrayLike | None = None,
+    controller: Controller | None = None,
     probed: _Probed | None = None,
     **changes: Any,
 ) -> Loops:
@@ -136,11 +137,12 @@ def of_scene(
         driver_lag: Time constant of the drivers in place of the device's [s].
         hand: Hand that may hold the flotor in place of the scene's own; "none" for a free flotor alone.
         poses: Poses at which laws without declared gains are linearised in place of all these [m, rad], (P, 6).
+        controller: Controller that was made by this scene; None to make it.
         probed: What `probed_at` found.
         changes: Parameters of the scene.
     """
     scene = scene.replace(**changes) if changes else scene
-    controller, body = scene.controller(), scene.body.bounded
+    controller, body = scene.controller() if controller is None else controller, scene.body.bounded
     own: Any = {
         "delay": scene.delay if delay is None else delay,
         "inertia": body.inertia if inertia is None else inertia,

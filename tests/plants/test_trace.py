@@ -53,6 +53,18 @@ def test_cut_and_bounds() -> None:
         trace.until(5.0)
 
 
+def test_positions_are_the_first_part_of_the_motion() -> None:
+    """To the last bit, of one device and a batch, at knots and between them; also refused alike."""
+    one, times = bounce(), np.linspace(0.0, 0.2, 300)
+    parts = ((one.time, one.time), (one.pose, -one.pose), (one.twist, -one.twist), (one.wrench, -one.wrench))
+    batch = Trace(*(np.stack(pair, axis=1) for pair in parts))
+    for trace in (one, batch):
+        for at in (times, one.time[1:-1], 0.1234):
+            assert np.array_equal(trace.positions(at), trace.at(at)[0])
+        with pytest.raises(ParameterError, match=r"time must be from 0 to 0.2015"):
+            trace.positions(1.0)
+
+
 def test_cut_of_a_batch_with_different_phases() -> None:
     pose = np.zeros((3, 6))
     pose[:, 2] = 3e-3
