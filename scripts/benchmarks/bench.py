@@ -62,6 +62,7 @@ SECTIONS = {
     "walls": Section("walls simulated at once"),
     "answers": Section(system.SECTIONS["answers"]),
     "start": Section(system.SECTIONS["start"]),
+    "flat": Section("what must not grow with a run, a grid or the engine's profiler"),
     "recorder": Section(system.SECTIONS["recorder"]),
     "observer": Section("the observer of a flight in each sample", compared=False),
     "others": Section("what a user would take instead", compared=False),

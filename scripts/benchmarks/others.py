@@ -10,10 +10,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from maglev_mj import ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.device import published_device
+from maglev_mj.plants import stop_profiler
 from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.studies.levels import apart
 from peers import Simulate, Task, available
@@ -26,7 +28,7 @@ OURS: dict[str, Callable[..., Any]] = {
 }
 """This package's plants by table name, the reference first."""
 
-_TURNS, _DEAR_TURNS, _RUNS, _DEAR = 15, 3, 4, 0.01
+_TURNS, _DEAR_TURNS, _RUNS, _DEAR = 7, 2, 4, 0.01
 
 
 def our_run(make: Callable[..., Any], task: Task) -> Callable[[], list[Any]]:
@@ -61,30 +63,43 @@ def _itself(simulate: Simulate) -> Simulate:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs, ratios to the first of OURS, errors [m] and ticks: costs in µs a simulated ms."""
-    task = Task()
-    methods, missing = prepared(task)
-    truth = np.array(our_run(ExactPlant, task)())
-    poses = {name: np.array(prepare()()) for name, prepare in methods.items()}
-    errors = {name: float(apart(motion, truth, published_device())) for name, motion in poses.items()}
-    costs: dict[str, list[float]] = {name: [] for name in methods}
-    for turn in range(3 if quick else _TURNS):
-        for name, prepare in methods.items():
-            dear = bool(costs[name]) and costs[name][0] * task.duration > _DEAR
-            if turn >= _DEAR_TURNS and dear:
-                costs[name].append(math.nan)
-            else:  # the least of several, as the method before has left the processor's caches cold
-                costs[name].append(min(timed(prepare()) for _ in range(1 if dear else _RUNS)) / task.duration)
-    first = next(iter(costs.values()))
-    ticks = {name: len(motion) - 1 for name, motion in poses.items()}
-    runs = {
-        name: [Run(cost * task.duration, 1, ticks[name]) for cost in some if not math.isnan(cost)]
-        for name, some in costs.items()
-    }
-    return {
-        "µs a simulated ms": medians(costs, 1e3),
-        "over corrected": {name: ratio(values, first) for name, values in costs.items()},
-        "error (m)": errors,
-        **columns(runs),
-        "missing": missing,
-    }
+    """Return costs, ratios to the first of OURS, errors [m] and ticks: costs in µs a simulated ms.
+
+    Each with MuJoCo's profiler on, as its Python bindings start it, and off, as the commands of this package stop it.
+    """
+    figures: dict[str, Any] = {}
+    for ticks in (Task.ticks, 5 * Task.ticks):
+        task = Task(ticks=ticks)
+        methods, missing = prepared(task)
+        truth = np.array(our_run(ExactPlant, task)())
+        poses = {name: np.array(prepare()()) for name, prepare in methods.items()}
+        costs: dict[str, dict[str, list[float]]] = {
+            state: {name: [] for name in methods} for state in ("profiler off", "profiler on")
+        }
+        for turn in range(3 if quick else _TURNS):
+            for state, some in costs.items():
+                _profile(state == "profiler on")
+                for name, prepare in methods.items():
+                    dear = bool(some[name]) and some[name][0] * task.duration > _DEAR
+                    if turn >= _DEAR_TURNS and dear:
+                        some[name].append(math.nan)
+                    else:  # the least of several, as the method before has left the processor's caches cold
+                        some[name].append(min(timed(prepare()) for _ in range(1 if dear else _RUNS)) / task.duration)
+        stop_profiler()
+        for state, some in costs.items():
+            case, first = f"{ticks} ticks, {state}", next(iter(some.values()))
+            figures[f"µs a simulated ms, {case}"] = medians(some, 1e3)
+            figures[f"over corrected, {case}"] = {name: ratio(values, first) for name, values in some.items()}
+            runs = {name: [Run(cost * task.duration, 1, ticks) for cost in some[name] if cost > 0.0] for name in some}
+        figures[f"error (m), {ticks} ticks"] = {
+            name: float(apart(motion, truth, published_device())) for name, motion in poses.items()
+        }
+    return {**figures, **columns(runs), "missing": missing}
+
+
+def _profile(on: bool) -> None:
+    """Start MuJoCo's profiler, or stop it."""
+    if on:
+        mujoco.set_mjcb_time(None)  # as at import
+    else:
+        stop_profiler()
