@@ -14,38 +14,53 @@ from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.frames import ZERO, Array, Command
 from maglev_mj.plants.coils import wrench_of
 
-_CORNER = 31.0
-"""Corner of each of two cascaded low-pass filters [Hz]; -3 dB at 20 Hz together."""
+_CORNER_FREQUENCY = 31.0
+"""Corner of each of two cascaded low-pass filters [Hz]; -3 dB at 20 Hz together.
 
-_FEWEST, _MOST = 8, 60
-"""Fewest samples after liftoff, and most that are fitted."""
+Higher, the noise of the second difference of the pose grows with its square; lower, the force of a hand is late.
+"""
 
-_CERTAIN, _PROMPT = 0.02, 2e-4
-"""Largest standard errors of a gain and of the sensor's delay [s]."""
+# -- fit of the path in takeoff
+_LEAST_SAMPLES_OF_FIT = 8
+"""Fewest samples after liftoff: 36 equations beside the drift for seven unknowns; four samples would just do."""
+_MOST_SAMPLES_OF_FIT = 60
+"""Samples above which every n-th one is fitted, so that effort is bounded: the projection is (N, N)."""
+_TIME_PER_ORDER = 0.2
+"""Time per order of the polynomial that is projected out [s].
 
+With jitter the integrated currents drift: a longer time makes faulty coils of that, a shorter one hides the causes.
+"""
+_LARGEST_GAIN_ERROR = 0.02
+"""Largest standard error of a gain that is reported: three of them are below `_LEAST_ERROR_OF_CAUSE`."""
+_LARGEST_DELAY_ERROR = 2e-4
+"""Largest standard error of the sensor's delay that is reported [s]: 0.4 of the least delay acted on at 1 kHz."""
 LATE = 0.5
 """Smallest delay of a sensor that is acted on, in sample periods: above its uncertainty over a jittery line."""
 
-_FAULTY = 0.07
-"""Least error of a coil's gain, of the mass and of the inertia that is not as calibrated."""
+# -- causes of a path
+_LEAST_ERROR_OF_CAUSE = 0.07
+"""Least error of a coil's gain, of the mass and of the inertia that is not as calibrated; see flight_safety.md."""
+_MOST_CAUSES = 3
+"""Most causes of a path: with more, any path has an explanation."""
+_MOST_LEFT_BY_CAUSE = 0.4
+"""Largest share of the squared error that one more cause leaves; a larger one would name causes that explain little."""
+_EXPLAINED_ERROR = 0.25
+"""Root mean square error of a path that is explained, in noises.
 
-_CAUSES, _IMPROVED, _EXPLAINED, _SHOWN = 3, 0.4, 0.25, 500.0
-"""Most causes of a path; largest share of the squared error that one more leaves; error of a path that is explained,
-and of rotations that show a coil, in noises."""
-
+In tests/bridge/test_takeoff_causes.py a calibrated flotor left 0.13, a coil 9 % too weak 1.5.
+"""
+_LEAST_ROTATION_BY_COIL = 500.0
+"""Least rotation on the stop that shows a coil, in noises: six coils, all too weak to lift, rotated it by 1.3."""
 _CAUSE_NAMES = [*(f"coil {coil}" for coil in range(6)), "delay", "mass", "inertia"]
 
-_DRIFT = 0.2
-"""Time per order of the polynomial that is projected out [s]: with jitter, the integrated currents drift."""
-
 UNKNOWN: Sequence[float] = (math.nan,) * 6  # pose or wrench that is not available
-_BUFFER = 64
-
+_MOST_LOST = 64
+"""Samples whose answers are kept, and most that may be lost in a row: 64 ms at 1 kHz, the watchdog ends at 50 ms."""
 
 _Drive: TypeAlias = tuple[Sequence[float], Sequence[float], Sequence[float]]
 """Wrench, currents, and the wrench of the probe in it, six numbers each."""
 
-_NONE: _Drive = ZERO, ZERO, ZERO
+_NO_DRIVE: _Drive = ZERO, ZERO, ZERO
 
 
 class HandObserver:
@@ -77,7 +92,7 @@ class HandObserver:
 
     def __init__(self, calibration: Calibration, period: float, delay: float, age: float = 0.0, seed: int = 0) -> None:
         self._period, self._delay, self._split, self._seed = period, delay, 0.5 * period - age, seed
-        self._keep = math.exp(-2.0 * math.pi * _CORNER * period)
+        self._keep = math.exp(-2.0 * math.pi * _CORNER_FREQUENCY * period)
         self._calibration = calibration
         self._body = [inertia / period**2 for inertia in calibration.body.inertia.tolist()]
         self._weight = calibration.body.load.tolist()
@@ -91,12 +106,12 @@ class HandObserver:
         self.currents: Sequence[float] | None = None
         self.coils = CoilEstimator(self._calibration, self._period)
         self.residual.reset()
-        self._timeline = Timeline(Timing(period=self._period, delay=0.0), _NONE)
-        self._sent: list[tuple[int | None, tuple[_Drive, _Drive, float] | None]] = [(None, None)] * _BUFFER
-        self._added = _NONE  # by walls on the device, at the last sample
+        self._timeline = Timeline(Timing(period=self._period, delay=0.0), _NO_DRIVE)
+        self._sent: list[tuple[int | None, tuple[_Drive, _Drive, float] | None]] = [(None, None)] * _MOST_LOST
+        self._added = _NO_DRIVE  # by walls on the device, at the last sample
         self._answered, self._valid_from = 0, 0.0  # newest answer; time after which no earlier one is in effect [s]
         self._poses: tuple[Sequence[float], Sequence[float]] = UNKNOWN, UNKNOWN  # the last two
-        self._rising: tuple[Sums, Sums] = _STILL, _STILL  # of wrench and currents, in the last period
+        self._rising: tuple[Sums, Sums] = _NO_SUMS, _NO_SUMS  # of wrench and currents, in the last period
 
     def weigh(self, calibration: Calibration) -> None:
         """Continue with another mass and inertia."""
@@ -127,7 +142,7 @@ class HandObserver:
         first = drive = tuple(command.force), tuple(held), probe
         if pulsed is not None and command.extra is not None:
             first = tuple([x + dx for x, dx in zip(command.force, command.extra)]), tuple(pulsed), probe
-        self._sent[tick % _BUFFER] = tick, (drive, first, width)
+        self._sent[tick % _MOST_LOST] = tick, (drive, first, width)
 
     def sampled(self, tick: int, elapsed: int, position: Sequence[float], answered: int, delay: float) -> None:
         """Add a sample.
@@ -139,8 +154,8 @@ class HandObserver:
             answered: Number of the sample answered by the newest command in effect.
             delay: Time from that sample to the command's effect [s]; NaN without a new command.
         """
-        timeline, period, last = self._timeline, self._period, max(tick - elapsed, tick - _BUFFER)
-        number, sent = self._sent[answered % _BUFFER]
+        timeline, period, last = self._timeline, self._period, max(tick - elapsed, tick - _MOST_LOST)
+        number, sent = self._sent[answered % _MOST_LOST]
         if delay != delay or number != answered:
             sent = None
         else:
@@ -152,26 +167,26 @@ class HandObserver:
         if sent is not None and answered != tick - 1:  # effects before the last sample are already applied
             timeline.answer(answered, *sent, after=max(delay, (last - answered) * period))
             sent = None
-        if elapsed > _BUFFER:
+        if elapsed > _MOST_LOST:
             self.coils = CoilEstimator(self._calibration, period)
         for missed in range(last, tick - 1):
             self._add(UNKNOWN, timeline.period(missed))
         intervals = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
-        before, self._added = self._added, _NONE
+        before, self._added = self._added, _NO_DRIVE
         if self.measured is not None:
             added = tuple([x - y for x, y in zip(self.measured, timeline.now()[1])])
             turned = self._calibration.coils.inverse_at_angle(*position[3:])
             self._added, split = (tuple(wrench_of(turned, np.array(added)).tolist()), added, ZERO), self._split
             # superposed, from the start of the period again: the last reading up to halfway less its age, then this one
-            intervals = [*intervals, (-period, _NONE), (split, before), (period - split, self._added)]
+            intervals = [*intervals, (-period, _NO_DRIVE), (split, before), (period - split, self._added)]
         self._add(position, intervals)
         self.currents = timeline.now()[1] if certain and self.measured is None else None
 
     def _overtaken(self, answered: int, earliest: float) -> None:
         """Assume that answers that are not reported took effect evenly spaced from `earliest` [s] to the newest."""
         first, span = self._answered, answered - self._answered
-        for tick in range(max(first + 1, answered - _BUFFER + 1), answered):
-            number, sent = self._sent[tick % _BUFFER]
+        for tick in range(max(first + 1, answered - _MOST_LOST + 1), answered):
+            number, sent = self._sent[tick % _MOST_LOST]
             if number == tick and sent is not None:
                 effect = earliest + (tick - first) / span * (self._valid_from - earliest)
                 self._timeline.answer(tick, *sent, after=effect - tick * self._period)
@@ -180,7 +195,7 @@ class HandObserver:
         """Add a pose, NaN if lost, and the drives in the period before it."""
         period, keep, driven = self._period, self._keep, _sums(intervals, 0)
         (before, last), self._poses = self._poses, (self._poses[1], now)
-        (rising, flowing), self._rising = self._rising, (driven, _STILL)
+        (rising, flowing), self._rising = self._rising, (driven, _NO_SUMS)
         self.residual.add(now, driven, _sums(intervals, 2))
         if self.check_coils:
             flowed = _sums(intervals, 1)
@@ -199,7 +214,7 @@ class HandObserver:
         self.wrench = [new + keep * (old - new) for new, old in zip(self._low, self.wrench)]
 
 
-_STILL: Sums = ZERO, ZERO
+_NO_SUMS: Sums = ZERO, ZERO
 
 
 def _sums(intervals: Sequence[tuple[float, _Drive]], part: int) -> Sums:
@@ -264,7 +279,7 @@ class CoilEstimator:
         """Return the rows of `_summed` after liftoff; None if too few."""
         rows = self._summed()
         lifted = np.flatnonzero(np.abs(rows[:, :3] - rows[:1, :3]).max(axis=1, initial=0.0) > self._scale.lifted)
-        return rows[lifted[0] :] if lifted.size and len(rows) - lifted[0] >= _FEWEST else None
+        return rows[lifted[0] :] if lifted.size and len(rows) - lifted[0] >= _LEAST_SAMPLES_OF_FIT else None
 
     def estimate(self) -> tuple[Array, float]:
         """Return the coil gains relative to the calibration, (6,), and the sensor's delay [s]; NaN if uncertain."""
@@ -274,7 +289,7 @@ class CoilEstimator:
         matrix, residual = self._fit(rows, range(6))
         changes = np.linalg.lstsq(matrix, residual, rcond=None)[0]
         errors = self._scale.noise * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix)))
-        *gains, delay = np.where(errors < [_CERTAIN] * 6 + [_PROMPT], changes, np.nan)
+        *gains, delay = np.where(errors < [_LARGEST_GAIN_ERROR] * 6 + [_LARGEST_DELAY_ERROR], changes, np.nan)
         return 1.0 + np.array(gains), float(delay)
 
     def causes(self) -> dict[str, float]:
@@ -292,7 +307,8 @@ class CoilEstimator:
         columns = np.column_stack([matrix, *scaled])
         chosen: list[int] = []
         sizes, left = np.zeros(0), residual
-        while len(chosen) < _CAUSES and float(left @ left) > (_EXPLAINED * self._scale.noise) ** 2 * len(left):
+        explained = (_EXPLAINED_ERROR * self._scale.noise) ** 2 * len(residual)
+        while len(chosen) < _MOST_CAUSES and float(left @ left) > explained:
             tries = []
             for k in set(range(columns.shape[1])) - set(chosen):
                 part = columns[:, [*chosen, k]]
@@ -300,7 +316,7 @@ class CoilEstimator:
                 rest = residual - part @ values
                 tries.append((float(rest @ rest), k, values, rest))
             least, best, values, rest = min(tries, key=lambda each: each[0])
-            if least > _IMPROVED * float(left @ left):
+            if least > _MOST_LEFT_BY_CAUSE * float(left @ left):
                 break
             chosen.append(best)
             sizes, left = values, rest
@@ -313,7 +329,7 @@ class CoilEstimator:
             lost: True if the flotor does not follow: if no faulty gain is identified, name the most likely cause.
         """
         causes, (_, self.sensor_delay) = self.causes(), self.estimate()
-        large = {name: size for name, size in causes.items() if abs(size) > _FAULTY and name != "delay"}
+        large = {name: size for name, size in causes.items() if abs(size) > _LEAST_ERROR_OF_CAUSE and name != "delay"}
         self.mass, self.inertia = (1.0 / max(1.0 + large.pop(name, 0.0), 0.05) for name in ("mass", "inertia"))
         if large:
             return ", ".join(
@@ -330,7 +346,7 @@ class CoilEstimator:
         matrix = matrix[:, :6]
         sizes = (matrix**2).sum(axis=0) + self._scale.noise**2
         shown = (matrix.T @ path) ** 2 / sizes
-        if float(shown.max()) < (_SHOWN * self._scale.noise * self._scale.lever) ** 2:
+        if float(shown.max()) < (_LEAST_ROTATION_BY_COIL * self._scale.noise * self._scale.lever) ** 2:
             return "it does not lift off: the weight, the currents, the forces or the sensor are not as calibrated"
         return f"coil {int(np.argmax(shown))} is the most likely cause: weak, dead or reversed"
 
@@ -343,9 +359,10 @@ class CoilEstimator:
 
     def _fit(self, rows: Array, axes: Sequence[int]) -> tuple[Array, Array]:
         """Return the Jacobian of the path on some axes to gains and delay, (N, 7), and the residual path."""
-        rows = rows[:: max(len(rows) // _MOST, 1)]
+        rows = rows[:: max(len(rows) // _MOST_SAMPLES_OF_FIT, 1)]
         time = rows[:, 20] - rows[:, 20].mean()
-        drift = np.vander(time, 2 + int(np.ptp(time) / _DRIFT))  # initial position and speed; integrated errors
+        # initial position and speed; integrated errors
+        drift = np.vander(time, 2 + int(np.ptp(time) / _TIME_PER_ORDER))
         project = np.eye(len(rows)) - drift @ np.linalg.pinv(drift)
         parts, paths = [], []
         for axis in axes:
