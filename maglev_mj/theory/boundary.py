@@ -30,9 +30,9 @@ from maglev_mj.keywords import checked
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.plants.hand import Mode
 from maglev_mj.spec import MAX_DELAY_PERIODS, MIN_PERIOD
+from maglev_mj.theory.delay import LEAST_ANGLE, ROUNDING
 from maglev_mj.theory.frequencies import angles_of, peak
 from maglev_mj.theory.loop_array import (
-    ROUNDING,
     Design,
     LoopArray,
     LoopKeywords,
@@ -52,8 +52,6 @@ _LEAST_OF_GRID = 8e-5
 _DAMPING_GRID = np.array([0.0, *np.geomspace(_LEAST_OF_GRID, _MOST_STIFFNESS, 720)])
 _EVERY_NTH = 8
 """Every so many points of that grid are enough where the boundary is a single hill."""
-_LEAST_ANGLE = 1e-7
-"""Least angle of a crossing: below it, poles at 1 hide it."""
 _PASSIVITY_ANGLES = np.geomspace(1e-5, np.pi, 1000)
 
 # -- a stiffest wall
@@ -182,9 +180,9 @@ def _lowest(loop: LoopArray, damping: Array, limit: float) -> Array:
     parts = np.stack([free, (first - free) / stiff, (second - free) / damp])
     step = _STEP_OF_TURN / max(whole, 1.0)
     own = np.abs(np.angle(np.linalg.eigvals(cut.advance[0])))
-    beside = own[own > 2.0 * _LEAST_ANGLE, None] + step * np.arange(-_BESIDE_POLE, _BESIDE_POLE + 1)
+    beside = own[own > 2.0 * LEAST_ANGLE, None] + step * np.arange(-_BESIDE_POLE, _BESIDE_POLE + 1)
     even = step * np.arange(1, math.ceil(min(np.pi, _MOST_TURNS * 2.0 * np.pi / whole) / step))
-    grid = np.concatenate([np.geomspace(_LEAST_ANGLE, step, 60)[:-1], even, beside.reshape(-1)])
+    grid = np.concatenate([np.geomspace(LEAST_ANGLE, step, 60)[:-1], even, beside.reshape(-1)])
     grid = np.append(np.unique(grid[(grid > 0.0) & (grid < np.pi)]), np.pi)
 
     def terms(angles: Array) -> tuple[Array, Array, Array]:

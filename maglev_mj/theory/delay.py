@@ -25,29 +25,66 @@ from maglev_mj.frames import Array, Mask
 
 FRACTIONS = 40
 """Fractions of a period at which a delay is tried: a narrower stable or unstable range may be missed."""
-_NEAR, _MOVED, _EQUAL = 1e-2, 0.05, 1e-8
-"""Relative tolerances: of an eigenvalue that may be imaginary, of a refined angle, and of a loop gain of 1."""
-_POLISHED, _STEP = 8, 0.3
-"""Steps of Newton's method, and its largest relative one."""
-_LEAST = 1e-7
-"""Angle that stands for 0."""
-_START = complex(np.exp(1j * _LEAST))
-_GRID = np.geomspace(_LEAST, np.pi, 600)
-_OUTSIDE, _FREE = 1e-12, 1e-7
-"""Distance from the unit circle that counts as rounding, and that of the poles of free motion."""
-_SECANTS, _BESIDE, _SECTIONS, _POINTS = 8, 1e-9, 11, 15
-"""Search of an edge: secants, relative distance at which it is checked, and divisions into how many parts but one."""
+# Angles in rad, delays in periods.
+# -- what counts as equal
+ROUNDING = 1e-12
+"""Relative distance of a spectral radius from 1 that is rounding: larger would call slow growth stable."""
+_FREE_POLE = 1e-7
+"""Distance from 1 of the poles of free motion: rounding moves a double pole by its root, 2e-8."""
+_ERROR_OF_CROSSING = 1e-8
+"""Largest error of a loop gain of 1 at a crossing: Newton's method reaches rounding or does not converge."""
+_ERROR_OF_SOLUTION, _ERROR_OF_RADIUS = 1e-9, 1e-8
+"""Largest errors of a dominant pole: of its equation, and of the logarithm of its radius against the bracket."""
+_SAME_ANGLE = 1e-8
+"""Relative distance of crossings at one angle: equal axes have one each, which rounding of the gain sets apart."""
+_LAST_DIGIT = 4e-16
+"""Where false position ends: relative width of the angle, or logarithm of the gain, at two units in the last place."""
+
+# -- angles
+LEAST_ANGLE = 1e-7
+"""Least angle of a crossing, which stands for 0: below it, poles at 1 hide it."""
+_ANGLE_0 = complex(np.exp(1j * LEAST_ANGLE))
+_ANGLES, _EVEN_ANGLES = np.geomspace(LEAST_ANGLE, np.pi, 600), np.linspace(0.0, np.pi, 1000)
+"""Grids: at all scales, and for poles near the real axis at -1, where the first is coarse."""
+_SMALL_TURN = 1e-6
+"""Turn to both sides for the derivative of an eigenvalue: truncation is 1e-12 of it, rounding 1e-10."""
+_OFF_POLE, _OFF_OWN_POLE = 1e-13, 1e-8
+"""Relative distances kept from a pole of L, where it is infinite, and of a start beside one from it."""
+
+# -- crossings
+_NEARLY_IMAGINARY = 1e-2
+"""Real part of an eigenvalue that may be imaginary, relative to its size.
+
+At a tangent, rounding moves it by its root and more; a larger value only adds starts that the refinement drops.
+"""
+_NEWTON_STEPS, _LARGEST_STEP = 8, 0.3
+"""Steps of Newton's method, which doubles the digits in each, and the largest relative one."""
+_LARGEST_MOVE = 0.05
+"""Largest relative move of an angle by its refinement: a start that moves further has found the crossing of another."""
+_LEAST_GAIN = 1e-300
+"""Gain in place of 0, whose logarithm is infinite."""
+_NEAR_PEAK = 1.0
+"""Distance of a peak's logarithm from 0 up to which it may cross between two points of the grid."""
+_REFINEMENTS, _REFINED_POINTS = 4, 21
+"""Refinements of the grid at a peak, and points of each: to 1e-4 of a step, 1e-8 of the height."""
+_MOST_FALSE_POSITIONS = 60
+"""Most steps of false position; bisection alone would take 50."""
+
+# -- delays at which stability changes
 _MOST_EDGES = 40
-_FIRST, _HALVINGS, _DOUBLINGS, _SMALLEST = 0.05, 12, 60, 600.0
-"""Logarithm of the radius of a dominant pole, times periods: first step and largest one inwards; steps."""
-_ZOOMS, _ZOOMED = 4, 21
-"""Refinements of the grid at a peak, and its points."""
-_NO_GAIN, _PEAK = 1e-300, 1.0
-"""Loop gain that stands for none, and distance of a peak's logarithm from 0 at which it is refined."""
-_TURN, _TOGETHER, _ZERO, _FALSE_POSITIONS = 1e-6, 1e-8, 4e-16, 60
-"""Eigenvalues of coupled axes: turn for a derivative, relative distance of equal crossings, rounding, and steps."""
-_EVEN, _STARTS, _CONVERGED, _BESIDE_POLE = np.linspace(0.0, np.pi, 1000), 8, 1e-9, 1e-13
-"""Starts for a dominant pole and how many are tried, error of a solution, and distance kept from a pole of L."""
+"""Most edges of stable intervals that are listed: a table of more is of no use."""
+_MOST_SECANTS, _BESIDE_EDGE = 8, 1e-9
+"""Most steps of the secant method, and relative distance from its result at which stability is checked."""
+_SECTIONS, _INNER_POINTS = 11, 15
+"""Divisions of an interval where the secant method fails, and points of each: 16 ** -11 of it, to rounding."""
+
+# -- dominant poles: logarithm of the radius, times periods
+_FIRST_STEP, _DOUBLINGS, _LEAST_RADIUS = 0.05, 60, 600.0
+"""First step of the bracket, doublings of it, and largest step inwards, as exp(-700) is no number."""
+_BISECTIONS = 12
+"""Bisections of a bracket before Newton's method, which then converges; four times as many without it."""
+_MOST_STARTS = 8
+"""Starts from which a pole near the real axis is refined."""
 
 
 class Cut(NamedTuple):
@@ -87,7 +124,7 @@ class Cut(NamedTuple):
     def crossings(self) -> tuple[Rows, Array, Array, Array]:
         """Return rows, angles, signs and phases p in [0, 2 pi) of the crossings of |L| = 1."""
         rows, angles = _polished(self, *_angles(self))
-        change = _above(self, _START) - _above(self, -1.0)
+        change = _above(self, _ANGLE_0) - _above(self, -1.0)
         wrong = np.bincount(rows, _signs(self, rows, angles), self.loops) != change
         if wrong.any():  # at small angles the eigenvalues lose a crossing
             searched = _searched(self, np.flatnonzero(wrong))
@@ -110,7 +147,7 @@ class Cut(NamedTuple):
         try:
             resolvent = np.linalg.inv(z[:, None, None] * one - advance)
         except np.linalg.LinAlgError:  # exactly at a pole
-            resolvent = np.linalg.inv((z * (1.0 + _BESIDE_POLE))[:, None, None] * one - advance)
+            resolvent = np.linalg.inv((z * (1.0 + _OFF_POLE))[:, None, None] * one - advance)
         right = (resolvent @ self.take[rows, :, None])[..., 0]
         left = (self.give[rows, None] @ resolvent)[:, 0]
         return (self.give[rows] * right).sum(axis=-1), -(left * right).sum(axis=-1)
@@ -184,14 +221,16 @@ class CoupledCut(NamedTuple):
 
         It is that nearest to a pole at z with whole periods of delay, (M,); None for that nearest to the magnitude 1.
         """
-        here, *beside = (self.eigenvalues(rows, z * turn) for turn in (1.0, np.exp(1j * _TURN), np.exp(-1j * _TURN)))
+        here, *beside = (
+            self.eigenvalues(rows, z * turn) for turn in (1.0, np.exp(1j * _SMALL_TURN), np.exp(-1j * _SMALL_TURN))
+        )
         if whole is None:
-            distance = np.abs(np.log(np.maximum(np.abs(here), _NO_GAIN)))
+            distance = np.abs(np.log(np.maximum(np.abs(here), _LEAST_GAIN)))
         else:
             distance = np.abs(here + (z**whole)[:, None])
         gain = np.take_along_axis(here, distance.argmin(axis=-1)[:, None], axis=-1)
         ends = [np.take_along_axis(one, np.abs(one - gain).argmin(axis=-1)[:, None], axis=-1)[:, 0] for one in beside]
-        return gain[:, 0], (ends[0] - ends[1]) / (2j * np.sin(_TURN) * z)
+        return gain[:, 0], (ends[0] - ends[1]) / (2j * np.sin(_SMALL_TURN) * z)
 
     def crossings(self) -> tuple[Rows, Array, Array, Array]:
         """See `Cut`; of all eigenvalues. The i-th largest magnitude is continuous, and searched for each i."""
@@ -199,41 +238,41 @@ class CoupledCut(NamedTuple):
         below, above = (self._logarithms(rows, order, angles) for angles in (low, high))
         signs = np.sign(below - above)
         angles, least = low, np.abs(below)
-        for _ in range(_FALSE_POSITIONS):  # an end that stays counts half
+        for _ in range(_MOST_FALSE_POSITIONS):  # an end that stays counts half
             middle = low + (high - low) * np.clip(below / (below - above), 0.001, 0.999)
             value = self._logarithms(rows, order, middle)
             angles, least = np.where(np.abs(value) < least, middle, angles), np.minimum(np.abs(value), least)
             lower = np.sign(value) == np.sign(below)
             low, high = np.where(lower, middle, low), np.where(lower, high, middle)
             below, above = np.where(lower, value, 0.5 * below), np.where(lower, 0.5 * above, value)
-            if not ((least > _ZERO) & (high - low > _ZERO * high)).any():
+            if not ((least > _LAST_DIGIT) & (high - low > _LAST_DIGIT * high)).any():
                 break
         return rows, angles, signs, self._phases(rows, angles)
 
     def _logarithms(self, rows: Rows, order: Rows, angles: Array) -> Array:
         """Return the logarithm of the magnitude of some order at angles of some loops, (M,)."""
         gains = self.gains(rows, np.exp(1j * angles))
-        return np.asarray(np.log(np.maximum(gains, _NO_GAIN))[np.arange(len(rows)), order])
+        return np.asarray(np.log(np.maximum(gains, _LEAST_GAIN))[np.arange(len(rows)), order])
 
     def _brackets(self) -> tuple[Rows, Rows, Array, Array]:
         """Return rows, orders of magnitude, and ends of intervals of the angle with one crossing each."""
         grid, size = self.own_angles(0), self.axes.shape[0]
         rows = np.repeat(np.arange(self.loops), len(grid))
         gains = self.gains(rows, np.exp(1j * np.tile(grid, self.loops))).reshape(self.loops, len(grid), size)
-        values = np.log(np.maximum(gains, _NO_GAIN))
+        values = np.log(np.maximum(gains, _LEAST_GAIN))
         row, at, order = np.nonzero((values[:, 1:] > 0.0) != (values[:, :-1] > 0.0))
         found = [(row, order, grid[at], grid[at + 1])]
         # between two points a peak may rise above 1, or a dip fall below
         side = np.where(values > 0.0, -1.0, 1.0)
         height, inner = side * values, np.s_[:, 1:-1]
         peak = (height[inner] >= (side[inner] * values[:, :-2])) & (height[inner] >= (side[inner] * values[:, 2:]))
-        peak &= (side[:, :-2] == side[inner]) & (side[:, 2:] == side[inner]) & (height[inner] > -_PEAK)
+        peak &= (side[:, :-2] == side[inner]) & (side[:, 2:] == side[inner]) & (height[inner] > -_NEAR_PEAK)
         row, at, order = np.nonzero(peak)
         low, high, sign = grid[at], grid[at + 2], side[row, at + 1, order]
-        for _ in range(_ZOOMS if len(row) else 0):
-            points = low + (high - low) * np.linspace(0.0, 1.0, _ZOOMED)[:, None]
-            part = self._logarithms(np.tile(row, _ZOOMED), np.tile(order, _ZOOMED), points.ravel())
-            best = np.clip((sign * part.reshape(points.shape)).argmax(axis=0), 1, _ZOOMED - 2)
+        for _ in range(_REFINEMENTS if len(row) else 0):
+            points = low + (high - low) * np.linspace(0.0, 1.0, _REFINED_POINTS)[:, None]
+            part = self._logarithms(np.tile(row, _REFINED_POINTS), np.tile(order, _REFINED_POINTS), points.ravel())
+            best = np.clip((sign * part.reshape(points.shape)).argmax(axis=0), 1, _REFINED_POINTS - 2)
             top = np.take_along_axis(sign * part.reshape(points.shape), best[None], axis=0)[0]
             low, middle, high = (np.take_along_axis(points, (best + step)[None], axis=0)[0] for step in (-1, 0, 1))
             if (crosses := top > 0.0).any():
@@ -247,14 +286,16 @@ class CoupledCut(NamedTuple):
     def _phases(self, rows: Rows, angles: Array) -> Array:
         """Return the phases of crossings; several at one angle, as of equal axes, have one eigenvalue each."""
         every = self.eigenvalues(rows, np.exp(1j * angles))
-        nearest = np.abs(np.log(np.maximum(np.abs(every), _NO_GAIN))).argsort(axis=-1)
+        nearest = np.abs(np.log(np.maximum(np.abs(every), _LEAST_GAIN))).argsort(axis=-1)
         every = np.take_along_axis(every, nearest, axis=-1)
         rank, order = np.zeros(len(rows), dtype=int), np.lexsort((angles, rows))
         for last, this in pairwise(order.tolist()):
-            if rows[last] == rows[this] and angles[this] - angles[last] < _TOGETHER * angles[this]:
+            if rows[last] == rows[this] and angles[this] - angles[last] < _SAME_ANGLE * angles[this]:
                 rank[this] = rank[last] + 1
         for first in order[:-1][(rank[order[:-1]] == 0) & (rank[order[1:]] > 0)]:
-            same = np.flatnonzero((rows == rows[first]) & (np.abs(angles - angles[first]) < _TOGETHER * angles[first]))
+            same = np.flatnonzero(
+                (rows == rows[first]) & (np.abs(angles - angles[first]) < _SAME_ANGLE * angles[first])
+            )
             every[same, rank[same]] = every[first, rank[same]]
         return np.mod(-np.angle(every[np.arange(len(rows)), rank]), 2.0 * np.pi)
 
@@ -281,7 +322,7 @@ class AnyDelay:
 
     def __init__(self, cut: AnyCut, free: Mask) -> None:
         self.rows, self.angles, self.signs, self.phases = cut.crossings()
-        rounding = np.where(free, _FREE, _OUTSIDE)[:, None]
+        rounding = np.where(free, _FREE_POLE, ROUNDING)[:, None]
         self.start = (np.abs(cut.poles()) > 1.0 + rounding).sum(axis=-1)
         self.flipped = _above(cut, -1.0)
 
@@ -356,23 +397,23 @@ def _angles(cut: Cut) -> tuple[Rows, Array]:
         turned = np.linalg.eigvals(np.linalg.solve(left + right, left - right))
     except np.linalg.LinAlgError:  # |L(-1)| is exactly 1
         return np.zeros(0, dtype=int), np.zeros(0)
-    rows, column = np.nonzero((turned.imag > 0.0) & (np.abs(turned.real) < _NEAR * np.abs(turned)))
+    rows, column = np.nonzero((turned.imag > 0.0) & (np.abs(turned.real) < _NEARLY_IMAGINARY * np.abs(turned)))
     return rows, 2.0 * np.arctan(turned.imag[rows, column])
 
 
 def _polished(cut: AnyCut, rows: Rows, angles: Array, whole: Array | None = None) -> tuple[Rows, Array]:
     """Return the crossings refined by Newton's method on ln |L|, each once; those that leave or miss are dropped."""
     start, angles = angles, angles.copy()
-    for _ in range(_POLISHED):
+    for _ in range(_NEWTON_STEPS):
         z = np.exp(1j * angles)
         gain, derivative = cut.response(rows, z, whole)
         slope = (1j * z * derivative / gain).real
         move = -np.log(np.abs(gain)) / np.where(slope == 0.0, np.inf, slope)
-        angles = np.clip(angles + np.clip(move, -_STEP * angles, _STEP * angles), 1e-12, np.pi)
+        angles = np.clip(angles + np.clip(move, -_LARGEST_STEP * angles, _LARGEST_STEP * angles), 1e-12, np.pi)
         if not (np.abs(move) > 1e-15 * angles).any():
             break
     gain, _ = cut.response(rows, np.exp(1j * angles), whole)
-    good = (np.abs(np.abs(gain) - 1.0) < _EQUAL) & (np.abs(angles - start) < _MOVED * start)
+    good = (np.abs(np.abs(gain) - 1.0) < _ERROR_OF_CROSSING) & (np.abs(angles - start) < _LARGEST_MOVE * start)
     good &= angles < np.pi * (1.0 - 1e-13)
     rows, angles = rows[good], angles[good]
     order = np.lexsort((angles, rows))
@@ -391,7 +432,7 @@ def _searched(cut: Cut, rows: Rows) -> tuple[Rows, Array]:
         index = np.flatnonzero(above[1:] != above[:-1])
         low, high, upper = grid[index], grid[index + 1], above[index]
         same = np.full(len(index), row)
-        for _ in range(_HALVINGS):
+        for _ in range(_BISECTIONS):
             middle = np.sqrt(low * high)
             before = (np.abs(cut.response(same, np.exp(1j * middle))[0]) > 1.0) == upper
             low, high = np.where(before, middle, low), np.where(before, high, middle)
@@ -403,9 +444,9 @@ def _searched(cut: Cut, rows: Rows) -> tuple[Rows, Array]:
 def _grid_of(poles: NDArray[Any]) -> Array:
     """Return a grid of angles, denser at and beside those of some poles."""
     own = np.abs(np.angle(poles))
-    own = own[(own > _LEAST) & (own < np.pi)]
+    own = own[(own > LEAST_ANGLE) & (own < np.pi)]
     beside = [own * (1.0 + share) for share in (-0.01, -0.001, 0.0, 0.001, 0.01)]
-    return np.unique(np.concatenate([_GRID, *beside]))
+    return np.unique(np.concatenate([_ANGLES, *beside]))
 
 
 def _above(cut: AnyCut, z: complex) -> NDArray[np.int64]:
@@ -501,7 +542,7 @@ def _edges(cut_of: AnyCutOf, free: Mask, index: Rows, low: Array, high: Array) -
     every = np.arange(len(index))
     before = stable(every, low)
     result = _followed(cut_of, index, whole, low, high, free)
-    beside = _BESIDE * np.maximum(result, 1.0)
+    beside = _BESIDE_EDGE * np.maximum(result, 1.0)
     sides = [np.clip(np.nan_to_num(result, nan=0.0) + side, low, high) for side in (-beside, beside)]
     sides = [np.where(np.isnan(result), low, side) for side in sides]
     found = stable(np.tile(every, 2), np.concatenate(sides)).reshape(2, -1)
@@ -509,8 +550,8 @@ def _edges(cut_of: AnyCutOf, free: Mask, index: Rows, low: Array, high: Array) -
     if rows.size:
         lower, upper, was = low[rows], high[rows], before[rows]
         for _ in range(_SECTIONS):
-            grid = lower + (upper - lower) * (np.arange(1, _POINTS + 1) / (_POINTS + 1.0))[:, None]
-            changed = stable(np.tile(rows, _POINTS), grid.reshape(-1)).reshape(grid.shape) != was
+            grid = lower + (upper - lower) * (np.arange(1, _INNER_POINTS + 1) / (_INNER_POINTS + 1.0))[:, None]
+            changed = stable(np.tile(rows, _INNER_POINTS), grid.reshape(-1)).reshape(grid.shape) != was
             grid = np.concatenate([lower[None], grid, upper[None]])
             first = np.argmax(np.concatenate([changed, np.ones((1, len(rows)), dtype=bool)]), axis=0) + 1
             lower, upper = (grid[first - side, np.arange(len(rows))] for side in (1, 0))
@@ -529,7 +570,7 @@ def _followed(cut_of: AnyCutOf, index: Rows, whole: Array, low: Array, high: Arr
     rows, first = np.unique(start.rows[order], return_index=True)
     angles, excess, slopes = start.angles[order][first], excess[order][first], start.angles[order][first]
     delays = high[rows]
-    for _ in range(_SECANTS):
+    for _ in range(_MOST_SECANTS):
         moved = np.clip(delays - excess / np.where(slopes == 0.0, np.inf, slopes), low[rows], high[rows])
         step, delays, last = moved - delays, moved, excess
         if not (np.abs(step) > 1e-15 * np.maximum(delays, 1.0)).any():
@@ -559,11 +600,11 @@ def _largest_gain(cut: AnyCut) -> float:
     most = 0.0
     for row in range(cut.loops):
         grid = cut.own_angles(row)
-        for _ in range(_ZOOMS):
+        for _ in range(_REFINEMENTS):
             gains = cut.gains(np.full(len(grid), row), np.exp(1j * grid)).max(axis=-1)
             best = int(gains.argmax())
             most = max(most, float(gains[best]))
-            grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], _ZOOMED)
+            grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], _REFINED_POINTS)
     return most
 
 
@@ -588,11 +629,11 @@ def dominant_poles(cut: Cut, periods: Array, free: NDArray[Any]) -> NDArray[np.c
     below, above = np.full((2, count), np.nan)
     outward = outside(np.zeros(count), every)
     below[outward] = above[~outward] = 0.0
-    step, rows = _FIRST * unit, every
+    step, rows = _FIRST_STEP * unit, every
     for _ in range(_DOUBLINGS):
-        logarithms = np.where(outward, step, np.maximum(-step, -_SMALLEST * unit))[rows]
+        logarithms = np.where(outward, step, np.maximum(-step, -_LEAST_RADIUS * unit))[rows]
         has = outside(logarithms, rows)
-        has |= logarithms <= -_SMALLEST * unit[rows]
+        has |= logarithms <= -_LEAST_RADIUS * unit[rows]
         below[rows] = np.where(has, logarithms, below[rows])
         above[rows] = np.where(has, above[rows], logarithms)
         rows = rows[has == outward[rows]]
@@ -606,7 +647,7 @@ def dominant_poles(cut: Cut, periods: Array, free: NDArray[Any]) -> NDArray[np.c
             has = outside(middle, rows)
             below[rows], above[rows] = np.where(has, middle, below[rows]), np.where(has, above[rows], middle)
 
-    halved(every, _HALVINGS)
+    halved(every, _BISECTIONS)
     found = out(above, every)  # just outside, the crossing nearest to the phase pi is the pole's
     excess = np.abs(_wrapped(found.phases + periods[found.rows] * found.angles))
     order, angles = np.lexsort((excess, found.rows)), np.zeros(count)
@@ -616,22 +657,22 @@ def dominant_poles(cut: Cut, periods: Array, free: NDArray[Any]) -> NDArray[np.c
     width = above - below
     radius = np.log(np.abs(np.where(exact, poles, 1.0)))
     exact &= (radius > below - width) & (radius < above + width)
-    exact &= ~outside(np.where(exact, radius + _BESIDE * unit, above), every)
+    exact &= ~outside(np.where(exact, radius + _BESIDE_EDGE * unit, above), every)
     rows = np.flatnonzero(~exact)
-    halved(rows, 4 * _HALVINGS)
+    halved(rows, 4 * _BISECTIONS)
     for row in rows.tolist():  # a real pole, or a crossing that is almost a tangent
-        starts = np.exp(above[row] + 1j * np.concatenate([[0.0], _GRID, _EVEN]))
+        starts = np.exp(above[row] + 1j * np.concatenate([[0.0], _ANGLES, _EVEN_ANGLES]))
         gain, _ = cut.response(np.full(len(starts), row), starts)
         with np.errstate(all="ignore"):
-            starts = starts[np.argsort(np.abs(1.0 + gain * starts ** -periods[row]))[:_STARTS]]
+            starts = starts[np.argsort(np.abs(1.0 + gain * starts ** -periods[row]))[:_MOST_STARTS]]
         own = np.linalg.eigvals(cut.advance[row])
-        starts = np.append(starts, own * (1.0 + _EQUAL))
+        starts = np.append(starts, own * (1.0 + _OFF_OWN_POLE))
         same = np.full(len(starts), row)
         pairs = _newton(cut, periods, same, starts), _newton(cut, periods, same, starts, reciprocal=True)
         refined, exact = (np.concatenate(part) for part in zip(*pairs))
         error = np.where(exact, np.abs(np.log(np.abs(np.where(exact, refined, 2.0))) - above[row]), np.inf)
         best = int(error.argmin())
-        if not error[best] < _EQUAL:  # closer to a pole of the loop that is cut than Newton's method resolves
+        if not error[best] < _ERROR_OF_RADIUS:  # closer to a pole of the loop that is cut than Newton's method resolves
             best = int(np.abs(np.abs(own) - np.exp(above[row])).argmin())
             refined = np.exp(above[row] + 1j * np.angle(own))
         poles[row] = refined[best]
@@ -648,7 +689,7 @@ def _newton(
     """Return solutions of ln L(z) - q ln z = j pi, or of z^q/L(z) = -1, from starts, and whether each converged."""
     poles, whole = poles.astype(np.complex128), periods[rows]
     with np.errstate(all="ignore"):
-        for _ in range(_POLISHED):
+        for _ in range(_NEWTON_STEPS):
             good = np.abs(np.log(np.abs(poles))) < 1.0  # not at 0, where the memory of one sample has a pole
             gain, slope = cut.response(rows, np.where(good, poles, 2.0))
             error = np.log(-gain) - whole * np.log(poles)
@@ -656,4 +697,4 @@ def _newton(
             ratio = np.exp(-error)
             step = (ratio - 1.0) / ratio if reciprocal else -error
             poles = poles + step / (slope / gain - whole / poles)
-        return poles, np.isfinite(poles) & (np.abs(error) < _CONVERGED)
+        return poles, np.isfinite(poles) & (np.abs(error) < _ERROR_OF_SOLUTION)

@@ -26,7 +26,7 @@ from maglev_mj.lazy import public
 from maglev_mj.parameters import LAG, SAMPLE_PERIOD, common_shape, loop_delay, number, numbers, store
 from maglev_mj.plants.hand import Hand, Mode, get_hand, hand_of, motion, transition
 from maglev_mj.spec import MAX_DELAY_PERIODS, Spec
-from maglev_mj.theory.delay import AnyDelay, Cut, CutOf, dominant_poles, first_delays
+from maglev_mj.theory.delay import ROUNDING, AnyDelay, Cut, CutOf, dominant_poles, first_delays
 from maglev_mj.theory.frequencies import angles_of, peak
 from maglev_mj.theory.two_rates import DeviceLaw, TwoRates, rates_of
 
@@ -636,7 +636,6 @@ def loop_matrix(
     return m
 
 
-ROUNDING = 1e-12
 _HALVED = 45, 1  # steps and points of a refinement to rounding
 
 
