@@ -20,28 +20,58 @@ from maglev_mj.theory.loop import Bound, Doubt
 from maglev_mj.theory.loop_array import is_linear
 from maglev_mj.theory.poses import SCALE, STRIDE
 
-_GRID, _SHIFT = 15, 1e-5
-"""Scan of an axis: positions, and displacement of the last sample [m]."""
-_SHARE = 0.1
-"""Force of a rest without a load, as a share of the largest force on the axis."""
-_BRIEF, _SEARCHED, _CLOSE = 2, 40, 1e-2
-"""Search of a rest: samples of laws without memory, most positions, relative error of the force."""
-_TINY, _SIZES = 1e-7, (0.002, 0.02, 0.2)
-"""Displacements: the smallest one [m], and shares of the depth at rest."""
-_REST, _RESTS, _AFTER = 40, (3, 40, 41, 43, 200, 512), 8
-"""Samples at rest before a displacement, all numbers of them that are tried, and samples recorded after it."""
-_DEEPER, _MORE, _PART, _BACK = 2.0, 5e-4, 0.01, _RESTS[4]
-"""Excursion to a deeper position before the rest: share of the depth, distance [m], share of a smaller one, and samples
-until the end of the rest.
+# The laws named here are in tests/theory/test_doubts.py, and need the value.
+# -- scan of an axis, and search of a rest on it
+_POINTS_OF_SCAN = 15
+"""Positions of a scan: they bracket the rest, which bisection then finds; effort alone."""
+_DISPLACEMENT_OF_SCAN = 1e-5
+"""Displacement of the last sample that shows where a law answers to motion [m]."""
+_SAMPLES_WITHOUT_MEMORY = 2
+"""Samples of a scan of laws without memory; a second force that differs from the first one shows a memory."""
+_SHARE_WITHOUT_LOAD = 0.1
+"""Force of a rest without a load, as a share of the largest force on the axis: a smaller one is lost in a play."""
+_MOST_POSITIONS, _ERROR_OF_REST = 40, 1e-2
+"""Most positions of a search, to 1e-7 of the bracket, and relative error of the force at which it ends.
+
+What is left after all is a jump. A law with 1 % of noise (Random) never comes closer; a probe needs no better rest.
 """
-_REPEATS, _RESTED, _SMOOTH, _STATIC, _RETURNED = 1e-6, 1e-2, 0.25, 1e-3, 1e-2
-"""Relative errors: of a repetition, of other times at rest, of other sizes, of the least static part, of a return."""
-_SMALL, _SLOW = 0.02, 0.05
-"""Largest size in question as a share of the depth, and speed as a share of that reached: a law that changes there is
-not judged; one that changes above is judged for motion up to there.
+
+# -- displacements and times of the probes
+_SMALLEST_DISPLACEMENT = 1e-7
+"""Smallest displacement [m], that of the linearisation; at 10 µm a bristle slides (Dahl)."""
+_DISPLACEMENTS = 0.002, 0.02, 0.2
+"""Larger ones as shares of the depth at rest; above the last one a force may end."""
+_SAMPLES_AT_REST, _SAMPLES_OF_RETURN = 40, 200
+"""Samples at rest before a displacement, as for a linearisation, and until the end of a rest after an excursion."""
+_TRIED_RESTS = 3, _SAMPLES_AT_REST, 41, 43, _SAMPLES_OF_RETURN, 512
+"""Samples at rest that are tried: few (Burst), odd (EverySecond needs one of two), many (Timer), most (Fatigue)."""
+_SAMPLES_OF_RESPONSE = 8
+"""Samples recorded after a displacement: more than gates and medians look back (Gated, five)."""
+_EXCURSION, _LEAST_EXCURSION = 2.0, 5e-4
+"""Excursion to a deeper position: share of the depth, and distance added to it [m], so that a play is crossed."""
+_SMALL_EXCURSION = 0.01
+"""Share of an excursion to both sides, from which the effect of a linear memory on the whole one is known."""
+
+# -- relative changes of a force
+_ROUNDING_OF_FORCE = 1e-6
+"""Change that is rounding: of a difference of forces, by the smallest displacement."""
+_CHANGE_BY_REST = 1e-2
+"""Change by another time at rest that counts, and force at the end of a response that is left of the largest one."""
+_CHANGE_BY_EXCURSION = 1e-2
+"""Change of the force at rest by an excursion that counts, unless it is that of a linear memory."""
+_CHANGE_BY_SIZE = 0.25
+"""Change of a response by its size that counts; below, a law is linear enough for its margin."""
+_LEAST_PART = 1e-3
+"""Least part of a response, static or decaying, that is compared at all: a smaller one does not move a margin."""
+
+# -- sizes of motion up to which a verdict holds
+_SMALL_MOTION, _SLOW_MOTION = 0.02, 0.05
+"""Largest size in question, as a share of the depth, and speed, as a share of `reached_speed`.
+
+A law that changes below is not judged; one that changes above is judged for motion up to there.
 """
-_REFINED = 8
-"""Bisections of the size up to which a law is linear."""
+_BISECTIONS_OF_SIZE = 8
+"""Bisections of that size: a decade to 1 %, so that a message has two digits."""
 
 
 def reached_speed(reach: ArrayLike) -> Array:
@@ -126,7 +156,7 @@ def _rests(forces: Array, x: Array, wanted: float) -> Iterable[tuple[float, int,
         most = float(np.nanmax(direction * forces))
         if not most > 0.0:
             continue
-        size = _SHARE * most
+        size = _SHARE_WITHOUT_LOAD * most
         if direction * wanted > 0.0:  # a range that ends before the weight is carried: half of the largest force
             size = abs(wanted) if abs(wanted) < most else 0.5 * most
         falls, half = (
@@ -150,7 +180,7 @@ class _Devices:
         self._carried = np.array([controllers[index].carried[axis] for index, axis in pairs])
         self._rows = np.arange(len(pairs))
         self._each = [controllers[index] for index, _ in pairs]
-        self._calls, self.samples = [0], _BRIEF
+        self._calls, self.samples = [0], _SAMPLES_WITHOUT_MEMORY
         if batch:
             together = stacked_controller(self._each)
             if together is None:
@@ -227,9 +257,9 @@ class _Scan(NamedTuple):
     ) -> _Scan:
         """Return the scan."""
         far = reach[[axis for _, axis in pairs]]
-        positions = np.linspace(-1.0, 1.0, _GRID) * (STRIDE * far)[:, None]
-        shift = _SHIFT * np.repeat(SCALE[[axis for _, axis in pairs]], _GRID)
-        each = [pair for pair in pairs for _ in range(_GRID)]
+        positions = np.linspace(-1.0, 1.0, _POINTS_OF_SCAN) * (STRIDE * far)[:, None]
+        shift = _DISPLACEMENT_OF_SCAN * np.repeat(SCALE[[axis for _, axis in pairs]], _POINTS_OF_SCAN)
+        each = [pair for pair in pairs for _ in range(_POINTS_OF_SCAN)]
         devices, forces = _scanned(controllers, each, pose, positions.ravel(), shift)
         declared = [
             Controller([law for law in one.laws if law.gains() is not None], period=one.period, velocity=one.velocity)
@@ -237,18 +267,18 @@ class _Scan(NamedTuple):
         ]
         stated = _scanned(declared, each, pose, positions.ravel(), shift)[1]
         with np.errstate(invalid="ignore"):
-            differs = ~(np.abs(forces - stated) <= _REPEATS * np.abs(forces).max(axis=0))
+            differs = ~(np.abs(forces - stated) <= _ROUNDING_OF_FORCE * np.abs(forces).max(axis=0))
         linear = np.array([is_linear(controllers[index].velocity) for index, _ in pairs])
-        active = differs.any(axis=0).reshape(-1, _GRID).any(axis=1) | ~linear & forces.any(axis=0).reshape(
-            -1, _GRID
+        active = differs.any(axis=0).reshape(-1, _POINTS_OF_SCAN).any(axis=1) | ~linear & forces.any(axis=0).reshape(
+            -1, _POINTS_OF_SCAN
         ).any(axis=1)
-        fastest = np.abs(forces[-1] - forces[-2]).reshape(-1, _GRID).argmax(axis=1)
-        acts = np.repeat(active, _GRID)
+        fastest = np.abs(forces[-1] - forces[-2]).reshape(-1, _POINTS_OF_SCAN).argmax(axis=1)
+        acts = np.repeat(active, _POINTS_OF_SCAN)
         if acts.any() and ((forces[:-1] != forces[0]).any() or (forces[0] == stated[0]).all()):  # a memory
-            devices.samples = _REST
+            devices.samples = _SAMPLES_AT_REST
             rest = devices.of([pair for pair, act in zip(each, acts) if act])
             forces[:-1, acts] = rest.held(positions[active].ravel())
-        return cls(devices, positions, forces[:-1].mean(axis=0).reshape(-1, _GRID), active, fastest)
+        return cls(devices, positions, forces[:-1].mean(axis=0).reshape(-1, _POINTS_OF_SCAN), active, fastest)
 
 
 def _scanned(
@@ -257,7 +287,7 @@ def _scanned(
     """Return devices, in a batch if the laws accept arrays, and forces at two samples at rest and a displaced one."""
 
     def forces(devices: _Devices, at: slice) -> Array:
-        first = devices.run(positions[at], _BRIEF)
+        first = devices.run(positions[at], _SAMPLES_WITHOUT_MEMORY)
         return np.vstack([first, devices.step(positions[at] + shift[at])])
 
     try:
@@ -265,7 +295,7 @@ def _scanned(
         rows = forces(devices, slice(None))
         single = forces(_Devices(controllers, pairs[-1:], pose, False), slice(-1, None))
         with np.errstate(invalid="ignore"):
-            if not (np.abs(rows[:, -1:] - single) > _REPEATS * np.abs(single).max(initial=1e-300)).any():
+            if not (np.abs(rows[:, -1:] - single) > _ROUNDING_OF_FORCE * np.abs(single).max(initial=1e-300)).any():
                 return devices, rows
     except TooManyCallsError:
         raise
@@ -305,10 +335,14 @@ def _probed(
     if static:
         x[count:] = [at for _, at in static]
     scale, speed = SCALE[devices.axes], reached_speed(reach)[devices.axes]
-    depth = np.maximum(np.where(depth > 0.0, depth, _SHARE * reach[devices.axes]), 10.0 * _TINY * scale)
+    depth = np.maximum(
+        np.where(depth > 0.0, depth, _SHARE_WITHOUT_LOAD * reach[devices.axes]), 10.0 * _SMALLEST_DISPLACEMENT * scale
+    )
     room = STRIDE * reach[devices.axes] - np.abs(x)
     fall = np.where(deeper != 0.0, np.minimum(speed * period, room), 0.0)
-    found = _Probes(devices, x, depth, deeper, np.minimum(_TINY * scale, _SIZES[0] * depth), scale, fall)
+    found = _Probes(
+        devices, x, depth, deeper, np.minimum(_SMALLEST_DISPLACEMENT * scale, _DISPLACEMENTS[0] * depth), scale, fall
+    )
     reasons = found.reasons()
     sizes, kinds = found.sizes()
     result = []
@@ -323,7 +357,7 @@ def _probed(
         elif reasons[row]:
             result.append(Doubt(limit, reasons[row], True))
         else:
-            least = _SMALL * depth[row] if kinds[row] == "position" else _SLOW * speed[row] * period
+            least = _SMALL_MOTION * depth[row] if kinds[row] == "position" else _SLOW_MOTION * speed[row] * period
             small = not beyond and sizes[row] < least
             what = "slope of the force" if kinds[row] == "position" else "damping"
             reason = f"the {what} changes above {up_to(limit, period, AXES[axis])}"
@@ -341,9 +375,9 @@ def _searched(devices: _Devices, targets: Array, brackets: Array) -> tuple[Array
     """Return positions with these forces at rest, and the size of the jump of force there; 0 for none."""
     low, high, above, below = brackets.T.copy()
     above, below = above - targets, below - targets
-    tolerance = _CLOSE * np.abs(targets)
+    tolerance = _ERROR_OF_REST * np.abs(targets)
     x, error = np.where(np.abs(above) < np.abs(below), low, high), np.minimum(np.abs(above), np.abs(below))
-    for step in range(_SEARCHED):
+    for step in range(_MOST_POSITIONS):
         if (error <= tolerance).all():
             break
         share = above / np.where(above - below > 0.0, above - below, 1.0)
@@ -366,15 +400,15 @@ class _Probes:
     ) -> None:
         self._fall = fall
         self._devices, self._x, self._depth, self._deeper, self._scale = devices, x, depth, deeper, scale
-        self._steps = [tiny, *(share * depth for share in _SIZES)]
+        self._steps = [tiny, *(share * depth for share in _DISPLACEMENTS)]
         devices.reset()
-        devices.run(x, _REST)
+        devices.run(x, _SAMPLES_AT_REST)
         self._rested = devices.branch()
-        self._still = self._rested.branch().run(x, _AFTER)
+        self._still = self._rested.branch().run(x, _SAMPLES_OF_RESPONSE)
         self._tiny = {sign: self._response(sign * tiny) for sign in (1.0, -0.5)}  # finds a sign of the velocity, too
 
     def _response(self, size: Array) -> Array:
-        forces = self._rested.branch().run(self._x + size, _AFTER)
+        forces = self._rested.branch().run(self._x + size, _SAMPLES_OF_RESPONSE)
         return np.asarray((forces - self._still) / size)
 
     def reasons(self) -> list[str]:
@@ -389,17 +423,19 @@ class _Probes:
         devices, rested, forces, gaps = self._devices, 0, dict[int, Array](), dict[int, Array]()
         devices.reset()
         response = self._response(size)
-        for rest in _RESTS:
+        for rest in _TRIED_RESTS:
             forces[rest] = devices.run(x, rest - rested)[-1]
             rested = rest
-            still, moved = (devices.branch().run(x + step, _AFTER) for step in (0.0 * size, size))
+            still, moved = (devices.branch().run(x + step, _SAMPLES_OF_RESPONSE) for step in (0.0 * size, size))
             gaps[rest] = np.abs((moved - still) / size - response)
         most, end = np.abs(response).max(axis=0), np.abs(response[-1])
-        refuse((gaps[_REST] > _REPEATS * most).any(axis=0), "the force does not repeat")
+        refuse((gaps[_SAMPLES_AT_REST] > _ROUNDING_OF_FORCE * most).any(axis=0), "the force does not repeat")
         for rest, gap in gaps.items():
-            wrong = (gap > _RESTED * most).any(axis=0) | (gap[-1] > np.maximum(_RESTED * end, _REPEATS * most))
-            refuse(wrong, f"the force depends on the number of samples at rest ({_REST} or {rest})")
-        refuse(self._returns(forces[_BACK]), "the force at rest depends on the way there (hysteresis)")
+            wrong = (gap > _CHANGE_BY_REST * most).any(axis=0) | (
+                gap[-1] > np.maximum(_CHANGE_BY_REST * end, _ROUNDING_OF_FORCE * most)
+            )
+            refuse(wrong, f"the force depends on the number of samples at rest ({_SAMPLES_AT_REST} or {rest})")
+        refuse(self._returns(forces[_SAMPLES_OF_RETURN]), "the force at rest depends on the way there (hysteresis)")
         refuse(
             np.any(_differs(*self._tiny.values()), axis=0), "the force depends on the direction of the smallest motion"
         )
@@ -414,8 +450,8 @@ class _Probes:
         """
         wrong = np.zeros(len(self._x), dtype=np.bool_)
         for shape, as_step in (
-            (np.eye(_AFTER)[0], np.cumsum),
-            (np.arange(1.0, _AFTER + 1.0), lambda ramp, axis: np.diff(ramp, axis=axis, prepend=0.0)),
+            (np.eye(_SAMPLES_OF_RESPONSE)[0], np.cumsum),
+            (np.arange(1.0, _SAMPLES_OF_RESPONSE + 1.0), lambda ramp, axis: np.diff(ramp, axis=axis, prepend=0.0)),
         ):
             moved = self._rested.branch()
             forces = np.array([moved.step(self._x + share * self._steps[0]) for share in shape])
@@ -426,7 +462,7 @@ class _Probes:
     def _frozen(self) -> Mask:
         """Return True where the smallest displacement leaves no force in the end, and a larger one does."""
         larger = [np.abs(self._response(size)[-1]) for size in self._steps[1:]]
-        return np.asarray(np.abs(self._tiny[1.0][-1]) < _RESTED * np.max(larger, axis=0))
+        return np.asarray(np.abs(self._tiny[1.0][-1]) < _CHANGE_BY_REST * np.max(larger, axis=0))
 
     def _returns(self, rest: Array) -> Mask:
         """Return True where the force differs after an excursion, other than by a linear memory of its size.
@@ -434,21 +470,24 @@ class _Probes:
         Args:
             rest: Force after as many samples without one.
         """
-        excursion = self._deeper * (_DEEPER * self._depth + _MORE * self._scale)
+        excursion = self._deeper * (_EXCURSION * self._depth + _LEAST_EXCURSION * self._scale)
         force = np.maximum(np.abs(rest), np.abs(self._tiny[1.0][-1]) * self._depth)
         whole = self._left(excursion) - rest
-        remains = np.abs(whole) > _RETURNED * force
+        remains = np.abs(whole) > _CHANGE_BY_EXCURSION * force
         if not remains.any():
             return np.asarray(remains)
-        there, back = (self._left(share * excursion) - rest for share in (_PART, -_PART))
-        scale = _SMOOTH * np.abs(whole)
-        return np.asarray(remains & ((np.abs(whole - there / _PART) > scale) | (np.abs(whole + back / _PART) > scale)))
+        there, back = (self._left(share * excursion) - rest for share in (_SMALL_EXCURSION, -_SMALL_EXCURSION))
+        scale = _CHANGE_BY_SIZE * np.abs(whole)
+        return np.asarray(
+            remains
+            & ((np.abs(whole - there / _SMALL_EXCURSION) > scale) | (np.abs(whole + back / _SMALL_EXCURSION) > scale))
+        )
 
     def _left(self, excursion: Array) -> Array:
         """Return the force at rest after an excursion."""
         self._devices.reset()
-        self._devices.run(self._x + excursion, _REST)
-        return np.asarray(self._devices.run(self._x, _BACK - _REST)[-1])
+        self._devices.run(self._x + excursion, _SAMPLES_AT_REST)
+        return np.asarray(self._devices.run(self._x, _SAMPLES_OF_RETURN - _SAMPLES_AT_REST)[-1])
 
     def sizes(self) -> tuple[Array, list[str]]:
         """Return sizes up to which the laws are linear, and what changes above, "" for nothing up to the largest."""
@@ -462,7 +501,7 @@ class _Probes:
                 elif not kinds[row]:
                     good[row] = max(good[row], size[row])
         if any(kinds):
-            for _ in range(_REFINED):
+            for _ in range(_BISECTIONS_OF_SIZE):
                 middle = np.where(np.isfinite(bad), np.sqrt(good * np.where(np.isfinite(bad), bad, 1.0)), good)
                 wrong = self._kinds(middle)
                 for row in np.flatnonzero(np.isfinite(bad)).tolist():
@@ -489,9 +528,9 @@ class _Probes:
     def _back(self, size: Array) -> Array:
         """Return the response to a step back from a rest at a deeper position."""
         still, moved = self._rested.branch(), self._rested.branch()
-        still.run(self._x, _REST)
-        moved.run(self._x + self._deeper * size, _REST)
-        return np.asarray((moved.run(self._x, _AFTER) - still.run(self._x, _AFTER)) / size)
+        still.run(self._x, _SAMPLES_AT_REST)
+        moved.run(self._x + self._deeper * size, _SAMPLES_AT_REST)
+        return np.asarray((moved.run(self._x, _SAMPLES_OF_RESPONSE) - still.run(self._x, _SAMPLES_OF_RESPONSE)) / size)
 
 
 def _differs(first: Array, second: Array) -> tuple[Mask, Mask]:
@@ -499,7 +538,7 @@ def _differs(first: Array, second: Array) -> tuple[Mask, Mask]:
     most = np.maximum(np.abs(first), np.abs(second)).max(axis=0)
     ends = np.maximum(np.abs(first[-1]), np.abs(second[-1]))
     change = np.abs(second[-1] - first[-1])
-    position = (change > _SMOOTH * ends) & (change > _STATIC * most)
+    position = (change > _CHANGE_BY_SIZE * ends) & (change > _LEAST_PART * most)
     before, after = first - first[-1], second - second[-1]
     change, moving = np.abs(after - before).max(axis=0), np.maximum(np.abs(before), np.abs(after)).max(axis=0)
-    return (change > _SMOOTH * moving) & (change > _STATIC * most), position
+    return (change > _CHANGE_BY_SIZE * moving) & (change > _LEAST_PART * most), position
