@@ -308,7 +308,7 @@ def test_a_suspicion_needs_changes_and_a_cause(share: float, suspected: bool) ->
         rows[-1, 0, 0], rows[-1, 1, 0] = 0.5, -0.5  # reversed: the square without a cause is 1, with it 0
         residual._excited = 1.0 / share if quantity == "sum" else 0.1
         if quantity == "sum":
-            assert residual._excited != module._EXCITED * probe**2
+            assert residual._excited != module._LEAST_CHANGES * probe**2
             assert residual._suspects(False) == suspected
         elif quantity == "share":
             residual._sums[:] = 0.0
@@ -359,7 +359,8 @@ def test_the_numbers_of_a_probe() -> None:
     residual._begin()
     assert residual._signs is not None and residual._signs.shape == (32, 6)
     assert np.abs(residual._signs.reshape(8, 4, 6).sum(axis=1)).max() < 1e-12
-    assert (module._FEWEST, module._JUDGED, module._REACH, module._FOLLOWED_STEPS) == (3, 10, 5, 8)
+    assert (module._LEAST_STEPS_JUDGED, module._MOST_STEPS_JUDGED, module._LONGEST_DELAY) == (3, 10, 5)
+    assert module._MOST_STEPS_FOLLOWED == 8
     assert residual.amplitudes == pytest.approx(0.4 / residual._sizes)
     weak = Residual(Calibration.of(DEVICES["ubc"].change("coils", current_limit=0.2, continuous_current=0.2)), 0.005)
     assert weak.amplitudes == pytest.approx([0.05] * 6)  # a quarter of the limit
