@@ -15,7 +15,7 @@ from maglev_mj.control.stack import stacked_controller
 from maglev_mj.errors import MaglevError, TooManyCallsError
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.spec import GRAVITY
-from maglev_mj.theory.linearise import too_many_calls
+from maglev_mj.theory.linearise import SAMPLES_AT_REST, too_many_calls
 from maglev_mj.theory.loop import Bound, Doubt
 from maglev_mj.theory.loop_array import is_linear
 from maglev_mj.theory.poses import SCALE, STRIDE
@@ -41,9 +41,9 @@ _SMALLEST_DISPLACEMENT = 1e-7
 """Smallest displacement [m], that of the linearisation; at 10 µm a bristle slides (Dahl)."""
 _DISPLACEMENTS = 0.002, 0.02, 0.2
 """Larger ones as shares of the depth at rest; above the last one a force may end."""
-_SAMPLES_AT_REST, _SAMPLES_OF_RETURN = 40, 200
-"""Samples at rest before a displacement, as for a linearisation, and until the end of a rest after an excursion."""
-_TRIED_RESTS = 3, _SAMPLES_AT_REST, 41, 43, _SAMPLES_OF_RETURN, 512
+_SAMPLES_OF_RETURN = 200
+"""Samples until the end of a rest that begins with an excursion."""
+_TRIED_RESTS = 3, SAMPLES_AT_REST, 41, 43, _SAMPLES_OF_RETURN, 512
 """Samples at rest that are tried: few (Burst), odd (EverySecond needs one of two), many (Timer), most (Fatigue)."""
 _SAMPLES_OF_RESPONSE = 8
 """Samples recorded after a displacement: more than gates and medians look back (Gated, five)."""
@@ -275,7 +275,7 @@ class _Scan(NamedTuple):
         fastest = np.abs(forces[-1] - forces[-2]).reshape(-1, _POINTS_OF_SCAN).argmax(axis=1)
         acts = np.repeat(active, _POINTS_OF_SCAN)
         if acts.any() and ((forces[:-1] != forces[0]).any() or (forces[0] == stated[0]).all()):  # a memory
-            devices.samples = _SAMPLES_AT_REST
+            devices.samples = SAMPLES_AT_REST
             rest = devices.of([pair for pair, act in zip(each, acts) if act])
             forces[:-1, acts] = rest.held(positions[active].ravel())
         return cls(devices, positions, forces[:-1].mean(axis=0).reshape(-1, _POINTS_OF_SCAN), active, fastest)
@@ -402,7 +402,7 @@ class _Probes:
         self._devices, self._x, self._depth, self._deeper, self._scale = devices, x, depth, deeper, scale
         self._steps = [tiny, *(share * depth for share in _DISPLACEMENTS)]
         devices.reset()
-        devices.run(x, _SAMPLES_AT_REST)
+        devices.run(x, SAMPLES_AT_REST)
         self._rested = devices.branch()
         self._still = self._rested.branch().run(x, _SAMPLES_OF_RESPONSE)
         self._tiny = {sign: self._response(sign * tiny) for sign in (1.0, -0.5)}  # finds a sign of the velocity, too
@@ -429,12 +429,12 @@ class _Probes:
             still, moved = (devices.branch().run(x + step, _SAMPLES_OF_RESPONSE) for step in (0.0 * size, size))
             gaps[rest] = np.abs((moved - still) / size - response)
         most, end = np.abs(response).max(axis=0), np.abs(response[-1])
-        refuse((gaps[_SAMPLES_AT_REST] > _ROUNDING_OF_FORCE * most).any(axis=0), "the force does not repeat")
+        refuse((gaps[SAMPLES_AT_REST] > _ROUNDING_OF_FORCE * most).any(axis=0), "the force does not repeat")
         for rest, gap in gaps.items():
             wrong = (gap > _CHANGE_BY_REST * most).any(axis=0) | (
                 gap[-1] > np.maximum(_CHANGE_BY_REST * end, _ROUNDING_OF_FORCE * most)
             )
-            refuse(wrong, f"the force depends on the number of samples at rest ({_SAMPLES_AT_REST} or {rest})")
+            refuse(wrong, f"the force depends on the number of samples at rest ({SAMPLES_AT_REST} or {rest})")
         refuse(self._returns(forces[_SAMPLES_OF_RETURN]), "the force at rest depends on the way there (hysteresis)")
         refuse(
             np.any(_differs(*self._tiny.values()), axis=0), "the force depends on the direction of the smallest motion"
@@ -486,8 +486,8 @@ class _Probes:
     def _left(self, excursion: Array) -> Array:
         """Return the force at rest after an excursion."""
         self._devices.reset()
-        self._devices.run(self._x + excursion, _SAMPLES_AT_REST)
-        return np.asarray(self._devices.run(self._x, _SAMPLES_OF_RETURN - _SAMPLES_AT_REST)[-1])
+        self._devices.run(self._x + excursion, SAMPLES_AT_REST)
+        return np.asarray(self._devices.run(self._x, _SAMPLES_OF_RETURN - SAMPLES_AT_REST)[-1])
 
     def sizes(self) -> tuple[Array, list[str]]:
         """Return sizes up to which the laws are linear, and what changes above, "" for nothing up to the largest."""
@@ -528,8 +528,8 @@ class _Probes:
     def _back(self, size: Array) -> Array:
         """Return the response to a step back from a rest at a deeper position."""
         still, moved = self._rested.branch(), self._rested.branch()
-        still.run(self._x, _SAMPLES_AT_REST)
-        moved.run(self._x + self._deeper * size, _SAMPLES_AT_REST)
+        still.run(self._x, SAMPLES_AT_REST)
+        moved.run(self._x + self._deeper * size, SAMPLES_AT_REST)
         return np.asarray((moved.run(self._x, _SAMPLES_OF_RESPONSE) - still.run(self._x, _SAMPLES_OF_RESPONSE)) / size)
 
 

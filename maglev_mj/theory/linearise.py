@@ -25,23 +25,37 @@ from maglev_mj.spec import INERTIA
 from maglev_mj.theory.delay import AnyCutOf, CoupledCut
 from maglev_mj.theory.loop_array import LoopArray, is_linear, loop_matrix
 
-_SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
-"""Largest speed of a test displacement [m/s, rad/s], far below the speed of sticking friction."""
-_LARGEST = np.array([1e-7] * 3 + [1e-6] * 3)
-"""Largest test displacement [m, rad]."""
-_REST, _MEMORY, _LONGEST, _QUIET = 40, 64, 512, 8
-"""Samples at rest before the displacement, recorded after it (initially and at most), and zero at the end."""
-_CALLS = 50_000
-"""Largest number of calls of one controller; a time would refuse it on a busy machine alone."""
-_POSES = 128
-"""Poses whose responses are computed at once, limited by memory."""
-_CUT, _BENT = 1e-9, 1e-2
-"""Thresholds of zero and of nonlinearity, relative to the largest response."""
-_RANK, _FIT, _MOST, _ROWS, _INTEGRATES = 1e-7, 1e-6, 24, 64, 1e-7
-"""Realisation: least singular value, largest error, most states, rows, and distance of an integrator's pole from 1.
+# -- test displacement
+_LARGEST_SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
+"""Largest speed of a test displacement [m/s, rad/s]; friction slides from 0.4 mm/s on in a test."""
+_LARGEST_DISPLACEMENT = np.array([1e-7] * 3 + [1e-6] * 3)
+"""Largest test displacement [m, rad]: at a hundredth of it, rounding hides the response of a virtual mass."""
+SAMPLES_AT_REST = 40
+"""Samples at rest before the displacement, in which friction sticks and filters settle; two are too few."""
 
-Responses are accurate to 1e-9 of their largest value.
-"""
+# -- response
+_FIRST_SAMPLES, _MOST_SAMPLES = 64, 512
+"""Samples recorded after the displacement at first, and at most; effort alone below that, as all are zero."""
+_SAMPLES_OF_ZERO = 8
+"""Samples of zero at the end of a response that has decayed: a law may answer late, or at every few samples alone."""
+_MOST_CALLS = 50_000
+"""Largest number of calls of one controller; a time would refuse it on a busy machine alone."""
+_POSES_AT_ONCE = 128
+"""Poses whose responses are computed at once; limits memory alone."""
+_ZERO_RESPONSE = 1e-9
+"""Response that is zero, relative to the largest one: rounding of a difference of forces by 0.1 µm."""
+_NONLINEAR_RESPONSE = 1e-2
+"""Difference of the responses to both sides that marks a jump of the force or of its slope, relative to the largest."""
+
+# -- realisation; responses are accurate to 1e-9 of their largest value
+_LEAST_SINGULAR_VALUE = 1e-7
+"""Least singular value of a state, relative to the largest: smaller ones are rounding."""
+_ERROR_OF_REALISATION = 1e-6
+"""Largest error of the response of a realisation, relative to the largest one; above, it is no linear system."""
+_MOST_STATES, _MOST_ROWS = 24, 64
+"""Most states, and rows of the Hankel matrix, of which the states need one each; limits effort."""
+INTEGRATOR_POLE = 1e-7
+"""Distance from 1 of a pole that integrates: a slower decay than in 1e7 samples is none."""
 
 
 def pose_text(pose: Sequence[float] | Array) -> str:
@@ -250,7 +264,7 @@ class StateSpace(LinearController):
         The first is infinite if the controller integrates.
         """
         still = np.eye(len(self.advance)) - self.advance
-        if (np.abs(np.linalg.eigvals(still)) < _INTEGRATES).any():
+        if (np.abs(np.linalg.eigvals(still)) < INTEGRATOR_POLE).any():
             return np.full_like(self.direct, -np.inf), np.zeros_like(self.direct)
         once = np.linalg.solve(still, self.take)
         return self.direct + self.give @ once, self.give @ np.linalg.solve(still, once)
@@ -321,7 +335,7 @@ def linearise(
     each = [controller] * len(rest) if isinstance(controller, Controller) else controller
     chosen, period = list(axis_indices(axes)), each[0].period
     n = len(chosen)
-    size = np.minimum(_LARGEST, _SPEED * period)
+    size = np.minimum(_LARGEST_DISPLACEMENT, _LARGEST_SPEED * period)
     alone = all(map(acts_on_each_axis_alone, {id(one): one for one in each}.values()))
     places = np.zeros(n, dtype=int) if alone else np.arange(n)  # of the displaced copies, by axis
     moves = np.zeros((1 if alone else n, 6))
@@ -331,8 +345,8 @@ def linearise(
     moved = still + shift
     rows = _Responses(each, still, moved).rows()
     change, linearised = moved - still, list[Linearised]()  # the actual change of a coordinate, rounding included
-    for first in range(0, len(rest), _POSES):
-        some = slice(first, first + _POSES)
+    for first in range(0, len(rest), _POSES_AT_ONCE):
+        some = slice(first, first + _POSES_AT_ONCE)
         difference = np.moveaxis(rows[:, some, 1:] - rows[:, some, :1], [0, 3], [1, 2])  # [pose, j, to, from]
         both = []
         for copies in (places, len(moves) + places):
@@ -368,11 +382,11 @@ def _near(poses: Array, period: float, up: Array, down: Array) -> Iterator[Linea
     response = (up + 2.0 * down) / 3.0
     gap = np.abs(up - down)
     largest = (weight * np.abs(response)).max(axis=(1, 2))
-    jumps = np.asarray((weight * gap).max(axis=(1, 2)) > _BENT * largest)
+    jumps = np.asarray((weight * gap).max(axis=(1, 2)) > _NONLINEAR_RESPONSE * largest)
     # a response that shrinks with the displacement, such as the creep of a bristle, vanishes in the limit
-    least = np.maximum(_CUT * largest[:, None, None] / weight, np.where(jumps[:, None, None], 0.0, 2.0 * gap))
+    least = np.maximum(_ZERO_RESPONSE * largest[:, None, None] / weight, np.where(jumps[:, None, None], 0.0, 2.0 * gap))
     response = np.where(np.abs(response) > least, response, 0.0)
-    settled = np.asarray(finite & ~response[:, -_QUIET:].any(axis=(1, 2)))
+    settled = np.asarray(finite & ~response[:, -_SAMPLES_OF_ZERO:].any(axis=(1, 2)))
     for parts in zip(poses, response, jumps, settled, strict=True):
         yield Linearised(pose=parts[0], period=period, response=parts[1], jumps=parts[2], settled=parts[3])
 
@@ -387,13 +401,13 @@ class _Responses:
     def rows(self) -> Array:
         """Return the wrenches from the displaced sample on, (M, P, D, 6)."""
         # a law may respond with a delay: the first pose gives the number of samples
-        rows = self._batch(slice(1), _LONGEST)
+        rows = self._batch(slice(1), _MOST_SAMPLES)
         if rows is None or len(self._still) == 1:
             return self._one_by_one() if rows is None else rows
-        memory = min(max(_MEMORY, _support(rows) + _QUIET), _LONGEST)
+        memory = min(max(_FIRST_SAMPLES, _support(rows) + _SAMPLES_OF_ZERO), _MOST_SAMPLES)
         rows = self._batch(slice(None), memory)
-        if rows is not None and memory < _LONGEST and _alive(rows)[-_QUIET:].any():
-            rows = self._batch(slice(None), _LONGEST)
+        if rows is not None and memory < _MOST_SAMPLES and _alive(rows)[-_SAMPLES_OF_ZERO:].any():
+            rows = self._batch(slice(None), _MOST_SAMPLES)
         return self._one_by_one() if rows is None else rows
 
     def _batch(self, poses: slice, memory: int) -> Array | None:
@@ -411,29 +425,32 @@ class _Responses:
         except (MaglevError, TypeError, ValueError):  # a law that accepts floats only, as with math.sin or `if`
             return None
         with np.errstate(invalid="ignore"):
-            differs = np.abs(rows[:, -1:] - single) > _CUT * np.abs(single).max(initial=1e-300)
+            differs = np.abs(rows[:, -1:] - single) > _ZERO_RESPONSE * np.abs(single).max(initial=1e-300)
         return None if differs.any() else rows.reshape(memory, -1, *self._still.shape[1:])
 
     def _one_by_one(self) -> Array:
         poses, devices = self._still.shape[:2]
-        rows, memory, longest = np.zeros((_LONGEST, poses, devices, 6)), min(_MEMORY, _LONGEST), 0
+        rows, memory, longest = np.zeros((_MOST_SAMPLES, poses, devices, 6)), min(_FIRST_SAMPLES, _MOST_SAMPLES), 0
         for index, (still, moved) in enumerate(zip(self._still.tolist(), self._moved.tolist(), strict=True)):
             if self._controllers[index] is not self._controllers[index - 1]:
                 self._calls = 0  # a verdict does not depend on others
             rested, part = self._rest(self._controllers[index], still[0]), rows[:, index : index + 1]
-            for length in dict.fromkeys((memory, _LONGEST)):
+            for length in dict.fromkeys((memory, _MOST_SAMPLES)):
                 for device, pose in enumerate(moved):
                     part[:length, 0, device] = self._after(rested, still[0], pose, length)[:, 0]
-                if not _alive(part[:length])[-_QUIET:].any():
+                if not _alive(part[:length])[-_SAMPLES_OF_ZERO:].any():
                     break
             longest = max(longest, length)
-            memory = min(max(memory if index else 2 * _QUIET, _support(part[:length]) + _QUIET), _LONGEST)
+            memory = min(
+                max(memory if index else 2 * _SAMPLES_OF_ZERO, _support(part[:length]) + _SAMPLES_OF_ZERO),
+                _MOST_SAMPLES,
+            )
         return rows[:longest]
 
     def _rest(self, controller: Controller, still: Sequence[Any]) -> Controller:
         rested = copy.copy(controller)
         rested.reset()
-        for tick in range(-_REST, 0):
+        for tick in range(-SAMPLES_AT_REST, 0):
             self._step(rested, tick, still)
         return rested
 
@@ -459,7 +476,7 @@ def too_many_calls(calls: int, controllers: Sequence[Controller]) -> None:
     Raises:
         TooManyCallsError: If they were called more than 50 000 times each.
     """
-    budget = _CALLS * len({*map(id, controllers)})
+    budget = _MOST_CALLS * len({*map(id, controllers)})
     if calls > budget:
         laws = [law for law in controllers[0].laws if law.gains() is None] or controllers[0].laws
         names = " and ".join(dict.fromkeys(getattr(law, "name", named(type(law))) for law in laws))
@@ -475,7 +492,7 @@ def _alive(rows: Array) -> Mask:
     """Return True for samples at which a displaced device differs from the undisturbed one, (M,)."""
     with np.errstate(invalid="ignore"):
         gap = np.abs(rows - rows[:, :, :1])
-        return np.asarray((~(gap <= _CUT * gap.max(axis=0))).any(axis=(1, 2, 3)))
+        return np.asarray((~(gap <= _ZERO_RESPONSE * gap.max(axis=0))).any(axis=(1, 2, 3)))
 
 
 def realise(response: Array) -> StateSpace | None:
@@ -488,11 +505,11 @@ def realise(response: Array) -> StateSpace | None:
     """
     direct, later = response[0], response[1:]
     half, n = len(later) // 2, response.shape[1]
-    rows = min(half, _ROWS)
+    rows = min(half, _MOST_ROWS)
     blocks = later[np.add.outer(np.arange(rows), np.arange(len(later) - rows))]
     to, sizes, source = np.linalg.svd(blocks.swapaxes(1, 2).reshape(rows * n, -1), full_matrices=False)
-    states = int((sizes > _RANK * sizes[0]).sum())
-    if states > _MOST:
+    states = int((sizes > _LEAST_SINGULAR_VALUE * sizes[0]).sum())
+    if states > _MOST_STATES:
         return None
     root = np.sqrt(sizes[:states])
     observability, controllability = to[:, :states] * root, root[:, None] * source[:states]
@@ -502,7 +519,7 @@ def realise(response: Array) -> StateSpace | None:
         for answer in later:
             error = max(error, float(np.abs(observability[:n] @ state - answer).max()))
             state = advance @ state
-    if not error <= _FIT * np.abs(response).max():
+    if not error <= _ERROR_OF_REALISATION * np.abs(response).max():
         return None
     return StateSpace(advance, controllability[:, :n], observability[:n], direct)
 

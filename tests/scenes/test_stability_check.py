@@ -254,7 +254,7 @@ def test_a_slow_law_is_called_a_stored_number_of_times(
     asked: Any, besides: int | None, says: str, limit: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Slow, "calls", 0)
-    monkeypatch.setattr("maglev_mj.theory.linearise._CALLS", limit)
+    monkeypatch.setattr("maglev_mj.theory.linearise._MOST_CALLS", limit)
     answer = str(asked(Slow(duration=0.02)))
     assert Slow.calls == (AT_THE_WALL if besides is None else CALLS[limit] + besides)
     assert says in answer if limit == 2000 else "not computed" not in answer
@@ -268,7 +268,7 @@ def test_no_scene_warns_as_it_is(name: str) -> None:
 
 
 def test_a_scene_that_may_be_unstable_warns_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)
+    monkeypatch.setattr("maglev_mj.theory.linearise._MOST_SAMPLES", 80)
     monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:100])
     wrong = Detents(stiffness=9870.0)
     warned = str(stability_warning(wrong))

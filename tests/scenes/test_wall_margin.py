@@ -82,7 +82,7 @@ def test_it_is_said_in_a_line(scene: Scene, says: str) -> None:
 
 
 def test_what_remembers_too_long_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)
+    monkeypatch.setattr("maglev_mj.theory.linearise._MOST_SAMPLES", 80)
     monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:100])
     assert judge(wall_loops(Echoing())).words == "stability not computed"
 

@@ -264,7 +264,7 @@ def alone(stiffness: float, damping: float) -> Any:
 def test_a_map_of_laws_without_gains_is_that_of_its_points_and_costs_the_calls_of_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)  # in less time
+    monkeypatch.setattr("maglev_mj.theory.linearise._MOST_SAMPLES", 80)  # in less time
     dampings, found, calls = [40.0, 250.0, 60.0, 61.0, 62.0], np.zeros((0, 2)), list[int]()
     for values in (dampings[:3], dampings):
         Sampled.calls = 0

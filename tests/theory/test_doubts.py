@@ -363,7 +363,7 @@ def test_several_controllers_are_probed_together(law: Any) -> None:
 
 
 def test_calls_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.theory.linearise._CALLS", 500)
+    monkeypatch.setattr("maglev_mj.theory.linearise._MOST_CALLS", 500)
     with pytest.raises(TooManyCallsError, match="needs more than 500 calls"):
         found(scene(Floats, 2e4))
 

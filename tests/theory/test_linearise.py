@@ -345,7 +345,7 @@ class Cave(Echo):
 
 
 def test_an_answer_that_does_not_die_away_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 40)
+    monkeypatch.setattr("maglev_mj.theory.linearise._MOST_SAMPLES", 40)
     monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:128])
     found = verdict(Echo(axes="x"))
     assert found.stable is None and len(found.unknown) > 100 and "512 samples" in found.remarks[1]
@@ -503,7 +503,7 @@ def test_the_calls_of_a_law_are_limited(most: int, monkeypatch: pytest.MonkeyPat
         calls += 1
         return [-300.0 * float(position[0]) - 3.0 * float(velocity[0]), 0.0, 0.0, 0.0, 0.0, 0.0]
 
-    monkeypatch.setattr("maglev_mj.theory.linearise._CALLS", most)
+    monkeypatch.setattr("maglev_mj.theory.linearise._MOST_CALLS", most)
     controller = Controller([slow], period=T)
     if most == 50_000:
         assert judge(controller, delay=DELAY).stable and calls < 40_000
