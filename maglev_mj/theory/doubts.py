@@ -18,7 +18,7 @@ from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.linearise import SAMPLES_AT_REST, too_many_calls
 from maglev_mj.theory.loop import Bound, Doubt
 from maglev_mj.theory.loop_array import is_linear
-from maglev_mj.theory.poses import SCALE, STRIDE
+from maglev_mj.theory.poses import DISPLACEMENT, SCALE, STRIDE
 
 # The laws named here are in tests/theory/test_doubts.py, and need the value.
 # -- scan of an axis, and search of a rest on it
@@ -37,10 +37,11 @@ What is left after all is a jump. A law with 1 % of noise (Random) never comes c
 """
 
 # -- displacements and times of the probes
-_SMALLEST_DISPLACEMENT = 1e-7
-"""Smallest displacement [m], that of the linearisation; at 10 µm a bristle slides (Dahl)."""
 _DISPLACEMENTS = 0.002, 0.02, 0.2
-"""Larger ones as shares of the depth at rest; above the last one a force may end."""
+"""Displacements above the smallest one, `DISPLACEMENT`, as shares of the depth at rest; above the last a force may end.
+
+At 10 µm as the smallest one a bristle slides (Dahl).
+"""
 _SAMPLES_OF_RETURN = 200
 """Samples until the end of a rest that begins with an excursion."""
 _TRIED_RESTS = 3, SAMPLES_AT_REST, 41, 43, _SAMPLES_OF_RETURN, 512
@@ -336,13 +337,11 @@ def _probed(
         x[count:] = [at for _, at in static]
     scale, speed = SCALE[devices.axes], reached_speed(reach)[devices.axes]
     depth = np.maximum(
-        np.where(depth > 0.0, depth, _SHARE_WITHOUT_LOAD * reach[devices.axes]), 10.0 * _SMALLEST_DISPLACEMENT * scale
+        np.where(depth > 0.0, depth, _SHARE_WITHOUT_LOAD * reach[devices.axes]), 10.0 * DISPLACEMENT * scale
     )
     room = STRIDE * reach[devices.axes] - np.abs(x)
     fall = np.where(deeper != 0.0, np.minimum(speed * period, room), 0.0)
-    found = _Probes(
-        devices, x, depth, deeper, np.minimum(_SMALLEST_DISPLACEMENT * scale, _DISPLACEMENTS[0] * depth), scale, fall
-    )
+    found = _Probes(devices, x, depth, deeper, np.minimum(DISPLACEMENT * scale, _DISPLACEMENTS[0] * depth), scale, fall)
     reasons = found.reasons()
     sizes, kinds = found.sizes()
     result = []

@@ -19,15 +19,23 @@ POINTS, STRIDE = 23, 0.9871
 
 The range is a fraction of the range of motion, chosen so that few poses fall on an edge.
 """
-EDGE, _DEPTHS = 1e-5, (1e-6, 1e-5, 1e-4)
-"""Distances from an edge [m]; ten times as many [rad].
+BESIDE_EDGE = 1e-5
+"""Distance by which a start on an edge is moved off it [m]; ten times as much [rad]."""
+_DEPTHS_INSIDE = 1e-6, 1e-5, 1e-4
+"""Depths of poses inside a face or another edge [m]; ten times as much [rad].
 
-The first moves a start off an edge, the others are depths of poses inside a face or another edge.
+A law whose gains grow from its edge on is judged there, as the grid has a pose every 0.4 mm of a range of 4.5 mm.
 """
-_PROBE, _EDGE, _LOCATED = 1e-7, 1e-4, 10
-"""Displacement that probes for an edge [m, 0.1 rad], relative change that marks one, and bisections of its interval."""
-_FINE, _MORE = 901, 1.01
-"""Positions along an axis in a search of layers, and ratio of a gain there to those at the poses."""
+DISPLACEMENT = 1e-7
+"""Displacement that finds an edge [m]; ten times as much [rad]: that of a linearisation."""
+_CHANGE_AT_EDGE = 1e-4
+"""Relative change of the gains that marks an edge; a smaller one is rounding of a difference of forces."""
+_BISECTIONS_OF_EDGE = 10
+"""Bisections of its interval: to 0.4 µm of a range of 4.5 mm, below the least depth."""
+_POINTS_OF_LAYERS = 901
+"""Positions along an axis in a search of layers: one thinner than 1/450 of the range may be missed."""
+_RATIO_OF_LAYER = 1.01
+"""Ratio of a gain in a layer to those at the poses, from which it gets a pose of its own."""
 SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
@@ -35,12 +43,12 @@ def poses_of(controllers: Sequence[Controller], start: Array, reach: ArrayLike) 
     """Return start, centre, poses along each axis, and poses inside each face, of each controller."""
     result = []
     for controller, near in zip(controllers, linearise(controllers, np.tile(start, (len(controllers), 1)))):
-        first = start + EDGE * SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
+        first = start + BESIDE_EDGE * SCALE * near.jumps  # from a start on an edge, the whole grid would be on it
         rows = [first, np.zeros(6)]
         for axis, far in enumerate(np.asarray(reach)):
             rows += [_with(first, axis, value) for value in np.linspace(-1.0, 1.0, POINTS) * far * STRIDE]
         for axis, normal, edge in controller.faces:
-            rows += [_with(first, axis, float(edge) - normal * depth * SCALE[axis]) for depth in _DEPTHS]
+            rows += [_with(first, axis, float(edge) - normal * depth * SCALE[axis]) for depth in _DEPTHS_INSIDE]
         result.append(np.array(rows))
     return result
 
@@ -50,17 +58,20 @@ def extremes_of(controller: Controller, start: Array, reach: ArrayLike) -> list[
 
     Empty for laws that accept floats only.
     """
-    positions = np.linspace(-1.0, 1.0, _FINE)
-    rows = np.tile(start, (len(AXES), _FINE, 1))
+    positions = np.linspace(-1.0, 1.0, _POINTS_OF_LAYERS)
+    rows = np.tile(start, (len(AXES), _POINTS_OF_LAYERS, 1))
     for axis, far in enumerate(np.asarray(reach)):
         rows[axis, :, axis] = positions * far * STRIDE
     probe, forces = copy(controller), []
     probe.reset()
     try:
         for tick in range(2):  # at rest, then all displaced
-            moved = rows + tick * _PROBE * SCALE * np.eye(len(AXES))[:, None]
+            moved = rows + tick * DISPLACEMENT * SCALE * np.eye(len(AXES))[:, None]
             wrench = probe.step(Sample(tick, 0.0, components(moved.reshape(-1, len(AXES))))).force
-            each = [np.broadcast_to(part, len(AXES) * _FINE).reshape(len(AXES), _FINE) for part in wrench]
+            each = [
+                np.broadcast_to(part, len(AXES) * _POINTS_OF_LAYERS).reshape(len(AXES), _POINTS_OF_LAYERS)
+                for part in wrench
+            ]
             forces.append(np.array([each[axis][axis] for axis in range(len(AXES))]))
     except (MaglevError, TypeError, ValueError):
         return []
@@ -68,11 +79,13 @@ def extremes_of(controller: Controller, start: Array, reach: ArrayLike) -> list[
     near = np.searchsorted(positions, np.linspace(-1.0, 1.0, POINTS)) - 1
     for axis in range(len(AXES)):
         stiffness = -np.diff(forces[0][axis]) / np.diff(rows[axis, :, axis])
-        moving = (forces[0][axis] - forces[1][axis]) / (_PROBE * SCALE[axis])
+        moving = (forces[0][axis] - forces[1][axis]) / (DISPLACEMENT * SCALE[axis])
         moving = np.maximum(moving[1:], moving[:-1])
-        share = np.where(stiffness > _EDGE * stiffness.max(), stiffness / np.where(moving > 0.0, moving, np.inf), 0.0)
+        share = np.where(
+            stiffness > _CHANGE_AT_EDGE * stiffness.max(), stiffness / np.where(moving > 0.0, moving, np.inf), 0.0
+        )
         for size in (stiffness, share):
-            if size[at := int(np.argmax(size))] > _MORE * size[near].max():
+            if size[at := int(np.argmax(size))] > _RATIO_OF_LAYER * size[near].max():
                 result.append(_with(start, axis, float(rows[axis, at : at + 2, axis].mean())))
     return result
 
@@ -88,18 +101,18 @@ def edges_of(controller: Controller, grid: Sequence[Linearised]) -> Iterator[Arr
                 if constant != [True]:
                     continue
                 slope = _slope(controller, outside, axis)
-                for _ in range(_LOCATED):
+                for _ in range(_BISECTIONS_OF_EDGE):
                     middle = 0.5 * (outside + inside)
                     unchanged = _same(_slope(controller, middle, axis), slope)
                     outside, inside = (middle, inside) if unchanged else (outside, middle)
                 sign = np.sign(inside[axis] - outside[axis]) * SCALE[axis]
-                yield from (_with(inside, axis, inside[axis] + sign * depth) for depth in _DEPTHS)
+                yield from (_with(inside, axis, inside[axis] + sign * depth) for depth in _DEPTHS_INSIDE)
 
 
 def _slope(controller: Controller, pose: Array, axis: int) -> Array:
     """Return the change of the wrench by a small displacement along one axis, (1, 6)."""
     forces = []
-    for step in (0.0, _PROBE * SCALE[axis]):
+    for step in (0.0, DISPLACEMENT * SCALE[axis]):
         probe = copy(controller)
         probe.reset()
         for tick, shift in enumerate((0.0, 0.0, step)):
@@ -109,7 +122,7 @@ def _slope(controller: Controller, pose: Array, axis: int) -> Array:
 
 
 def _same(first: Array, second: Array) -> bool:
-    return bool(np.abs(first - second).max() <= _EDGE * max(np.abs(first).max(), np.abs(second).max()))
+    return bool(np.abs(first - second).max() <= _CHANGE_AT_EDGE * max(np.abs(first).max(), np.abs(second).max()))
 
 
 def _with(pose: Array, axis: int, value: float) -> Array:

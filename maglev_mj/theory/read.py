@@ -26,7 +26,7 @@ from maglev_mj.theory.doubts import doubts
 from maglev_mj.theory.linearise import Linearised, is_ours, linearise, realise
 from maglev_mj.theory.loop import STILL, AtPose, Doubt, Loop, Loops, memory_of
 from maglev_mj.theory.loop_array import is_linear
-from maglev_mj.theory.poses import EDGE, POINTS, SCALE, edges_of, extremes_of, poses_of
+from maglev_mj.theory.poses import BESIDE_EDGE, POINTS, SCALE, edges_of, extremes_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
 _ROUNDING = 1e-9
@@ -492,7 +492,7 @@ def _regions(controllers: Sequence[Controller], grids: Sequence[Sequence[Lineari
 def _beside(poses: Array, axis: int) -> Array:
     """Return poses moved to both sides on an axis."""
     moved = np.repeat(poses, 2, axis=0)
-    moved[:, axis] += np.tile([-EDGE, EDGE], len(poses)) * SCALE[axis]
+    moved[:, axis] += np.tile([-BESIDE_EDGE, BESIDE_EDGE], len(poses)) * SCALE[axis]
     return moved
 
 
