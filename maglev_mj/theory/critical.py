@@ -10,15 +10,16 @@ import numpy as np
 
 from maglev_mj.frames import Array, Mask
 from maglev_mj.theory.boundary import boundary_of, highest_of
-from maglev_mj.theory.linearise import StateSpace, realise
-from maglev_mj.theory.loop import AffineLaw, Bound, Loop, Loops
+from maglev_mj.theory.linearise import MOST_SAMPLES_AS_STATES, StateSpace, realise
+from maglev_mj.theory.loop import RELATIVE_ROUNDING, AffineLaw, Bound, Loop, Loops
 from maglev_mj.theory.loop_array import bisect
 
 RATIOS = 1.0, 2.0, 3.0
 """Ratios of the gain at which a law is checked to be affine in it."""
-_FACTOR, _STEPS, _HALVINGS = 1.2, 14, 13
-"""Scan of other laws: factor per step, steps, bisections."""
-_SHORT, _ROUNDING = 16, 1e-9
+_FACTOR_OF_SCAN, _STEPS_OF_SCAN = 1.2, 14
+"""Scan of other laws up to ten times the gain: factor of a step, and steps; a narrower band in between is missed."""
+_BISECTIONS = 13
+"""Bisections of the step in which stability changes: to 2e-5 of the gain."""
 
 LoopsAt: TypeAlias = Callable[[Sequence[int], Sequence[float]], Sequence[Loops]]
 """Function of indices and ratios of a gain that returns the loops of each; none for a gain out of bounds."""
@@ -76,18 +77,18 @@ def affine_limit(three: Sequence[Loop]) -> Bound | None:
         return None
     array = three[0].array(law=law.__call__, velocity=None)
     limit, highest = float(boundary_of(array, np.asarray(0.0))), float(highest_of(array))
-    return Bound(limit, limit >= highest * (1.0 - _ROUNDING))
+    return Bound(limit, limit >= highest * (1.0 - RELATIVE_ROUNDING))
 
 
 def _realised(response: Array) -> StateSpace | None:
-    return StateSpace.of(response) if len(response) <= _SHORT else realise(response)
+    return StateSpace.of(response) if len(response) <= MOST_SAMPLES_AS_STATES else realise(response)
 
 
 def _scan(at: LoopsAt, cases: Sequence[int], radii: Sequence[float]) -> list[Bound]:
     """Return the ratio of some cases by steps of a factor and bisection."""
     if not cases:
         return []
-    stable, valid = np.array([radii[case] for case in cases]) < 1.0 - _ROUNDING, np.ones(len(cases), dtype=bool)
+    stable, valid = np.array([radii[case] for case in cases]) < 1.0 - RELATIVE_ROUNDING, np.ones(len(cases), dtype=bool)
 
     def changed(ratios: Array) -> Mask:
         """Return True where stability at a ratio above 0 differs from the present; not valid if not judged."""
@@ -96,16 +97,18 @@ def _scan(at: LoopsAt, cases: Sequence[int], radii: Sequence[float]) -> list[Bou
         if asked.size:
             found = np.array([*map(_radius, at([cases[index] for index in asked.tolist()], ratios[asked].tolist()))])
             valid[asked] = ~np.isnan(found)
-            result[asked] = valid[asked] & ((found < 1.0 - _ROUNDING) != stable[asked])
+            result[asked] = valid[asked] & ((found < 1.0 - RELATIVE_ROUNDING) != stable[asked])
         return result
 
     before, after = np.ones(len(cases)), np.full(len(cases), math.inf)
-    for step in range(1, _STEPS):
-        ratios = np.where(np.isinf(after), np.where(stable, _FACTOR**step, (1.0 / _FACTOR) ** step), 0.0)
+    for step in range(1, _STEPS_OF_SCAN):
+        ratios = np.where(
+            np.isinf(after), np.where(stable, _FACTOR_OF_SCAN**step, (1.0 / _FACTOR_OF_SCAN) ** step), 0.0
+        )
         crossed = changed(ratios)
         before, after = np.where(np.isinf(after) & ~crossed, ratios, before), np.where(crossed, ratios, after)
-    found = bisect(changed, before, after, _HALVINGS)
-    end = _FACTOR ** (_STEPS - 1)
+    found = bisect(changed, before, after, _BISECTIONS)
+    end = _FACTOR_OF_SCAN ** (_STEPS_OF_SCAN - 1)
     ends = [Bound(end, True) if good else Bound(0.0) for good in stable]
     return [
         Bound(math.nan) if not sure else last if math.isinf(ratio) else Bound(ratio)

@@ -42,7 +42,7 @@ _MOST_CALLS = 50_000
 """Largest number of calls of one controller; a time would refuse it on a busy machine alone."""
 _POSES_AT_ONCE = 128
 """Poses whose responses are computed at once; limits memory alone."""
-_ZERO_RESPONSE = 1e-9
+ROUNDING_OF_RESPONSE = 1e-9
 """Response that is zero, relative to the largest one: rounding of a difference of forces by 0.1 µm."""
 _NONLINEAR_RESPONSE = 1e-2
 """Difference of the responses to both sides that marks a jump of the force or of its slope, relative to the largest."""
@@ -52,6 +52,8 @@ _LEAST_SINGULAR_VALUE = 1e-7
 """Least singular value of a state, relative to the largest: smaller ones are rounding."""
 _ERROR_OF_REALISATION = 1e-6
 """Largest error of the response of a realisation, relative to the largest one; above, it is no linear system."""
+MOST_SAMPLES_AS_STATES = 16
+"""Longest response whose samples themselves are the states: a longer one is realised, as its end would add poles."""
 _MOST_STATES, _MOST_ROWS = 24, 64
 """Most states, and rows of the Hankel matrix, of which the states need one each; limits effort."""
 INTEGRATOR_POLE = 1e-7
@@ -384,7 +386,9 @@ def _near(poses: Array, period: float, up: Array, down: Array) -> Iterator[Linea
     largest = (weight * np.abs(response)).max(axis=(1, 2))
     jumps = np.asarray((weight * gap).max(axis=(1, 2)) > _NONLINEAR_RESPONSE * largest)
     # a response that shrinks with the displacement, such as the creep of a bristle, vanishes in the limit
-    least = np.maximum(_ZERO_RESPONSE * largest[:, None, None] / weight, np.where(jumps[:, None, None], 0.0, 2.0 * gap))
+    least = np.maximum(
+        ROUNDING_OF_RESPONSE * largest[:, None, None] / weight, np.where(jumps[:, None, None], 0.0, 2.0 * gap)
+    )
     response = np.where(np.abs(response) > least, response, 0.0)
     settled = np.asarray(finite & ~response[:, -_SAMPLES_OF_ZERO:].any(axis=(1, 2)))
     for parts in zip(poses, response, jumps, settled, strict=True):
@@ -425,7 +429,7 @@ class _Responses:
         except (MaglevError, TypeError, ValueError):  # a law that accepts floats only, as with math.sin or `if`
             return None
         with np.errstate(invalid="ignore"):
-            differs = np.abs(rows[:, -1:] - single) > _ZERO_RESPONSE * np.abs(single).max(initial=1e-300)
+            differs = np.abs(rows[:, -1:] - single) > ROUNDING_OF_RESPONSE * np.abs(single).max(initial=1e-300)
         return None if differs.any() else rows.reshape(memory, -1, *self._still.shape[1:])
 
     def _one_by_one(self) -> Array:
@@ -492,7 +496,7 @@ def _alive(rows: Array) -> Mask:
     """Return True for samples at which a displaced device differs from the undisturbed one, (M,)."""
     with np.errstate(invalid="ignore"):
         gap = np.abs(rows - rows[:, :, :1])
-        return np.asarray((~(gap <= _ZERO_RESPONSE * gap.max(axis=0))).any(axis=(1, 2, 3)))
+        return np.asarray((~(gap <= ROUNDING_OF_RESPONSE * gap.max(axis=0))).any(axis=(1, 2, 3)))
 
 
 def realise(response: Array) -> StateSpace | None:

@@ -19,18 +19,25 @@ from maglev_mj.plants.hand import Hand, Mode
 from maglev_mj.result import number_text
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
 from maglev_mj.theory.delay import AnyCutOf, first_delays, stable_intervals
-from maglev_mj.theory.linearise import Linearised, StateSpace
+from maglev_mj.theory.linearise import INTEGRATOR_POLE, Linearised, StateSpace
 from maglev_mj.theory.loop_array import LinearisedLaw, LoopArray, critical_delay_of, pd, sampled_fields
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
 
-_AFFINE = 1e-6
-"""Largest error of an affine law, relative to its largest response."""
-_STATED = 64
-"""Length of the impulse response of declared gains [samples]."""
-_INTEGRATES, _DEFECTIVE = 1e-6, 1e8
-"""Distance of an integrator's pole from 1, and condition number of eigenvectors that do not separate poles."""
-STILL, _PAIR = 1e-6, 1e-8
-"""Tolerances of gains relative to their responses, and of the mean of a double root at 1."""
+RELATIVE_ROUNDING = 1e-9
+"""Relative difference of spectral radii, stiffnesses or shares that is rounding.
+
+It is above the error of an eigenvalue, and moves no printed digit.
+"""
+_ERROR_OF_AFFINE_LAW = 1e-6
+"""Largest error of an affine law, relative to its largest response: extrapolated from two gains to a third one."""
+_SAMPLES_OF_RESPONSE = 64
+"""Length of the impulse response of declared gains [samples], from which a filter is realised: twice its states do."""
+_DEFECTIVE_VECTORS = 1e8
+"""Condition number of eigenvectors that do not separate poles, as of a double integrator: half of the digits lost."""
+STILL = 1e-6
+"""Static stiffness that is none, relative to the response: a difference of forces that cancel."""
+_DOUBLE_POLE = 1e-8
+"""Distance from 1 of the mean of a double pole: each is accurate to half of the digits, their mean to nearly all."""
 
 
 class Bound(float):
@@ -209,10 +216,10 @@ def _without_integral(system: StateSpace) -> tuple[Array, Array]:
     An integrator answers to a displacement by a constant force from that sample on.
     """
     poles, vectors = np.linalg.eig(system.advance)
-    if np.linalg.cond(vectors) > _DEFECTIVE:  # a double integrator
+    if np.linalg.cond(vectors) > _DEFECTIVE_VECTORS:  # a double integrator
         return system.moments()
     take, give = np.linalg.solve(vectors, system.take), system.give @ vectors
-    integrates = np.abs(poles - 1.0) < _INTEGRATES
+    integrates = np.abs(poles - 1.0) < INTEGRATOR_POLE
     rest = np.where(integrates, np.inf, 1.0 - poles)
     constant = give[:, integrates] @ take[integrates]
     sums = ((give / rest**power) @ take for power in (1, 2))
@@ -401,7 +408,7 @@ class Loop:
             return np.asarray(self.linear.near.response[:, axis, axis])
         law = self.controller()
         state, response = law.take, [float(law.direct)]
-        for _ in range(_STATED):
+        for _ in range(_SAMPLES_OF_RESPONSE):
             response.append(float(law.give @ state))
             state = law.advance @ state
         return np.array(response[: 2 + int(np.flatnonzero(response).max(initial=0))])
@@ -506,7 +513,7 @@ def radius_of(loop: Loop, poles: NDArray[np.complex128]) -> float:
     if loop.linear is not None:
         still, near = loop.linear.still, poles[bound[: 2 * loop.linear.still]]
         counts = range(still, 2 * still + 1) if still else ()
-        free = max((count for count in counts if abs(near[:count].mean() - 1.0) < _PAIR), default=still)
+        free = max((count for count in counts if abs(near[:count].mean() - 1.0) < _DOUBLE_POLE), default=still)
     return float(np.abs(poles[bound[free:]]).max(initial=0.0))
 
 
@@ -675,7 +682,7 @@ class AffineLaw(NamedTuple):
         """
         (first, second, third), (one, two, three) = np.asarray(responses), gains
         slope = (second - first) / (two - one)
-        if np.abs(first + (three - one) * slope - third).max() > _AFFINE * np.abs(third).max():
+        if np.abs(first + (three - one) * slope - third).max() > _ERROR_OF_AFFINE_LAW * np.abs(third).max():
             return None
         parts = first - one * slope, slope * one  # of equal size, for the realisation
         joint = np.zeros((len(first), 2, 2))

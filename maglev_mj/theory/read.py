@@ -23,18 +23,21 @@ from maglev_mj.parameters import MEASURED_MOTIONS, loop_delay, number, numbers
 from maglev_mj.plants.hand import Hand, get_hand, get_mode
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, RANGE
 from maglev_mj.theory.doubts import doubts
-from maglev_mj.theory.linearise import Linearised, is_ours, linearise, realise
+from maglev_mj.theory.linearise import (
+    MOST_SAMPLES_AS_STATES,
+    ROUNDING_OF_RESPONSE,
+    Linearised,
+    is_ours,
+    linearise,
+    realise,
+)
 from maglev_mj.theory.loop import STILL, AtPose, Doubt, Loop, Loops, memory_of
 from maglev_mj.theory.loop_array import is_linear
 from maglev_mj.theory.poses import BESIDE_EDGE, POINTS, SCALE, edges_of, extremes_of, poses_of
 from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 
-_ROUNDING = 1e-9
-"""Tolerance of responses."""
-_KINDS = 4
-"""Latest kinds of poses with which another pose is compared."""
-_SHORT = 16
-"""Longest response that is realised sample by sample [samples]."""
+_KINDS_COMPARED = 4
+"""Latest kinds of poses with which another pose is compared: fewer realise equal laws again, effort alone."""
 JUMPS, UNKNOWN = "discontinuous force", "controller memory exceeds 512 samples"
 _UNDECLARED = "a law with walls on the device needs declared gains: define gains()"
 """Reasons why a loop cannot be judged."""
@@ -366,7 +369,7 @@ def _linearised(pose: Array, body: Array, reach: Array, around: Mapping[str, Any
     kinds: list[_Kind] = []
     for near in grid:
         scaled = near.scaled(body)
-        kind = next((one for one in kinds[-_KINDS:] if one.has(near, scaled)), None)
+        kind = next((one for one in kinds[-_KINDS_COMPARED:] if one.has(near, scaled)), None)
         if kind is None:
             kind = _Kind.of(near, scaled, previous)
             kinds.append(kind)
@@ -416,11 +419,11 @@ class _Kind(NamedTuple):
     @classmethod
     def of(cls, near: Linearised, scaled: Array, previous: list[AtPose]) -> _Kind:
         """Return the kind of a pose; laws equal to previous ones reuse their realisation."""
-        tolerance, parts = np.full((6, 6), _ROUNDING * float(np.abs(scaled).max())), list[AtPose]()
+        tolerance, parts = np.full((6, 6), ROUNDING_OF_RESPONSE * float(np.abs(scaled).max())), list[AtPose]()
         groups = [[*axes] for axes in _coupled(scaled)]
         for chosen in groups:
             own = scaled[:, chosen][:, :, chosen]
-            tolerance[np.ix_(chosen, chosen)] = _ROUNDING * float(np.abs(own).max())
+            tolerance[np.ix_(chosen, chosen)] = ROUNDING_OF_RESPONSE * float(np.abs(own).max())
             if not near.jumps[chosen].any():
                 parts.append(_at_pose(near, tuple(chosen), own, previous))
         return cls(near, scaled, tolerance, parts, len(parts) < len(groups))
@@ -456,7 +459,7 @@ def _at_pose(near: Linearised, axes: tuple[int, ...], own: Array, previous: list
             return other._replace(near=near)
     memory = memory_of(own)
     # truncating a long response would add the poles of the truncation
-    system = realise(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
+    system = realise(own[:memory]) if memory > MOST_SAMPLES_AS_STATES and np.isfinite(near.response).all() else None
     moments = (own.sum(axis=0), np.tensordot(np.arange(len(own)), own, 1)) if system is None else system.moments()
     sizes = np.linalg.svd(np.nan_to_num(moments[0], neginf=1.0), compute_uv=False)
     still = int((sizes <= STILL * max(np.abs(own).sum(axis=0).max(), STILL)).sum())
@@ -467,7 +470,9 @@ def _at_pose(near: Linearised, axes: tuple[int, ...], own: Array, previous: list
 
 
 def _alike(first: Array, second: Array) -> bool:
-    return len(first) == len(second) and bool(np.abs(first - second).max() <= _ROUNDING * np.abs(second).max())
+    return len(first) == len(second) and bool(
+        np.abs(first - second).max() <= ROUNDING_OF_RESPONSE * np.abs(second).max()
+    )
 
 
 def _distinct_loops(loops: Sequence[AtPose]) -> list[AtPose]:
@@ -499,7 +504,7 @@ def _beside(poses: Array, axis: int) -> Array:
 def _coupled(scaled: Array) -> list[tuple[int, ...]]:
     """Return groups of coupled axes."""
     size = np.abs(scaled).max(axis=0)
-    linked = (size > _ROUNDING * size.max(initial=0.0)) | np.eye(len(AXES), dtype=bool)
+    linked = (size > ROUNDING_OF_RESPONSE * size.max(initial=0.0)) | np.eye(len(AXES), dtype=bool)
     linked = np.linalg.matrix_power(linked.astype(float), len(AXES)) > 0.0
     return list(dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in linked))
 

@@ -20,7 +20,7 @@ from maglev_mj.frames import Array, Mask, unit_of
 from maglev_mj.parameters import SAMPLE_PERIOD, loop_delay, number
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, MAX_DELAY, MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, highest_of, rates_beside, stiffest_of
-from maglev_mj.theory.loop import Bound, Loop, StableRange
+from maglev_mj.theory.loop import RELATIVE_ROUNDING, Bound, Loop, StableRange
 from maglev_mj.theory.loop_array import bisect
 from maglev_mj.theory.two_rates import DeviceLaw
 
@@ -41,7 +41,6 @@ _DIGITS = 3
 _HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
 _MODEST = 0.05
 """Relative gain in critical stiffness below which a change of a stable loop counts as without effect."""
-_ROUNDING = 1e-9
 
 
 class Remedy(NamedTuple):
@@ -73,7 +72,7 @@ def critical_of_host(loop: Loop) -> Bound:
     """Return the critical stiffness of the host's law at its damping, beside a law on the device."""
     array = loop.array()
     found = float(boundary_of(array, np.asarray(loop.damping)))
-    return Bound(found, found >= float(highest_of(array)) * (1.0 - _ROUNDING))
+    return Bound(found, found >= float(highest_of(array)) * (1.0 - RELATIVE_ROUNDING))
 
 
 def damping_range(loop: Loop) -> StableRange | None:
@@ -194,7 +193,7 @@ def remedies_of(
         if found.allowed(change):
             words = f"stiffness {softer:g} {found.spring} at {at:g} {found.damper}"
             better.append(found.remedy(words, "feel", **change))
-    reached = target * (1.0 - 1e-9)
+    reached = target * (1.0 - RELATIVE_ROUNDING)
     better.sort(key=lambda one: (one.ratio < reached, COSTS.index(one.cost) * (one.ratio >= reached), -one.ratio))
     useless = [f"{one.words}, ratio {short(one.ratio)}" for one in tried if one not in better]
     half = b + 0.5 * k * loop.in_question.period
@@ -395,7 +394,7 @@ def _sufficient(
         most: Largest value.
     """
     enough = _least(stable, most)
-    if enough is None or critical(np.array([_rounded(enough, up=True)]))[0] >= wanted * (1.0 - 1e-9):
+    if enough is None or critical(np.array([_rounded(enough, up=True)]))[0] >= wanted * (1.0 - RELATIVE_ROUNDING):
         return enough  # the softer ones are stable too, unless a law with memory is stable in a band alone
     return _least(lambda values: critical(values) >= wanted, most)
 

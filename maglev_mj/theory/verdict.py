@@ -27,6 +27,7 @@ from maglev_mj.theory.doubts import reached_speed, up_to
 from maglev_mj.theory.held import Held
 from maglev_mj.theory.linearise import StateSpace, pose_text
 from maglev_mj.theory.loop import (
+    RELATIVE_ROUNDING,
     Bound,
     Loop,
     Loops,
@@ -42,8 +43,6 @@ from maglev_mj.theory.loop import (
 from maglev_mj.theory.read import JUMPS, UNKNOWN, of_scene
 from maglev_mj.theory.remedies import Remedy, critical_of, critical_of_host, damping_range, rate_range, remedies_of
 
-_ROUNDING = 1e-9
-"""Tolerance of a spectral radius."""
 _SLIGHT = 1e-3
 """Relative change of a gain that shows the stiffness of an axis that it adds."""
 _LAWS = {"contact": "walls", "stuck": "friction"}
@@ -74,7 +73,7 @@ class _LoopState(NamedTuple):
         state = ", ".join([*self.acting, *inactive]) or "always"
         if not self.spectral_radius:
             return axes, state, "-", "free motion"
-        word = f"{_word(self.spectral_radius < 1.0 - _ROUNDING)}{' (free motion)' * self.free}"
+        word = f"{_word(self.spectral_radius < 1.0 - RELATIVE_ROUNDING)}{' (free motion)' * self.free}"
         return axes, state, f"{self.spectral_radius:.4f}", word
 
 
@@ -322,7 +321,7 @@ class Verdict(NoTruthValue, Result):
     @property
     def _loop_is_stable(self) -> bool:
         """True if the worst loop is stable, whatever could not be judged."""
-        return self.spectral_radius < 1.0 - _ROUNDING
+        return self.spectral_radius < 1.0 - RELATIVE_ROUNDING
 
     @cached_property
     def critical_delay(self) -> Bound:
@@ -477,7 +476,7 @@ def _verdict(loops: Loops, poles: Sequence[NDArray[np.complex128]]) -> Verdict:
         if loop.reason:
             continue
         size = radius_of(loop, own)
-        if worst is None or size > radius * (1.0 + _ROUNDING):
+        if worst is None or size > radius * (1.0 + RELATIVE_ROUNDING):
             worst, radius, roots = loop, size, own
     in_hand = worst is not None and worst.hand is not None
     twins = {(loop.axis, loop.state) for loop in loops if loop.hand is not None} if loops.hand is not None else ()
@@ -487,7 +486,7 @@ def _verdict(loops: Loops, poles: Sequence[NDArray[np.complex128]]) -> Verdict:
                 continue  # the other one of free and held is in the table
             size = round(radius_of(loop, own), 12)
             kinds.setdefault((loop.state, loop.others, size, loop.free > 0), []).append(loop.axis)
-    unstable = radius >= 1.0 - _ROUNDING
+    unstable = radius >= 1.0 - RELATIVE_ROUNDING
     stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else _gains(loops, worst)
     valid_to, text = _valid_to(loops)
     return Verdict(
@@ -579,7 +578,7 @@ def critical_stiffness_of(loops: Loops, loop: Loop) -> _Critical:
         except ParameterError:  # at the end of its bounds
             other = grown(loop, 1.0 - _SLIGHT)
         change = other.total[0] - total
-        rise = abs(change) / _SLIGHT if abs(change) > _ROUNDING * total else total
+        rise = abs(change) / _SLIGHT if abs(change) > RELATIVE_ROUNDING * total else total
     # the stiffness of one law alone changes, so that no crossing is missed
     if loop.linear is None and own and other == replace(loop, stiffness=other.stiffness):
         found = critical_of(loop) if grown is None else critical_of_host(loop)
@@ -624,7 +623,7 @@ def nearest(loops: Loops, axis: str = "z") -> Loop:
         with np.errstate(divide="ignore"):
             found = stiffness / boundary_of(alike.array(inertia=inertia), damping)
         shares |= dict(zip(map(id, some), found.tolist(), strict=True))
-    most = max(shares.values()) * (1.0 - _ROUNDING)  # the first of those equal within rounding
+    most = max(shares.values()) * (1.0 - RELATIVE_ROUNDING)  # the first of those equal within rounding
     return next(loop for loop in stiff if shares[id(loop)] >= most)
 
 
@@ -658,7 +657,7 @@ def _stated_delay(loop: Loop) -> Bound:
         return delay_bound(loop.array(), loop.stiffness, loop.damping)
     # the delay of a host without gains does not matter
     radius = radius_of(loop, poles_of([loop])[0])
-    return Bound(MAX_DELAY, True, 0.0) if radius < 1.0 - _ROUNDING else Bound(0.0)
+    return Bound(MAX_DELAY, True, 0.0) if radius < 1.0 - RELATIVE_ROUNDING else Bound(0.0)
 
 
 def _loop_text(axes: Sequence[str], stable: bool | None, radius: float) -> str:
