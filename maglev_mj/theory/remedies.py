@@ -30,16 +30,28 @@ COSTS = "gains", "timing", "firmware", "mechanics", "feel"
 MOST_DAMPING = 1e6
 """Largest damping of a law, and of the device itself [N s/m, N m s/rad]."""
 
-_POINTS = 241, 6, 15
-"""Values tried in a range, steps of its refinement, and values in each."""
-_BLOCK = 24
-"""Values tried together to each side of the present one."""
-_FEW = 13, 11, 1
-_ROUGH = 1e-3
-_RATIO = 40  # largest ratio of two rates in a range
-_DIGITS = 3
-_HEAVIER, _FILTERS = 1.5, (20.0, 200.0)
-_MODEST = 0.05
+# -- search of a range
+_VALUES_IN_RANGE = 241
+"""Values tried in a range: 50 a decade of damping, 60 of the rate; a narrower stable range is missed."""
+_VALUES_AT_ONCE = 24
+"""Values tried together to each side of the present one; effort alone."""
+_REFINEMENT = 6, 15
+"""Steps of a refinement, and values in each: 16 ** -6, or 6e-8, of the interval."""
+_VALUES_OF_LEAST = 41
+"""Values over four decades in which the least sufficient one is searched, before its refinement."""
+_SEARCH_OF_DAMPER = 13, (11, 1)
+"""The same of a damper on the device, whose loops are computed one by one: values, and a refinement to 5e-4."""
+_MOST_RATIO = 40
+"""Largest ratio of two rates in a range: a host of 25 Hz beside the device's default of 1 kHz."""
+
+# -- remedies
+_ERROR_OF_BEST_DAMPING = 1e-3
+"""Relative error of the best damping of a change: below its three printed digits, as the maximum is flat."""
+_DIGITS_PRINTED = 3
+"""Digits of a printed gain; a remedy is evaluated as printed."""
+_FACTOR_OF_MASS, _CUTOFFS_TRIED = 1.5, (20.0, 200.0)
+"""Factor of a heavier flotor, and cutoff frequencies of velocity filters [Hz]: examples, not optima."""
+_LEAST_EFFECT = 0.05
 """Relative gain in critical stiffness below which a change of a stable loop counts as without effect."""
 
 
@@ -79,7 +91,7 @@ def damping_range(loop: Loop) -> StableRange | None:
     """Return the stable dampings nearest to the present one [N s/m, N m s/rad], from 0 to 8 m/T; None for none."""
     own = loop.in_question
     around = own.array()
-    values = np.geomspace(1e-4, 8.0, _POINTS[0]) * own.inertia / own.period * around.narrowed
+    values = np.geomspace(1e-4, 8.0, _VALUES_IN_RANGE) * own.inertia / own.period * around.narrowed
     found = _nearest(partial(around.stable, own.stiffness), np.append(0.0, values), own.damping)
     # a damping is not negative: 0 is no end of the search
     return StableRange(Bound(0.0), found.upper) if found is not None and found.lower.beyond else found
@@ -102,11 +114,11 @@ def rate_range(loop: Loop, *, in_periods: bool = False) -> StableRange | None:
         delays = delay / period / values if in_periods else np.broadcast_to(delay, values.shape)
         return replace(around, period=1.0 / values, delay=delays).stable(own.stiffness, own.damping)
 
-    values = 1.0 / period * np.geomspace(1e-2, 1e2, _POINTS[0])
+    values = 1.0 / period * np.geomspace(1e-2, 1e2, _VALUES_IN_RANGE)
     if around.mode is not None:
         values = np.unique(np.append(values, rates_beside(around.mode)))
     if around.device is not None:
-        ratios = np.arange(1.0, _RATIO + 1.0)
+        ratios = np.arange(1.0, _MOST_RATIO + 1.0)
         values = (1.0 / ratios[::-1] if loop.on_host else ratios) / around.device.period
     slowest = max(1.0 / MAX_PERIOD, delay / period / MAX_DELAY if in_periods else 0.0)
     values = values[(values >= slowest) & (values <= 1.0 / MIN_PERIOD)]
@@ -128,7 +140,7 @@ def _nearest(
     """
     count, middle = len(values), int(np.searchsorted(values, present))
     good, tried = np.zeros((2, count), dtype=bool)
-    low, high, step, nearest = middle, middle, _BLOCK, -1
+    low, high, step, nearest = middle, middle, _VALUES_AT_ONCE, -1
     below = above = np.empty(0, dtype=np.int64)
     while True:
         chosen = np.flatnonzero(~tried[low:high]) + low
@@ -148,7 +160,7 @@ def _nearest(
     outside = values[np.concatenate([below, above])]
     inside = values[np.concatenate([below + 1, above - 1])]
     refine = refine and bool(outside.size)
-    found = bisect(stable, outside, inside, *_POINTS[1:]).tolist() if refine else inside.tolist()
+    found = bisect(stable, outside, inside, *_REFINEMENT).tolist() if refine else inside.tolist()
     return StableRange(
         Bound(found[0]) if below.size else Bound(float(values[0]), True),
         Bound(found[-1]) if above.size else Bound(float(values[-1]), True),
@@ -185,7 +197,7 @@ def remedies_of(
     ]
     tried = [one for one in tried if found.allowed(one.change)]
     present = critical / k
-    enough = present * (1.0 + _MODEST) if stable else 1.0
+    enough = present * (1.0 + _LEAST_EFFECT) if stable else 1.0
     better = [one for one in tried if one.ratio > enough]
     if most and not any(one.ratio >= target for one in better):
         softer, at = _rounded(most / target), _rounded(at)
@@ -244,7 +256,7 @@ class _Search:
 
     def best_damping(self, change: Mapping[str, Any]) -> float:
         """Return the damping of the stiffest wall with a change, as printed; 0 if no wall is stable."""
-        return _rounded(float(stiffest_of(self.changed(change).in_question.array(), _ROUGH).damping))
+        return _rounded(float(stiffest_of(self.changed(change).in_question.array(), _ERROR_OF_BEST_DAMPING).damping))
 
     def by_gains(self, most: float, best: float) -> Iterable[Remedy]:
         """Yield the least damping that reaches the target, or that of the stiffest wall."""
@@ -293,7 +305,7 @@ class _Search:
             loops = [replace(self.around, device=replace(law, damping=value)) for value in values.tolist()]
             return np.array([bool(one.stable(self.wanted, loop.damping)) for one in loops])
 
-        enough = _least(stable, loop.inertia / times["device_period"], _FEW)
+        enough = _least(stable, loop.inertia / times["device_period"], *_SEARCH_OF_DAMPER)
         if enough is not None:
             damping = _rounded(enough, up=True)
             words = f"damper of {damping:g} {self.damper} {where}, inside the wall"
@@ -302,7 +314,7 @@ class _Search:
     def by_mechanics(self) -> Iterable[Remedy]:
         """Yield more mass, a damper on the device, and another velocity filter."""
         loop, name = self.loop, "inertia" if self.turned else "mass"
-        yield self.remedy(f"{name} x {_HEAVIER:g}", "mechanics", **{name: _HEAVIER * loop.inertia})
+        yield self.remedy(f"{name} x {_FACTOR_OF_MASS:g}", "mechanics", **{name: _FACTOR_OF_MASS * loop.inertia})
 
         def critical(added: Array) -> Array:
             return boundary_of(replace(self.around, own_damping=loop.own_damping + added), np.asarray(self.gains[1]))
@@ -317,7 +329,9 @@ class _Search:
         if loop.law is not None or not loop.on_host or not isinstance(velocity, FiniteDifference | LowPass):
             return
         filtered = isinstance(velocity, LowPass)
-        cutoffs = {"no velocity filter": None} if filtered else {f"velocity filter of {f:g} Hz": f for f in _FILTERS}
+        cutoffs = (
+            {"no velocity filter": None} if filtered else {f"velocity filter of {f:g} Hz": f for f in _CUTOFFS_TRIED}
+        )
         for words, cutoff in cutoffs.items():
             yield self.remedy(words, "gains", cutoff=cutoff)
 
@@ -356,22 +370,27 @@ def _rounded(value: float, *, up: bool = False) -> float:
     """Return a value with the digits that are printed, so that obeying the print gives the printed result."""
     if not value:
         return 0.0
-    step = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
+    step = 10.0 ** (math.floor(math.log10(value)) - _DIGITS_PRINTED + 1)
     return float(f"{(math.ceil(value / step) if up else round(value / step)) * step:.12g}")
 
 
-def _least(stable: Callable[[Array], Mask], most: float, search: tuple[int, int, int] | None = None) -> float | None:
+def _least(
+    stable: Callable[[Array], Mask],
+    most: float,
+    values: int = _VALUES_OF_LEAST,
+    refinement: tuple[int, int] = _REFINEMENT,
+) -> float | None:
     """Return the least value up to `most` at which a loop is stable; None without one.
 
     Args:
         stable: Function of values, (N,).
         most: Largest value.
-        search: Values tried, over four decades, steps of the refinement, and values in each; see _POINTS.
+        values: Values tried, over four decades.
+        refinement: Steps of the refinement, and values in each.
     """
     if not most:
         return None
-    count, halvings, points = search or (41, *_POINTS[1:])
-    grid = np.array([0.0, *np.geomspace(1e-4 * most, most, count)])
+    grid = np.array([0.0, *np.geomspace(1e-4 * most, most, values)])
     good = stable(grid)
     if not good.any():
         return None
@@ -379,7 +398,7 @@ def _least(stable: Callable[[Array], Mask], most: float, search: tuple[int, int,
     if not index:
         return 0.0
     ends = grid[[index - 1]], grid[[index]]
-    return float(bisect(stable, *ends, halvings, points)[0])
+    return float(bisect(stable, *ends, *refinement)[0])
 
 
 def _sufficient(

@@ -106,7 +106,7 @@ def test_the_largest_damping_of_a_remedy_is_that_of_the_options() -> None:
 
 @pytest.mark.parametrize("seed", range(60))
 def test_a_range_is_that_of_a_search_of_all_values(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.theory.remedies._BLOCK", 2)
+    monkeypatch.setattr("maglev_mj.theory.remedies._VALUES_AT_ONCE", 2)
     random = np.random.default_rng(seed)
     count = int(random.integers(1, 200))
     values = np.cumsum(random.uniform(0.5, 1.5, count))
