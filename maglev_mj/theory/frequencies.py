@@ -6,7 +6,6 @@ crossing over frequency is found here. Frequencies are angles per sample [rad], 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -17,12 +16,14 @@ from maglev_mj.frames import Array
 HIGHEST = 0.999 * np.pi
 """Largest angle of a grid: half the sample rate itself is of no signal."""
 
-_LOWEST, _COUNT = 1e-4 * np.pi, 80
-_BESIDE = np.array([-3.0, -1.0, 0.0, 1.0, 3.0])
+_LOWEST_ANGLE, _ANGLES_OF_GRID = 1e-4 * np.pi, 80
+"""Lowest angle of a grid above 0, and number of angles: 20 a decade, as narrower peaks are those of poles."""
+_BESIDE_PEAK = np.array([-3.0, -1.0, 0.0, 1.0, 3.0])
 """Angles beside a pole's own, in widths of its peak."""
-
-_MAXIMA, _HALVINGS, _FINEST = 3, 14, 50
-_ALIASES, _NEAR = 24, np.array([0.99, 1.0, 1.01])
+_MAXIMA_REFINED = 3
+"""Maxima that are refined: of several of almost equal height, the grid may show another one as the highest."""
+_STEPS_OF_MAXIMUM, _STEPS_OF_CROSSING = 14, 50
+"""Halvings of an interval: with a maximum, to 1e-8 of the height's change, and with a crossing, to rounding."""
 
 
 def angles_of(poles: ArrayLike, grid: Array | None = None) -> Array:
@@ -36,18 +37,11 @@ def angles_of(poles: ArrayLike, grid: Array | None = None) -> Array:
         The angles, (..., F + 5 n); some may be equal.
     """
     poles = np.asarray(poles)
-    common = np.array([0.0, *np.geomspace(_LOWEST, HIGHEST, _COUNT)]) if grid is None else grid
+    common = np.array([0.0, *np.geomspace(_LOWEST_ANGLE, HIGHEST, _ANGLES_OF_GRID)]) if grid is None else grid
     width = -np.log(np.clip(np.abs(poles), 1e-3, 1.0 - 1e-12))
-    own = np.abs(np.angle(poles))[..., None] + width[..., None] * _BESIDE
+    own = np.abs(np.angle(poles))[..., None] + width[..., None] * _BESIDE_PEAK
     own = np.clip(own, common[0], common[-1]).reshape(*poles.shape[:-1], -1)
     return np.sort(np.concatenate([np.broadcast_to(common, (*own.shape[:-1], common.size)), own], axis=-1), axis=-1)
-
-
-def aliases(frequency: float, low: float, high: float) -> Array:
-    """Return the sample rates, and some beside each, at which a frequency lies at half the rate or at 0 [Hz]."""
-    order = np.arange(1.0, min(math.floor(2.0 * frequency / low), _ALIASES) + 1.0)
-    rates = np.outer(2.0 * frequency / order, _NEAR).ravel()
-    return np.asarray(rates[(rates > low) & (rates < high)])
 
 
 def peak(value: Callable[[Array], Array], grid: Array) -> tuple[Array, Array]:
@@ -76,7 +70,7 @@ def first_crossing(value: Callable[[Array], Array], grid: Array) -> Array:
     over = ~(value(grid) > 0.0)
     index = np.where(over.any(axis=-1), np.argmax(over, axis=-1), grid.shape[-1] - 1)[..., None]
     high, low = (np.take_along_axis(grid, np.maximum(index - back, 0), axis=-1) for back in (0, 1))
-    for _ in range(_FINEST):
+    for _ in range(_STEPS_OF_CROSSING):
         middle = 0.5 * (low + high)
         positive = value(middle) > 0.0
         low, high = np.where(positive, middle, low), np.where(positive, high, middle)
@@ -88,16 +82,16 @@ def _maxima(value: Callable[[Array], Array], grid: Array) -> tuple[Array, Array]
     values = value(grid)
     sides = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(1, 1)], constant_values=-np.inf)
     tops = np.where((values >= sides[..., :-2]) & (values >= sides[..., 2:]), values, -np.inf)
-    index = np.argsort(-tops, axis=-1, kind="stable")[..., :_MAXIMA]
+    index = np.argsort(-tops, axis=-1, kind="stable")[..., :_MAXIMA_REFINED]
     middle, best = (np.take_along_axis(part, index, axis=-1) for part in (grid, values))
     wide = grid[..., None, :]
     # equal angles are one: its neighbours are the next others
     low = np.where(wide < middle[..., None], wide, grid[..., :1, None]).max(axis=-1)
     high = np.where(wide > middle[..., None], wide, grid[..., -1:, None]).min(axis=-1)
-    for _ in range(_HALVINGS):
+    for _ in range(_STEPS_OF_MAXIMUM):
         left, right = 0.5 * (low + middle), 0.5 * (middle + high)
         tried = value(np.concatenate([left, right], axis=-1))
-        one, other = tried[..., :_MAXIMA], tried[..., _MAXIMA:]
+        one, other = tried[..., :_MAXIMA_REFINED], tried[..., _MAXIMA_REFINED:]
         to_left, to_right = (one > best) & (one >= other), (other > best) & (other > one)
         low, high = (
             np.where(to_left, low, np.where(to_right, middle, left)),
