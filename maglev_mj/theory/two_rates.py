@@ -23,9 +23,18 @@ from maglev_mj.parameters import SAMPLE_PERIOD, number, transport_delay
 from maglev_mj.plants.hand import exponential
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD
 
-_FEWEST, _MOST, _EVENTS = 4, 128, 512  # denominators, and device periods in a hyperperiod
-_TOLERANCE, _EXACT = 0.02, 1e-9
-_PHASES, _FAST = 10, 4.0
+_LEAST_DENOMINATOR, _MOST_DENOMINATOR, _MOST_DEVICE_PERIODS = 4, 128, 512
+"""Bounds of the denominator of a ratio of rates, which are host periods, and device periods in a hyperperiod.
+
+Each event is a matrix product. More than 128 host periods are refused as a period of the device that is too long.
+"""
+_LARGEST_CHANGE_OF_PERIOD, _COMMENSURATE = 0.02, 1e-9
+"""Relative change of the device's period by the nearest fraction: the largest one, and that of commensurate clocks."""
+_PHASES_JUDGED, _RATIO_WITHOUT_PHASE = 10, 4.0
+"""Phases between incommensurate clocks, and ratio of the rates from which on they do not matter.
+
+At a ratio of 1 the phase adds 9e-4 to a spectral radius, at 5 it adds 2e-5 (tests/theory/test_two_rates.py).
+"""
 
 
 @checked
@@ -96,13 +105,16 @@ def rates_of(period: float, device: DeviceLaw) -> _Rates:
         ParameterError: If h would change by more than 2 %.
     """
     ratio = period / device.period
-    nearest = Fraction(ratio).limit_denominator(min(max(int(_EVENTS / ratio), _FEWEST), _MOST))
+    nearest = Fraction(ratio).limit_denominator(
+        min(max(int(_MOST_DEVICE_PERIODS / ratio), _LEAST_DENOMINATOR), _MOST_DENOMINATOR)
+    )
     own = period / float(nearest) if nearest else 0.0
-    if not (error := abs(own / device.period - 1.0)) <= _TOLERANCE:
+    if not (error := abs(own / device.period - 1.0)) <= _LARGEST_CHANGE_OF_PERIOD:
         raise ParameterError(
-            f"device period must be at most {period * _MOST:g} s, {_MOST} of the host's (got {device.period:g})"
+            f"device period must be at most {period * _MOST_DENOMINATOR:g} s, "
+            f"{_MOST_DENOMINATOR} of the host's (got {device.period:g})"
         )
-    count = _PHASES if error > _EXACT and ratio < _FAST else 1
+    count = _PHASES_JUDGED if error > _COMMENSURATE and ratio < _RATIO_WITHOUT_PHASE else 1
     return _Rates(nearest.denominator, nearest.numerator, own, tuple((np.arange(count) / count).tolist()))
 
 
