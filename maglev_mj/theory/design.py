@@ -18,20 +18,32 @@ from maglev_mj.frames import Array
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import param, param_range
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
-from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop import RELATIVE_ROUNDING, Loop
 from maglev_mj.theory.loop_array import LoopArray, least_dynamic_stiffness
 from maglev_mj.theory.loop_parameters import LoopParameters, device_mass
 
-_DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 60)])
-_DENSE = np.array([0.0, *np.geomspace(1e-4, 8.0, 1000)])
-_GRID, _RANDOM, _ROUNDS, _MAP, _COARSE = 9, 200, 8, 33, 5
-_GOOD, _NEAR = 1e-3, 1e-6
-_SINGLE = "period", "hand", "driver_lag", "velocity", "own_damping", "mode", "device"
+# -- search of the gains
+_COARSE_DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 60)])
+_DENSE_DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 1000)])
+"""Dampings [m/T] that are tried first, and where none of them is stable: a range narrower than 1 % may be missed."""
+_ERROR_OF_DAMPING = 1e-3
+"""Relative error of the best damping; at 0.1 the wall is not the stiffest one (tests/studies/test_design.py)."""
+_SHARES_OF_STIFFNESS, _ERROR_OF_LIMIT = 1.0 - np.array([0.0, 1e-6, 1e-5, 1e-4, 1e-3]), 1e-6
+"""Shares of the stiffness that are tried while the spectral radius is above the limit by less than its error."""
+_MOST_REPEATS = 8
+"""Most designs, each with the worst case of the last one added: in 109 random requirements the first one sufficed."""
+
+# -- cases: points along masses and along delays
+_POINTS_OF_WORST_CASE, _RANDOM_CASES = 9, 200
+"""Points at which the worst case is searched, and random cases between them; steps from the worst of them follow."""
+_POINTS_OF_MAP, _POINTS_OF_FIGURES = 33, 5
+"""Points of a map, and of the least dynamic stiffness, which is a figure and no requirement."""
+
+_FIELDS_OF_ALL_CASES = "period", "hand", "driver_lag", "velocity", "own_damping", "mode", "device"
 _NO_EFFECT = {
     "friction": "a design is of the linear loop",
     "quantum": "the resolution of the sensor is quantize, of the simulated contact",
 }
-_SOFTER = 1.0 - np.array([0.0, 1e-6, 1e-5, 1e-4, 1e-3])
 
 
 def _names(hands: Any) -> tuple[str, ...]:
@@ -152,7 +164,7 @@ class WallRequirements(LoopParameters):
             stiffness: Gain on the position [N/m].
             damping: Gain on the velocity [N s/m].
         """
-        cases = self.grid(_MAP)
+        cases = self.grid(_POINTS_OF_MAP)
         spectral_radii = self.spectral_radii(cases, stiffness, damping)
         bodies, delays = (np.unique([getattr(case, name) for case in cases]) for name in ("inertia", "delay"))
         return bodies, delays, spectral_radii.reshape(bodies.size, delays.size, len(self.hands)).max(axis=-1)
@@ -228,15 +240,15 @@ def design_wall(requirements: WallRequirements) -> DesignedWall:
         >>> round(wall.stiffness), round(wall.damping)
         (7725, 74)
     """
-    cases, limit = _first_cases(requirements), requirements.spectral_radius * (1.0 + 1e-9)
-    for _ in range(_ROUNDS):
+    cases, limit = _first_cases(requirements), requirements.spectral_radius * (1.0 + RELATIVE_ROUNDING)
+    for _ in range(_MOST_REPEATS):
         stiffest = _stiffest(requirements, cases)
         if stiffest is None:
             break
-        for share in _SOFTER:  # a crossing of the limit is accurate to 1e-6
+        for share in _SHARES_OF_STIFFNESS:  # a crossing of the limit is accurate to 1e-6
             gains = stiffest._replace(stiffness=stiffest.stiffness * share)
             spectral_radius, case = worst_case(requirements, *gains)
-            if not limit < spectral_radius < limit * (1.0 + _NEAR):
+            if not limit < spectral_radius < limit * (1.0 + _ERROR_OF_LIMIT):
                 break
         if spectral_radius <= limit:
             return _evaluated(requirements, gains, spectral_radius, case)
@@ -278,8 +290,8 @@ def _common_stiffness(requirements: WallRequirements, cases: Sequence[Loop], dam
 def _stiffest(requirements: WallRequirements, cases: Sequence[Loop]) -> _Gains | None:
     """Return the gains of the stiffest wall; a dense grid is searched only if the coarse one has none."""
     unit, figure = requirements.nominal[0] / requirements.period, partial(_common_stiffness, requirements, cases)
-    for grid in (_DAMPINGS * unit, _DENSE * unit):
-        damping = maxima(figure, grid, _GOOD)
+    for grid in (_COARSE_DAMPINGS * unit, _DENSE_DAMPINGS * unit):
+        damping = maxima(figure, grid, _ERROR_OF_DAMPING)
         stiffness = figure(damping)
         best = int(np.argmax(stiffness))
         if stiffness[best] > 0.0:
@@ -294,7 +306,7 @@ def _dynamic_stiffness(
     result = np.zeros((len(cases), *stiffness.shape))
     for index, loop in requirements.loops(cases):
         wide = (slice(None), *(None,) * stiffness.ndim)
-        around: Any = {name: getattr(loop, name) for name in _SINGLE}
+        around: Any = {name: getattr(loop, name) for name in _FIELDS_OF_ALL_CASES}
         around |= {name: np.asarray(getattr(loop, name))[wide] for name in ("mass", "delay")}
         result[index] = least_dynamic_stiffness(stiffness, damping, **around)
     return result
@@ -309,13 +321,13 @@ def worst_case(requirements: WallRequirements, stiffness: float, damping: float)
         stiffness: Gain on the position [N/m].
         damping: Gain on the velocity [N s/m].
     """
-    cases = [*requirements.grid(_GRID), *requirements.random(_RANDOM)]
+    cases = [*requirements.grid(_POINTS_OF_WORST_CASE), *requirements.random(_RANDOM_CASES)]
     spectral_radii = requirements.spectral_radii(cases, stiffness, damping)
     worst, largest = cases[int(np.argmax(spectral_radii))], float(spectral_radii.max())
     for hand in requirements.hands:  # decreasing steps from the worst case of each hand
         held = requirements._held[hand].hand
         start = max((index for index, case in enumerate(cases) if case.hand == held), key=lambda at: spectral_radii[at])
-        centre, size, spectral_radius = cases[start], 1.0 / _GRID, float(spectral_radii[start])
+        centre, size, spectral_radius = cases[start], 1.0 / _POINTS_OF_WORST_CASE, float(spectral_radii[start])
         for _ in range(12):
             mass, delay = (
                 np.unique(np.clip(at + size * (high - low) * np.linspace(-1.0, 1.0, 5), low, high))
@@ -333,7 +345,7 @@ def worst_case(requirements: WallRequirements, stiffness: float, damping: float)
 
 def _evaluated(requirements: WallRequirements, gains: _Gains, spectral_radius: float, worst: Loop) -> DesignedWall:
     """Return the designed wall with its figures over all combinations of the requirements."""
-    cases = [*requirements.grid(_COARSE), worst]
+    cases = [*requirements.grid(_POINTS_OF_FIGURES), worst]
     least = _dynamic_stiffness(requirements, cases, np.asarray(gains.stiffness), np.asarray(gains.damping))
     islands = [
         low
