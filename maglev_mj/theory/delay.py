@@ -57,10 +57,10 @@ _NEARLY_IMAGINARY = 1e-2
 
 At a tangent, rounding moves it by its root and more; a larger value only adds starts that the refinement drops.
 """
-_NEWTON_STEPS, _LARGEST_STEP = 8, 0.3
-"""Steps of Newton's method, which doubles the digits in each, and the largest relative one."""
+_NEWTON_STEPS = 8
+"""Steps of Newton's method, which doubles the digits in each: of starts within 1e-2, four would do; two do not."""
 _LARGEST_MOVE = 0.05
-"""Largest relative move of an angle by its refinement: a start that moves further has found the crossing of another."""
+"""Largest relative move of an angle by its refinement: a start that moves further has found another's crossing."""
 _LEAST_GAIN = 1e-300
 """Gain in place of 0, whose logarithm is infinite."""
 _NEAR_PEAK = 1.0
@@ -409,7 +409,7 @@ def _polished(cut: AnyCut, rows: Rows, angles: Array, whole: Array | None = None
         gain, derivative = cut.response(rows, z, whole)
         slope = (1j * z * derivative / gain).real
         move = -np.log(np.abs(gain)) / np.where(slope == 0.0, np.inf, slope)
-        angles = np.clip(angles + np.clip(move, -_LARGEST_STEP * angles, _LARGEST_STEP * angles), 1e-12, np.pi)
+        angles = np.clip(angles + move, 1e-12, np.pi)
         if not (np.abs(move) > 1e-15 * angles).any():
             break
     gain, _ = cut.response(rows, np.exp(1j * angles), whole)
