@@ -32,7 +32,8 @@ from maglev_mj.plants.model import body_of
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, spectral_radius, stability, stated_gains
-from maglev_mj.theory.linearise import ClosedLoop, Linearised, acts_on_each_axis_alone, linearise
+from maglev_mj.theory.linearise import ClosedLoop, Linearised, StateSpace, acts_on_each_axis_alone, linearise
+from maglev_mj.theory.loop import AffineLaw, _without_integral
 from maglev_mj.theory.loop_array import LoopArray
 from maglev_mj.theory.read import loops_at
 from tests.sweeps import further, sweep
@@ -553,3 +554,18 @@ def test_a_law_that_couples_axes_is_displaced_on_each_axis() -> None:
     ):
         assert not acts_on_each_axis_alone(Controller(laws, period=T))
     assert linearise(Controller([Sum(axes="x", stiffness=100.0)], period=T), np.zeros(6))[0].stiffness[0, 1]
+
+
+def test_an_integrator_is_left_out_of_the_static_stiffness_and_a_double_one_is_not() -> None:
+    # 100 / ((z - 1)(z - 0.5)) = 200 / (z - 1) - 200 / (z - 0.5)
+    single = StateSpace(np.array([[1.0, 0.0], [100.0, 0.5]]), np.eye(2)[:, :1], np.eye(2)[1:], np.zeros((1, 1)))
+    static, ages = _without_integral(single)
+    assert (static.item(), ages.item()) == pytest.approx((-200.0 - 400.0, -800.0), rel=1e-12)
+    double = StateSpace(np.array([[1.0, 0.0], [1.0, 1.0]]), np.eye(2)[:, :1], np.eye(2)[1:], np.zeros((1, 1)))
+    assert np.isneginf(_without_integral(double)[0]).all()
+
+
+@pytest.mark.parametrize(("error", "affine"), [(0.9e-6, True), (1.1e-6, False)])
+def test_a_law_is_affine_in_a_gain_to_1e_6(error: float, affine: bool) -> None:
+    responses = np.outer([1.0, 2.0, 3.0 * (1.0 + error)], [-5.0, 4.0]) - 1.0
+    assert (AffineLaw.of(responses, (1.0, 2.0, 3.0), StateSpace.of) is not None) == affine
