@@ -64,7 +64,7 @@ _LARGEST_MOVE = 0.05
 _LEAST_GAIN = 1e-300
 """Gain in place of 0, whose logarithm is infinite."""
 _NEAR_PEAK = 1.0
-"""Distance of a peak's logarithm from 0 up to which it may cross between two points of the grid."""
+"""Distance of a peak's logarithm from 0 up to which it may cross between two points of the grid; effort alone above."""
 _REFINEMENTS, _REFINED_POINTS = 4, 21
 """Refinements of the grid at a peak, and points of each: to 1e-4 of a step, 1e-8 of the height."""
 _MOST_FALSE_POSITIONS = 60
@@ -84,7 +84,7 @@ _FIRST_STEP, _DOUBLINGS, _LEAST_RADIUS = 0.05, 60, 600.0
 _BISECTIONS = 12
 """Bisections of a bracket before Newton's method, which then converges; four times as many without it."""
 _MOST_STARTS = 8
-"""Starts from which a pole near the real axis is refined."""
+"""Starts from which a pole near the real axis is refined: one gave equal poles of 40 random loops; effort alone."""
 
 
 class Cut(NamedTuple):
