@@ -24,6 +24,7 @@ from maglev_mj.plants.trace import BLOCK, Trace
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.results import Phases, RunResult, Variants, scene_conditions
 from maglev_mj.scenes.scene import PLANTS, Scene
+from maglev_mj.scenes.stack import SceneStack, stacked_scenes
 
 _MOST_PHASES = 10_000
 _CHUNK = 64
@@ -74,10 +75,12 @@ def run(
     if not single and plant != "exact":
         raise ParameterError(f"phase must be a number on {plant}; use run_phases for several")
     at: Component = checked_phase(phase) if single else _phases(phase)
-    controller = scene.controller()
-    with scene.plant(plant, phase=at, record=True) as device, engine_warnings_silenced():
+    controller, timing = scene.controller(), scene.timing(at)
+    whole = single or isinstance(scene, SceneStack)
+    source: Any = scene if whole else stacked_scenes([(scene, each) for each in np.asarray(at).tolist()])
+    with source.plant(plant, phase=at, timing=timing, record=True) as device, engine_warnings_silenced():
         signals = _SignalLog(controller, observe, () if single else (np.size(at),))
-        ticks = scene.ticks(scene.timing(at))
+        ticks = scene.ticks(timing)
         record = None if begin is None else begin(scene, device, controller, ticks)
         try:
             drive(device, controller, ticks, observe=signals.observe, record=record)

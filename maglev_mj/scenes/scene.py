@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -276,7 +275,7 @@ class Scene(OnDevice):
         self,
         plant: str | PlantMaker = "mujoco",
         *,
-        phase: Component = 0.0,
+        phase: float = 0.0,
         hand_force: HandForce | None = None,
         timing: Timing | None = None,
         **keywords: Any,
@@ -285,7 +284,7 @@ class Scene(OnDevice):
 
         Args:
             plant: Name from PLANTS, or a function that returns a plant.
-            phase: Sampling phase, in [0, 1); (N,) for N devices.
+            phase: Sampling phase, in [0, 1).
             hand_force: Hand in place of the scripted one; `hand`, among the keywords, is an impedance.
             timing: Timing in place of the scene's own.
             keywords: Keywords of the plant; they override the scene's.
@@ -293,15 +292,11 @@ class Scene(OnDevice):
         Raises:
             KeywordError: If the plant does not accept a keyword.
         """
-        scripted = self._hands(phase)
-        timing = timing or self.timing(phase)
-        options = self.plant_keywords(plant, scripted)
-        if np.ndim(phase) and not np.ndim(timing.phase):  # only the hands differ
-            options["pose"] = [options["pose"]] * np.size(phase)
-        options |= keywords
+        scripted = self.scripted_hand(phase)
+        options = self.plant_keywords(plant, scripted) | keywords
         if isinstance(plant, str):
             plant = PLANTS[plant]
-        return plant(timing, hand_force=hand_force or scripted, **options)
+        return plant(timing or self.timing(phase), hand_force=hand_force or scripted, **options)
 
     def plant_keywords(self, plant: str | PlantMaker, hand_force: HandForce | None) -> dict[str, Any]:
         """Return all keywords of a plant at release, including `plant_options`.
@@ -327,25 +322,3 @@ class Scene(OnDevice):
         if callable(step := options.get("longest_step")):
             options["longest_step"] = step(plant)
         return options
-
-    def _hands(self, phase: Component) -> HandForce | None:
-        if np.ndim(phase) == 0:
-            return self.scripted_hand(float(phase))
-        hands = [hand for x in np.asarray(phase) if (hand := self.scripted_hand(float(x))) is not None]
-        return SideBySide(hands) if hands else None
-
-
-class SideBySide:
-    """N hands of a batch as one, each at the time and state of its device."""
-
-    def __init__(self, hands: Sequence[HandForce]) -> None:
-        self._hands, self.hand = hands, getattr(hands[0], "hand", None)
-
-    def __call__(self, tick: int, time: Component, state: Any) -> list[Array]:
-        """See `HandForce`."""
-        times, once = np.broadcast_to(time, len(self._hands)).tolist(), cache(state)
-        rows = [
-            hand(tick, at, lambda own=device: tuple(part[own] for part in once()))  # type: ignore[misc]
-            for device, (hand, at) in enumerate(zip(self._hands, times, strict=True))
-        ]
-        return [np.array(part) for part in zip(*rows, strict=True)]

@@ -39,8 +39,8 @@ from maglev_mj.plants import (
 from maglev_mj.plants.engine import longest_step as step_needed
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import body_of
-from maglev_mj.scenes.batch import stacked_scenes
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stack import stacked_scenes
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
 from maglev_mj.theory.boundary import stiffest_of
 from maglev_mj.theory.loop import Loop

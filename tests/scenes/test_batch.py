@@ -14,6 +14,7 @@ from maglev_mj.control.stack import law_kind, stacked
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes import batch
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.stack import SceneStack
 from maglev_mj.studies.sweep import Grid, run_scene_cells
 
 
@@ -22,7 +23,7 @@ def batches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return a list of the sizes of tried batches."""
     sizes: list[int] = []
 
-    class Counted(batch.SceneStack):
+    class Counted(SceneStack):
         def controller(self) -> Any:
             sizes.append(len(self.scenes))
             return super().controller()
