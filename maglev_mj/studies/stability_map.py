@@ -26,7 +26,8 @@ from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table, conditions_text
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
-from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_controller
+from maglev_mj.scenes.stack import stacked_scenes
+from maglev_mj.scenes.wall_scene import WallScene, along, hold, others
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory.boundary import boundary_of, rigid_note, stiffest_of
@@ -202,11 +203,10 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
             if not undecided.size:
                 break
             some = [walls[index] for index in undecided.tolist()]
-            starts = [wall.start() for wall in some]
-            pose, wrench = (np.array(parts) for parts in zip(*((start.pose, start.wrench) for start in starts)))
+            stack = stacked_scenes([(wall, 0.0) for wall in some], plant)
             options = {**_engine(some), **keywords} if plant == "mujoco" else keywords
-            device = some[0].plant(_BATCHES[plant], pose=pose, wrench=wrench, **options)
-            sizes = _sizes(device, _controller(some), np.array([wall.rest for wall in some]), ticks)
+            device = stack.plant(_BATCHES[plant], **options)
+            sizes = _sizes(device, stack.controller(), np.array([wall.rest for wall in some]), ticks)
             growth, decided = _growths(sizes, last=ticks == _PATIENCE[-1])
             done = undecided[decided]
             stable[done], rate[done], spent[done] = (part[decided] for part in growth)
@@ -221,14 +221,6 @@ def _engine(walls: Sequence[RestingWall]) -> dict[str, Any]:
     """
     changes = any(wall.impedance for wall in walls)  # the force of a hand, within a step
     return {"integrator": "rk4" if changes else "corrected", "threads": int(len(walls) < _FEW)}
-
-
-def _controller(walls: Sequence[RestingWall]) -> Controller:
-    """Return one controller of many walls."""
-    first, stiffness, damping = walls[0], [wall.stiffness for wall in walls], [wall.damping for wall in walls]
-    around: Any = {"period": first.period, "delay": first.delay, "mass": first.mass}
-    around["moments"] = first.hardware.body.inertia
-    return wall_controller(stiffness=stiffness, damping=damping, velocity=first.velocity_estimator(), **around)
 
 
 def _sizes(plant: SampledPlant, controller: Controller, rest: Array, ticks: int) -> Array:
