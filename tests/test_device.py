@@ -29,7 +29,7 @@ from maglev_mj.session import Session
 from maglev_mj.session.session import device_controller
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, INERTIA, RANGE, RESOLUTION, Spec
 from maglev_mj.studies.record import json_text
-from maglev_mj.studies.stability_map import RestingWall, _controller
+from maglev_mj.studies.stability_map import RestingWall
 from tests.published import EIGHT
 
 DEVICES = {name: Device.load(name) for name in devices()}
@@ -214,7 +214,7 @@ def test_the_force_limit_of_your_own_model_is_that_of_its_current_limit() -> Non
 
 def test_held_axes_weight_and_drop_follow_the_device_in_use() -> None:
     walls = {name: RestingWall(device=name, period=1e-3, delay=1e-3, mass=0.3) for name in ("ubc", "stage")}
-    held: dict[str, Any] = {name: _controller([wall]).laws[1] for name, wall in walls.items()}
+    held: dict[str, Any] = {name: wall.laws()[1] for name, wall in walls.items()}
     stiffness = {name: law.stiffness[2:] for name, law in held.items()}  # of rotations
     ratio = DEVICES["stage"].inertia[3:] / DEVICES["ubc"].inertia[3:]
     np.testing.assert_allclose(stiffness["stage"] / stiffness["ubc"], ratio)

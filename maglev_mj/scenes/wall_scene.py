@@ -18,10 +18,13 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.keywords import checked, rate_of
 from maglev_mj.parameters import axis_indices, param
-from maglev_mj.plants import Sensor, Timing
+from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, INERTIA, MAX_PERIOD, MIN_PERIOD
+
+ANYWHERE = (1e150, 1.0)
+"""Divergence bounds of flotors whose flying off is a verdict, not an error."""
 
 
 def others(axis: str) -> list[str]:
@@ -29,7 +32,7 @@ def others(axis: str) -> list[str]:
     return [name for name in AXES if name != axis]
 
 
-def along(axis: str, value: Component, elsewhere: float = 0.0) -> Array:
+def along(axis: str, value: ArrayLike, elsewhere: float = 0.0) -> Array:
     """Return six components with `value` on one axis and `elsewhere` on the others; (N, 6) for values (N,)."""
     return np.where(np.arange(len(AXES)) == AXES.index(axis), np.asarray(value)[..., None], elsewhere)
 
@@ -91,6 +94,36 @@ def wall_controller(
         law = Wall(axes="z", lower=0.0, **columns)
     rest = _hold(tuple(others("z")), (mass, mass, mass, *moments), period, delay)
     return Controller([law, rest], period=period, velocity=velocity)
+
+
+def lagging(lag: float) -> dict[str, Any]:
+    """Return keywords of a plant for drivers of a time constant [s]; 0 for none."""
+    return {"driver_lag": lag > 0.0, "driver_time_constant": lag or None}
+
+
+def wall_plant(
+    timing: Timing,
+    *,
+    height: ArrayLike,
+    velocity: ArrayLike = 0.0,
+    quantum: float = 0.0,
+    lag: float = 0.0,
+    **keywords: Any,
+) -> ExactPlant:
+    """Return N exact devices over or in the walls of `wall_controller`, which may fly off.
+
+    The two make a batch of walls from arrays; a `SceneStack` is one of scenes, at a fraction of a millisecond each.
+
+    Args:
+        timing: Sample period, delay and phase.
+        height: Height at release [m], (N,).
+        velocity: Velocity along z at release [m/s], (N,) or a number.
+        quantum: Resolution of the sensor along z [m]; 0 for an ideal sensor.
+        lag: Time constant of the drivers [s]; 0 for none.
+        keywords: Further keywords of `ExactPlant`.
+    """
+    start: Any = {"pose": along("z", height), "twist": along("z", velocity)}
+    return ExactPlant(timing, **start, sensor=stepped("z", quantum), escape=ANYWHERE, **lagging(lag), **keywords)
 
 
 class WallScene(Scene):

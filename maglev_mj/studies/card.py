@@ -25,6 +25,7 @@ from maglev_mj.result import Result, Table, capitalised, conditions_text, with_u
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.wall_scene import lagging
 from maglev_mj.theory.boundary import StiffestWall, boundary_of, rigid_note, stiffest_of
 from maglev_mj.theory.frequencies import angles_of, first_crossing
 from maglev_mj.theory.held import Held, held_of
@@ -315,8 +316,8 @@ def fly_impedance(scene: Scene, loop: Loop, cycles: Array) -> Array:
     start, hand = np.zeros((cycles.size, 6)), lambda tick, *_: [np.sin(turn * tick), *[none] * 5]
     law = Hold(axes="x", stiffness=stiffness, damping=damping)
     controller = Controller([law], period=scene.period, velocity=loop.velocity)
-    own: Any = {"driver_lag": True, "driver_time_constant": lag} if lag else {}
-    with ExactPlant(scene.timing(), mass=loop.inertia, pose=start, gravity=0.0, hand_force=hand, **own) as plant:
+    own: Any = {"mass": loop.inertia, "pose": start, "gravity": 0.0, "hand_force": hand, **lagging(lag)}
+    with ExactPlant(scene.timing(), **own) as plant:
         drive(plant, controller, settle + _WINDOW, observe=lambda sample, _: moved.append(sample.position[0]))
     swing = np.abs(np.fft.fft(moved[settle:], axis=0)[cycles.astype(int), np.arange(cycles.size)]) * 2.0 / _WINDOW
     return np.asarray(scene.period / (turn * swing))

@@ -25,14 +25,13 @@ from maglev_mj.plants.limits import LIMITS, excess_of
 from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table, conditions_text, span_text
 from maglev_mj.scenes.figures import summarise_bounce
-from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
+from maglev_mj.scenes.wall_scene import WallScene, along, wall_controller, wall_plant
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, GRAVITY, MAX_DELAY_PERIODS, Spec
 from maglev_mj.theory.boundary import rigid_note
 from maglev_mj.theory.design import DesignedWall, WallRequirements
 from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.loop_parameters import PLAIN
 
-_ANYWHERE = (1e150, 1.0)  # a flotor that flies off is a verdict, not an error
 _TICKS, _CONTACT_TICKS = 800, 100
 _RANDOM, _PHASES = 240, 8
 _MOST_LISTED = 8
@@ -333,15 +332,14 @@ def hum(
     offset = np.resize(np.arange(offsets) / offsets, friction.size)
     arm = 0.0 if hand is None else float(hand.static_stiffness)
     depth = mass * GRAVITY / (stiffness + arm)
-    plant = ExactPlant(
+    plant = wall_plant(
         Timing(period=period, delay=delay, device_period=device[0], device_delay=device[1]),
+        height=np.floor(-depth / quantum) * quantum + 2.0 * quantum * offset,
+        quantum=quantum,
         mass=mass,
         hand=hand,
-        escape=_ANYWHERE,
-        pose=along("z", np.floor(-depth / quantum) * quantum + 2.0 * quantum * offset),
         wrench=along("z", np.full(friction.size, stiffness * depth)),
         dry_friction=along("z", friction),
-        sensor=stepped("z", quantum),
         record=True,
     )
     around: Any = {"period": period, "delay": delay, "mass": mass, "velocity": velocity}
@@ -377,17 +375,15 @@ def _plants(
         some = [cases[number] for number in index]
         yield (
             index,
-            ExactPlant(
+            wall_plant(
                 Timing(period=needs.period, delay=np.array([case.delay for case in some]), phase=phase[index]),
+                height=height[index],
+                velocity=-speed[index],
+                quantum=contact.quantize,
+                lag=needs.lag,
                 mass=np.array([case.inertia for case in some]),
-                pose=along("z", height[index]),
-                twist=along("z", -speed[index]),
                 hand=_hands([case.hand or Hand() for case in some], soft),
-                driver_lag=needs.lag > 0.0,
-                driver_time_constant=needs.lag or None,
-                sensor=stepped("z", contact.quantize),
                 wrench_limit=contact.force_limit or None,
-                escape=_ANYWHERE,
                 record=record,
             ),
         )

@@ -17,10 +17,10 @@ from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import param
-from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.result import Table
-from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
+from maglev_mj.scenes.wall_scene import WallScene, along, wall_controller, wall_plant
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, gain_axes
@@ -34,7 +34,7 @@ SAMPLES = 400
 
 _STEPS, _SHARE, _DYING = 10.0, 1e-3, 0.8
 # larger than any wall's force until it has swung by metres, so that growing motion stays finite
-_MOST_FORCE, _FAR = 1e9, (1e30, 1.0)
+_MOST_FORCE = 1e9
 
 
 class DropEnding(IntEnum):
@@ -244,18 +244,14 @@ def drop_endings(stiffness: Array, damping: Array, parameters: DropMapParameters
         parameters: Everything else; their grid is not used.
     """
     p, count = parameters, stiffness.size
-    timing = Timing(period=p.period, delay=p.delay)
-    limit = along("z", p.force_limit or _MOST_FORCE, math.inf)
-    plant = ExactPlant(
-        timing,
+    plant = wall_plant(
+        Timing(period=p.period, delay=p.delay),
+        height=np.full(count, p.height),
+        quantum=p.quantize,
+        lag=p.lag,
         mass=p.body,
         hand=get_hand(p.hand),
-        pose=along("z", np.full(count, p.height)),
-        escape=_FAR,
-        wrench_limit=limit,
-        sensor=stepped("z", p.quantize),
-        driver_lag=p.lag > 0.0,
-        driver_time_constant=p.lag or None,
+        wrench_limit=along("z", p.force_limit or _MOST_FORCE, math.inf),
     )
     controller = wall_controller(
         stiffness=stiffness,

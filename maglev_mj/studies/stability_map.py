@@ -27,7 +27,7 @@ from maglev_mj.plants.model import body_of
 from maglev_mj.result import Result, Table, conditions_text
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.scenes.stack import stacked_scenes
-from maglev_mj.scenes.wall_scene import WallScene, along, hold, others
+from maglev_mj.scenes.wall_scene import ANYWHERE, WallScene, along, hold, lagging, others
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory.boundary import boundary_of, rigid_note, stiffest_of
@@ -39,7 +39,6 @@ _MOVED = 1e-6
 _DECIDED = 1e4
 _BLOCK = 16
 _FEW = 48
-_FAR = (1e15, 1.0)
 _GAINS = "stiffness", "damping"
 _PATIENCE = (128, 512, 2048, 8192)
 _BATCHES: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoBatchPlant}
@@ -106,10 +105,8 @@ class RestingWall(Scene):
 
     def plant_options(self) -> dict[str, Any]:
         """See `Scene`."""
-        own: dict[str, Any] = {"mass": self.mass, "hand": self.impedance, "escape": _FAR}
-        if self.driver_lag is not None:
-            own |= {"driver_lag": self.driver_lag > 0.0, "driver_time_constant": self.driver_lag or None}
-        return own
+        own: dict[str, Any] = {"mass": self.mass, "hand": self.impedance, "escape": ANYWHERE}
+        return own if self.driver_lag is None else own | lagging(self.driver_lag)
 
     @property
     def impedance(self) -> Hand | None:

@@ -13,8 +13,8 @@ import numpy as np
 from maglev_mj import find_scene
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.plants import ExactPlant, Sensor, Timing
-from maglev_mj.scenes.wall_scene import along, wall_controller
+from maglev_mj.plants import Timing
+from maglev_mj.scenes.wall_scene import along, wall_controller, wall_plant
 from maglev_mj.spec import Spec
 from maglev_mj.studies.sweep import Grid, run_scene_cells
 from timing import Run, answered, columns
@@ -51,13 +51,12 @@ def walls(count: int) -> dict[str, dict[str, float]]:
 
 def swings(stiffness: Array, damping: Array) -> tuple[Array, int]:
     """Return swings of dropped flotors over the last quarter of the samples [m], (N,), and the number of ticks."""
-    plant = ExactPlant(
+    plant = wall_plant(
         Timing(period=AROUND["period"], delay=AROUND["delay"]),
+        height=np.full(stiffness.size, Spec.translation_range.value),
+        quantum=QUANTUM,
         mass=AROUND["mass"],
-        pose=along("z", np.full(stiffness.size, Spec.translation_range.value)),
-        escape=(1e9, 1.0),
-        wrench_limit=np.where(np.eye(6)[2] > 0.0, LIMIT, np.inf),
-        sensor=Sensor(quantum=np.eye(6)[2] * QUANTUM),
+        wrench_limit=along("z", LIMIT, np.inf),
     )
     controller = wall_controller(stiffness=stiffness, damping=damping, pulse=PULSE, pulse_width=WIDTH, **AROUND)
     least, most = np.full(stiffness.size, np.inf), np.full(stiffness.size, -np.inf)
