@@ -13,7 +13,7 @@ import os
 import signal
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.keywords import checked
@@ -369,6 +370,12 @@ class Study:
         self.done += cells
         if self.progress is not None:
             self.progress(self.done, len(self.cells))
+
+
+def grid_columns(axes: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
+    """Return the cells of a grid in columns, by the values of its axes; the last one varies fastest."""
+    each = np.meshgrid(*map(np.asarray, axes.values()), indexing="ij")
+    return {name: values.ravel() for name, values in zip(axes, each, strict=True)}
 
 
 def _in_columns(function: Callable[[Any], Any], cells: Sequence[Cell]) -> Columns:

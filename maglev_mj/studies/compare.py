@@ -34,7 +34,7 @@ from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.cells import Study, local_workers
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.studies.record import Cell, Record
-from maglev_mj.studies.stability_map import stiffest_in
+from maglev_mj.studies.stability_map import gain_axis, highest_damping, stiffest_in
 from maglev_mj.studies.sweep import Grid, Sweep
 from maglev_mj.studies.wall_laws import LAWS, LawMaker, WallLaw, laws_of, wall_law
 from maglev_mj.theory import stated_gains
@@ -321,8 +321,8 @@ def sweep_laws(
         free: Any = {name: getattr(chosen, name) for name in ("period", "delay")}
         free |= {"inertia": float(chosen.body.inertia[2]), "driver_lag": scene_lag(chosen)}
         best = stiffest_in(Loop(stiffness=0.0, damping=0.0, **free))
-        high = 2.2 * float(best.damping) or chosen.mass / chosen.period
-        values = list(np.unique([*np.linspace(high / count, high, count), chosen.damping]).tolist())
+        dampings = gain_axis(None, count, highest_damping(best, chosen.mass, chosen.period))
+        values = list(np.unique([*dampings, chosen.damping]).tolist())
 
     class Swept(base):  # type: ignore[misc]
         __qualname__ = base.__qualname__  # in its text

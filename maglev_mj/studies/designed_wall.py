@@ -27,6 +27,7 @@ from maglev_mj.result import Result, Table, conditions_text, span_text
 from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.scenes.wall_scene import WallScene, along, wall_controller, wall_plant
 from maglev_mj.spec import DEVICE_DELAY, DEVICE_PERIOD, GRAVITY, MAX_DELAY_PERIODS, Spec
+from maglev_mj.studies.cells import grid_columns
 from maglev_mj.theory.boundary import rigid_note
 from maglev_mj.theory.design import DesignedWall, WallRequirements
 from maglev_mj.theory.loop import Loop
@@ -127,8 +128,8 @@ class DesignResult(Result):
 
     def columns(self) -> dict[str, Array]:
         """Return mass, delay and spectral radius of each cell."""
-        mass, delay = np.meshgrid(self.masses, self.delays, indexing="ij")
-        return {self.body_name: mass.ravel(), "delay": delay.ravel(), "spectral_radius": self.map.ravel()}
+        cells = grid_columns({self.body_name: self.masses, "delay": self.delays})
+        return cells | {"spectral_radius": self.map.ravel()}
 
     @property
     def warnings(self) -> Sequence[str]:

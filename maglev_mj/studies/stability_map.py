@@ -28,7 +28,7 @@ from maglev_mj.result import Result, Table, conditions_text
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.scenes.stack import stacked_scenes
 from maglev_mj.scenes.wall_scene import ANYWHERE, WallScene, along, hold, lagging, others
-from maglev_mj.studies.cells import Workers, run_cells
+from maglev_mj.studies.cells import Workers, grid_columns, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory.boundary import boundary_of, rigid_note, stiffest_of
 from maglev_mj.theory.loop import Loop
@@ -356,9 +356,8 @@ class GainMap(Result):
 
         The damping varies fastest.
         """
-        stiffness, damping = np.meshgrid(self.stiffness, self.damping, indexing="ij")
-        columns: dict[str, NDArray[Any]] = {"stiffness": stiffness, "damping": damping, **self.cells()}
-        return {name: values.ravel() for name, values in columns.items()}
+        gains = grid_columns({"stiffness": self.stiffness, "damping": self.damping})
+        return gains | {name: values.ravel() for name, values in self.cells().items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -456,12 +455,11 @@ class StabilityMap(GainMap):
 
     def _regions(self) -> Iterator[str]:
         """Yield where walls are passive and quiet, if known."""
-        stiffness, damping = np.meshgrid(self.stiffness, self.damping, indexing="ij")
-        for name, cells in self.cells().items():
-            if name in ("passive", "quiet") and (found := np.where(cells, stiffness, 0.0)).any():
+        columns, unit = self.columns(), self.parameters.unit
+        for name, cells in columns.items():
+            if name in ("passive", "quiet") and (found := np.where(cells, columns["stiffness"], 0.0)).any():
                 row = int(found.argmax())
-                unit = self.parameters.unit
-                at = f"{found.flat[row]:.4g} {unit('N/m')} at {damping.flat[row]:.4g} {unit('N s/m')}"
+                at = f"{found[row]:.4g} {unit('N/m')} at {columns['damping'][row]:.4g} {unit('N s/m')}"
                 yield f"{name}: {cells.sum()} of {cells.size} cells, stiffest {at}"
             elif name in ("passive", "quiet"):
                 yield f"{name}: no cell"
@@ -513,10 +511,14 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
     if p.wall:
         raise ParameterError("damping or stiffness must be a range (got one wall): for one, maglev-mj diagnose")
     best = stiffest_of(p.loop().array())
-    # no stable wall: fall back to mass / period
-    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) or p.body / p.period)
-    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) or p.body / p.period**2)
+    damping = gain_axis(p.damping, p.grid, highest_damping(best, p.body, p.period))
+    stiffness = gain_axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) or p.body / p.period**2)
     return damping, stiffness, best
+
+
+def highest_damping(best: theory.StiffestWall, body: float, period: float) -> float:
+    """Return the end of a map's dampings [N s/m], by the stiffest wall; without one, mass [kg] over period [s]."""
+    return 2.2 * float(best.damping) or body / period
 
 
 def _spectral_radii(
@@ -570,7 +572,7 @@ def _stable(result: Any) -> bool:
     return bool(result["stable"])
 
 
-def _axis(limits: tuple[float, float] | None, count: int, highest: float) -> Array:
+def gain_axis(limits: tuple[float, float] | None, count: int, highest: float) -> Array:
     """Return the values of one axis.
 
     By default they go from one step above 0 to the highest value.

@@ -34,7 +34,7 @@ from maglev_mj.scenes.results import Figure, RunResult, figure_head, parameters_
 from maglev_mj.scenes.run import chaos_warning, checked_phase, checked_plant, figures_of, run, sensitivity
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stability_check import UNKNOWN, marks
-from maglev_mj.studies.cells import Study, Workers, chosen_workers
+from maglev_mj.studies.cells import Study, Workers, chosen_workers, grid_columns
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.versions import hash_of
 
@@ -116,8 +116,7 @@ class Sweep(Result):
         Figures are in SI units, NaN if missing; those of several hits are left out. `error` is there if a cell failed,
         `warnings` if one is unstable, not judged, or exceeds the device's force or range.
         """
-        axes = np.meshgrid(*map(np.array, self.varied.values()), indexing="ij")
-        columns: dict[str, NDArray[Any]] = {name: axis.ravel() for name, axis in zip(self.varied, axes, strict=True)}
+        columns = grid_columns(self.varied)
         columns |= {name: self.figure(name).ravel() for name in self.names if self.is_number(name)}
         if any(self._marks):
             columns["warnings"] = np.array(self._marks, dtype=object)
