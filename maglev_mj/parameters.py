@@ -120,23 +120,32 @@ def whole(name: str, value: object, *, at_least: float = 0.0, at_most: float = 2
 
 
 def interval(
-    name: str, value: Sequence[object], *, at_least: float = -math.inf, at_most: float = math.inf
-) -> tuple[float, float]:
-    """Return (low, high) of a checked range.
+    name: str, value: Sequence[object], *, at_least: float = -math.inf, at_most: float = math.inf, most: int = 0
+) -> tuple[float, ...]:
+    """Return (low, high) of a checked range, or (low, high, count) of values from low to high.
+
+    Args:
+        name: Name for the message.
+        value: The range.
+        at_least: Inclusive lower bound of both ends.
+        at_most: Inclusive upper bound of both ends.
+        most: Largest count; 0 for a range without one.
 
     Raises:
-        ParameterError: If it is not two numbers within the bounds in ascending order.
+        ParameterError: If it is not two numbers within the bounds in ascending order, or the count is not within 1 and
+            the largest.
     """
     try:
         ends = tuple(value)
     except TypeError:
         ends = ()
-    if len(ends) != 2:
-        raise ParameterError(f"{name} must be a pair (low, high) (got {value!r})")
-    low, high = (number(name, end, at_least=at_least, at_most=at_most) for end in ends)
+    if len(ends) not in ((2, 3) if most else (2,)):
+        form = "(low, high) or (low, high, count)" if most else "a pair (low, high)"
+        raise ParameterError(f"{name} must be {form} (got {value!r})")
+    low, high = (number(name, end, at_least=at_least, at_most=at_most) for end in ends[:2])
     if low > high:
         raise ParameterError(f"{name} must be in ascending order, low to high (got {low:g} to {high:g})")
-    return low, high
+    return low, high, *(whole(f"count of {name}", count, at_least=1, at_most=most) for count in ends[2:])
 
 
 def numbers(
@@ -502,8 +511,9 @@ def param_range(
     optional: bool = False,
     at_least: float = -math.inf,
     at_most: float = math.inf,
+    most: int = 0,
 ) -> Any:
-    """Declare a range parameter (low, high); see `param`.
+    """Declare a range parameter (low, high), or (low, high, count); see `param`.
 
     Args:
         name: Name of the field.
@@ -514,8 +524,9 @@ def param_range(
         optional: True if None is allowed, as without a default.
         at_least: Inclusive lower bound of both ends.
         at_most: Inclusive upper bound of both ends.
+        most: Largest count of values from low to high, which is optional; 0 for a range without one.
     """
-    parse = partial(interval, name, at_least=at_least, at_most=at_most)
+    parse = partial(interval, name, at_least=at_least, at_most=at_most, most=most)
     optional = optional or (default is None and derive is None)
     return param(help, unit, default=default, optional=optional, derive=derive, parse=parse)
 

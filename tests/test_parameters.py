@@ -85,6 +85,7 @@ class Lever(Parameters):
     length: float = param("arm", "m", default=0.5, at_least=0.0, at_most=1.0, along=True)
     ends: tuple[float, float] | None = param_range("ends", "both ends", "m", default=None, at_least=0.0, at_most=1.0)
     range: tuple[float, float] = param_range("range", "both", "m", default=(0.0, 1.0))
+    grid: tuple[float, ...] = param_range("grid", "values", "m", default=(0.0, 1.0), most=9)
 
 
 def test_a_parameter_like_another_is_declared_as_it_is_but_for_changes() -> None:
@@ -96,15 +97,20 @@ def test_a_parameter_like_another_is_declared_as_it_is_but_for_changes() -> None
     assert (one.help, one.unit, one.along, one.default) == ("arm", "m", True, 2.0)
     assert one.bounds == {"at_least": 0.0, "at_most": 3.0} and Longer.parameter("above").default == 0.5
     assert Longer.parameter("above").bounds == {"above": 0.0, "at_most": 1.0}
-    with pytest.raises(ParameterError, match=r"parameter must be one of length, ends, range \(got 'lenght'\)"):
+    with pytest.raises(ParameterError, match=r"parameter must be one of length, ends, range, grid \(got 'lenght'\)"):
         Lever.like("lenght")
 
 
 def test_a_range_has_a_lower_and_a_higher_value_within_its_bounds() -> None:
     assert Lever().ends is None and Lever(ends=(0, 1)).ends == (0.0, 1.0) and Lever().range == (0.0, 1.0)
+    assert Lever(grid=(0, 1)).grid == (0.0, 1.0) and Lever(grid=(0, 2, 9)).grid == (0.0, 2.0, 9)
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"ends": (0.5, 2.0)}, r"ends must be between 0 and 1.* \(got 2.0"),
         ({"ends": (1.0, 0.0)}, "ends must be in ascending order, low to high"),
+        ({"range": (0.0, 1.0, 3)}, r"range must be a pair \(low, high\) \(got \(0.0, 1.0, 3\)"),
+        ({"grid": (0.0,)}, r"grid must be \(low, high\) or \(low, high, count\) \(got \(0.0,\)"),
+        ({"grid": (0.0, 1.0, 10)}, r"count of grid must be between 1 and 9 \(got 10"),
+        ({"grid": (0.0, 1.0, 2.5)}, r"count of grid must be an integer \(got 2.5"),
         ({"range": None}, r"range must be a pair \(low, high\) \(got None"),
     ]
     for values, said in wrong:

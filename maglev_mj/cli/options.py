@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -123,20 +124,25 @@ def stated(options: argparse.Namespace, parameters: Parameters | type[Parameters
     return {item.name: values[_DEST + item.name] for item in parameters.parameters() if _DEST + item.name in values}
 
 
-def range_of(name: str, words: Sequence[str]) -> tuple[float, float]:
-    """Parse a range: LOW HIGH, LOW:HIGH, or one value.
+def range_of(name: str, text: str, forms: str = "LOW:HIGH or one value") -> tuple[float, ...]:
+    """Parse the ends of a range, and how many values it has if the forms have COUNT.
+
+    Args:
+        name: Name for the message.
+        text: LOW:HIGH:COUNT, LOW:HIGH, or one value, which is both ends.
+        forms: Allowed forms, for the message.
 
     Raises:
         ParameterError: If the text has another form.
     """
-    parts = words[0].split(":") if len(words) == 1 else words
     try:
-        values = [float(part) for part in parts]
+        values = tuple(float(part) for part in text.split(":"))
+        *ends, count = values if len(values) == 3 and "COUNT" in forms else (*values, 1.0)
+        if not (1 <= len(ends) <= 2 and math.isfinite(sum(values)) and count == int(count) >= 1):
+            raise ValueError(text)
     except ValueError:
-        values = []
-    if not 1 <= len(values) <= 2:
-        raise ParameterError(f"{name} must be LOW HIGH, LOW:HIGH or one value (got {' '.join(words)!r})")
-    return values[0], values[-1]
+        raise ParameterError(f"{name} must be {forms} (got {text!r})") from None
+    return values if len(values) == 3 else (ends[0], ends[-1])
 
 
 def assignments(what: str, words: Sequence[str], spelling: Callable[[str], str] = str) -> dict[str, str]:

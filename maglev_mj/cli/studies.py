@@ -37,7 +37,6 @@ from maglev_mj.cli.output import Progress, check_folder, write_result, write_res
 from maglev_mj.device import OnDevice
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.keywords import with_period
-from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import PictureFolder
 from maglev_mj.plants.hand import HANDS
 from maglev_mj.result import Result, plain
@@ -180,17 +179,14 @@ def sweep(
 
 def _values(cls: type[Scene], name: str, text: str) -> list[Any]:
     """Parse the values of a swept parameter."""
-    parts = text.split(":")
-    if len(parts) == 1:
+    if ":" not in text:
         return [value_of(cls, name, part) for part in text.split(";" if ";" in text else ",")]
-    try:
-        low, high, count = parsed_number(name, parts[0]), parsed_number(name, parts[1]), int(parts[2])
-    except (ValueError, IndexError):
-        count = 0
-    if len(parts) != 3 or not 1 <= count <= MOST_CELLS:
-        raise ParameterError(f"values of {name} must be LOW:HIGH:COUNT, A,B,C or A;B;C (got {text!r})")
-    value_of(cls, name, parts[0])  # checks that the parameter exists and is a number
-    return [float(value) for value in np.linspace(low, high, count)]
+    forms = "LOW:HIGH:COUNT, A,B,C or A;B;C"
+    low, high, *count = range_of(f"values of {name}", text, forms)
+    if not count or count[0] > MOST_CELLS:
+        raise ParameterError(f"values of {name} must be {forms} (got {text!r})")
+    value_of(cls, name, text.partition(":")[0])  # checks that the parameter exists and is a number
+    return [float(value) for value in np.linspace(low, high, int(count[0]))]
 
 
 _LAWS = ", ".join(f"{name} ({law.status})" for name, law in LAWS.items())
@@ -243,25 +239,29 @@ _WALL = "wall parameters"
 _DROP = "drop parameters; any of these selects a map of drops"
 _NEEDED = "requirements"
 _RANGE = "range of validity"
-_REQUIRED = "mass", "inertia", "delay"
+_REQUIRED, _GAINS = ("mass", "inertia", "delay"), ("damping", "stiffness")
+_ENDS, _AXIS = "LOW:HIGH or one value", "LOW:HIGH:COUNT, LOW:HIGH or one value"
 
 
-def _add_ranges(parser: Parser, group: str, cls: Any, names: Sequence[str], missing: str = "none") -> None:
-    """Add options for range parameters, of one or two values each; `missing` describes the default None."""
+def _add_ranges(
+    parser: Parser, group: str, cls: Any, names: Sequence[str], missing: str = "none", forms: str = _ENDS
+) -> None:
+    """Add options for range parameters of some forms, see `range_of`; `missing` describes the default None."""
     for name in names:
         item = cls.parameter(name)
         value = getattr(cls(), name)
         default = missing if value is None else f"{value[0]:g}"
-        text = f"{item.help} [{item.unit}]: LOW HIGH, LOW:HIGH or one value (default {default})"
-        parser.group(group).add_argument(f"--{name}", nargs="+", metavar="X", help=text)
+        text = f"{item.help} [{item.unit}]: {forms} (default {default})"
+        parser.group(group).add_argument(f"--{name}", nargs="+", metavar="RANGE", help=text)
 
 
-def _ranges(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
-    return {name: range_of(name, words) for name in names if (words := getattr(options, name)) is not None}
+def _ranges(options: argparse.Namespace, names: Sequence[str], forms: str = _ENDS) -> dict[str, Any]:
+    words = {name: getattr(options, name) for name in names}
+    return {name: range_of(name, " ".join(some), forms) for name, some in words.items() if some is not None}
 
 
 def _add_map(parser: Parser) -> None:
-    _add_ranges(parser, _WALL, StabilityParameters, ("damping", "stiffness"), "covers the stable region")
+    _add_ranges(parser, _WALL, StabilityParameters, _GAINS, "covers the stable region", _AXIS)
     add_device(parser)
     add_parameters(parser.group(_WALL), StabilityParameters)
     add_parameters(parser.group(_DROP), DropMapParameters)
@@ -269,7 +269,7 @@ def _add_map(parser: Parser) -> None:
 
 def _chosen_map(options: argparse.Namespace) -> StabilityParameters | DropMapParameters:
     """Return the parameters of a map of walls, or of drops if one of theirs is set."""
-    ranges = _ranges(options, ("damping", "stiffness"))
+    ranges = _ranges(options, _GAINS, _AXIS)
     drops = stated(options, DropMapParameters).keys() - stated(options, StabilityParameters).keys()
     return chosen(options, DropMapParameters if drops else StabilityParameters, **ranges)
 
@@ -294,14 +294,14 @@ def stability_map(
         write_result(json, diagnose(**wall), pictures)
         return 0
     if pictures is not None:
-        for name in ("damping", "stiffness"):
+        for name in _GAINS:
             if (limits := getattr(region, name)) is not None and limits[0] == limits[1]:
                 raise ParameterError(f"{name} must be a range for a chart (got {limits[0]:g})")
     drops = isinstance(region, DropMapParameters)
     if record is not None and not drops and region.plant == "none":
         raise ParameterError(f"record is not supported with plant none, which has no cells (got {record})")
     # a map of drops uses every core if it has more than one part
-    running = workers.open(default=None if drops and region.grid**2 > PART else 0)
+    running = workers.open(default=None if drops and region.count > PART else 0)
     run: Any = run_drop_map if drops else run_stability
     with saved_cells(record, Path("stability-cells")), Progress("stability") as progress:
         result = run(region, record=Record(record), workers=running, progress=progress)

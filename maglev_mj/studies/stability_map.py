@@ -5,6 +5,7 @@ In a simulated wall the flotor rests and is displaced slightly; the samples tell
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -45,6 +46,7 @@ _BATCHES: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoBatch
 _NEAR = 0.005
 _TOGETHER = 240
 _AT_ONCE = 50_000
+_MOST_POINTS = 1000
 _FINE = 200
 _AROUND = ("period", "delay", "mass", "hand", "cutoff", "driver_lag")
 
@@ -269,19 +271,19 @@ def _growths(sizes: Array, *, last: bool) -> tuple[_Growth, Mask]:
 class StabilityParameters(LoopParameters):
     """Grid of gains with its loop.
 
-    Without ranges the grid covers the whole stable region.
+    A range is (low, high), or (low, high, count) of its points. Without ranges the grid covers the whole stable region.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
 
-    damping: tuple[float, float] | None = param_range(
-        "damping", "damping range", "N s/m", default=None, at_least=0.0, at_most=1e6
+    damping: tuple[float, ...] | None = param_range(
+        "damping", "damping range", "N s/m", default=None, at_least=0.0, at_most=1e6, most=_MOST_POINTS
     )
-    stiffness: tuple[float, float] | None = param_range(
-        "stiffness", "stiffness range", "N/m", default=None, at_least=0.0, at_most=1e8
+    stiffness: tuple[float, ...] | None = param_range(
+        "stiffness", "stiffness range", "N/m", default=None, at_least=0.0, at_most=1e8, most=_MOST_POINTS
     )
-    grid: int = param("points per axis; a single value has one", default=60, at_least=2, at_most=1000)
+    grid: int = param("points of an axis without a COUNT", default=60, at_least=2, at_most=_MOST_POINTS)
     plant: str = param("simulated plant, or none for theory only", default="none", choices=RestingWall.plants)
 
     def check(self) -> None:
@@ -295,6 +297,11 @@ class StabilityParameters(LoopParameters):
         if self.plant != "none" and not self.plain:
             what = self.described.removeprefix(", ") or "a rotary axis"
             raise ParameterError(f"{what} cannot be simulated (plant {self.plant}): plants have {PLAIN}")
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return math.prod(gain_axis(getattr(self, name), self.grid, 1.0).size for name in _GAINS)
 
     @property
     def wall(self) -> dict[str, Any]:
@@ -572,11 +579,12 @@ def _stable(result: Any) -> bool:
     return bool(result["stable"])
 
 
-def gain_axis(limits: tuple[float, float] | None, count: int, highest: float) -> Array:
+def gain_axis(limits: tuple[float, ...] | None, count: int, highest: float) -> Array:
     """Return the values of one axis.
 
     By default they go from one step above 0 to the highest value.
     """
     if limits is None:
         return np.linspace(highest / count, highest, count)
-    return np.linspace(*limits, count) if limits[0] < limits[1] else np.array([limits[0]])
+    low, high, points = limits if len(limits) == 3 else (*limits, count)
+    return np.linspace(low, high, int(points)) if low < high else np.array([low])

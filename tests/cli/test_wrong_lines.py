@@ -49,7 +49,8 @@ render box --out a.png --size 1x1                   | size must be WxH, e.g. 120
 fidelity moon                                       | scene must be one of joystick, drop, press,
 fidelity all --out pictures                         | out is not supported for all scenes
 fidelity all --tolerance 1e-3                       | unrecognized arguments: --tolerance 1e-3
-design --mass a:b                                   | mass must be LOW HIGH, LOW:HIGH or one value (got 'a:b')
+design --mass a:b                                   | mass must be LOW:HIGH or one value (got 'a:b')
+design --mass 0.5:0.6:3                             | mass must be LOW:HIGH or one value (got '0.5:0.6:3')
 design --hand fist                                  | hand must be one of none, arm, stylus, fingertip
 design --held                                       | hand must be at least one, without duplicates (got none)
 design --spectral-radius 0.4                                | spectral_radius must be above 0.4: no pd wall
@@ -87,7 +88,10 @@ twin --block -3                                     | block must be above 0 and 
 bridge DEVICE --max-current 0                       | max_current must be
 stability --damping 80 --stiffness 6000 --plant exact | must be a range (got one wall): for one, maglev-mj diagnose
 stability --damping 80 --stiffness 6000 --height 0  | must be a range (got one wall): for one, maglev-mj diagnose
-stability --damping 1 2 3                           | damping must be LOW HIGH, LOW:HIGH or one value (got '1 2 3')
+stability --damping 1 2                             | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1 2')
+stability --damping 1:2:0 | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:0')
+stability --damping 1:2:1.5 | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:1.5')
+stability --damping 1:2:2000                        | count of damping must be between 1 and 1000
 # rates beside periods
 drop --rate fast                                    | argument --rate: must be a
 drop --rate 100 --period 0.01                       | argument --period: not allowed with argument --rate
@@ -102,7 +106,7 @@ stability --hand armm                               | (got 'armm'); did you mean
 drop --plant exct                                   | (got 'exct'); did you mean exact?
 # maps of stability
 stability --damping -5:3 | damping must be between 0 and 1e6 (got -5
-stability --stiffness 9 3                           | stiffness must be in ascending order, low to high (got 9 to 3)
+stability --stiffness 9:3                           | stiffness must be in ascending order, low to high (got 9 to 3)
 stability --delay 2 | delay must be between 0 and 1 s (got 2.0); did you mean 0.002 s?
 stability --hand 1e-300,0,0,0,1e10                  | hand grip_stiffness must be between 0 and 1e7
 stability --hand 0,0,1e300                          | hand stiffness must be between 0 and 1e7
@@ -115,6 +119,7 @@ card nothing.toml | device file 'nothing.toml' cannot be read: No such file or d
 card drop --delay 0.06 | delay must be at most 0.05 s, 10 periods in a simulation (got 0.06)
 sweep moon.py                                       | scene file 'moon.py' does not exist
 sweep drop --vary height=0:inf:3                    | values of height must be LOW:HIGH:COUNT
+sweep drop --vary height=0:1                        | values of height must be LOW:HIGH:COUNT
 sweep drop --vary height                            | a parameter must be given as NAME=VALUE (got 'height')
 sweep drop --set mass=1 --vary mass=1,2             | mass must be either set or varied
 sweep drop --vary height=0:1:20000 --vary phase=0:1:20000 | at most 100000000 cells

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold, Sensor, Timing, diagnose, theory
+from maglev_mj.cli import main
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
-from maglev_mj.studies.stability_map import StabilityMap, StabilityParameters, run_stability
+from maglev_mj.studies.stability_map import RestingWall, StabilityMap, StabilityParameters, run_stability
+from maglev_mj.studies.sweep import Grid
 
 
 def test_a_quiet_wall_comes_to_rest_wherever_it_is() -> None:
@@ -87,3 +91,22 @@ def test_a_passive_wall_is_stable_and_none_is_called_passive_with_a_lag_or_a_mod
 def test_a_map_of_quiet_walls_is_theory_alone(given: dict[str, Any], says: str) -> None:
     with pytest.raises(ParameterError, match=says):
         StabilityParameters(**given)
+
+
+def test_a_map_has_the_points_that_its_ranges_count_as_a_sweep_has() -> None:
+    p = StabilityParameters(stiffness=(1000.0, 9000.0, 3), damping=(20.0, 120.0), grid=4)
+    found, swept = run_stability(p), Grid(RestingWall(), {"stiffness": [1000.0, 5000.0, 9000.0]})
+    assert found.stiffness.tolist() == swept.axes["stiffness"] and p.count == found.spectral_radius.size == 12
+    assert StabilityParameters(stiffness=(1000.0, 1000.0), grid=4).count == 4
+
+
+def test_the_command_takes_the_same_grid_for_a_map_as_for_a_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main("stability --stiffness 1000:9000:3 --damping 20:80:2 --json map.json".split()) == 0
+    line = "sweep wall --vary stiffness=1000:9000:3 --vary damping=20:80:2 --workers 0 --json cells.json"
+    assert main(line.split()) == 0
+    radii = json.loads(Path("map.json").read_text())["spectral_radius"]
+    cells = json.loads(Path("cells.json").read_text())
+    assert [one["spectral_radius"] for one in cells["results"]] == pytest.approx(np.ravel(radii).tolist(), rel=1e-9)
