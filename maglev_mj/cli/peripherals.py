@@ -204,11 +204,11 @@ class HandOptions:
     mapping: _HandMapping
 
     @contextmanager
-    def open(self, hand: SpringHand, tell: Callable[[str], object] = say) -> Iterator[list[HandDevice]]:
+    def open(self, hand_force: SpringHand, tell: Callable[[str], object] = say) -> Iterator[list[HandDevice]]:
         """Open the device for the duration of the context; yield an empty list without --hand-device.
 
         Args:
-            hand: Hand that the device moves.
+            hand_force: Hand that the device moves.
             tell: Function that prints the device's name.
 
         Raises:
@@ -223,5 +223,5 @@ class HandOptions:
 
         device = open_device(self.name)
         tell(f"  hand device: {device.name}")
-        with closing(HandDevice(device, hand, self.mapping)) as opened:
+        with closing(HandDevice(device, hand_force, self.mapping)) as opened:
             yield [opened]

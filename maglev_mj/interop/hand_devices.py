@@ -145,7 +145,7 @@ class HandDevice:
 
     Args:
         device: The input device; `close` closes it too.
-        hand: The hand.
+        hand_force: The hand.
         mapping: Axis mapping; `HAND_MAPPING` if None.
 
     Attributes:
@@ -153,8 +153,8 @@ class HandDevice:
         act: Function called with the action of a pressed button; may be replaced.
     """
 
-    def __init__(self, device: InputDevice, hand: SpringHand, mapping: AxisMapping | None = None) -> None:
-        self.note, self._device, self._hand, self._mapping = "", device, hand, mapping or HAND_MAPPING
+    def __init__(self, device: InputDevice, hand_force: SpringHand, mapping: AxisMapping | None = None) -> None:
+        self.note, self._device, self._hand, self._mapping = "", device, hand_force, mapping or HAND_MAPPING
         self.act: Callable[[str], object] = lambda action: None
         self._lost = False
         self._rest: Array | None = None

@@ -57,12 +57,12 @@ class Glide:
         self._start = (self._now(now) or target) if self._held and target is not None else target or ()
         self._goal, self._received, self._duration = target, now, min(now - self._received, _LONGEST)
 
-    def move(self, hand: SpringHand) -> None:
+    def move(self, hand_force: SpringHand) -> None:
         """Update a hand's target if this viewer holds the hand."""
         if not self._held and self._goal is None:
             return
-        hand.target = self._now(self._clock())
-        self._held = hand.target is not None
+        hand_force.target = self._now(self._clock())
+        self._held = hand_force.target is not None
 
     def _now(self, now: float) -> Sequence[float] | None:
         """Return the interpolated target at a time."""
@@ -181,7 +181,7 @@ class RemoteViewer:
                 self._scene = requested = scene
         return None if requested is None else ChangeRequest(requested)
 
-    def _requests(self, hand: SpringHand) -> Iterator[Request]:
+    def _requests(self, hand_force: SpringHand) -> Iterator[Request]:
         """Yield the actions and parameters that are due, then move the hand.
 
         Bounded, so that a flood does not delay a tick.
@@ -200,7 +200,7 @@ class RemoteViewer:
             self.is_open = False
             self._glide.aim(None)
             self.on_close()
-        self._glide.move(hand)
+        self._glide.move(hand_force)
 
     def _changed(self, kind: str, value: Any) -> Scene | None:
         """Return the changed scene, or None; an invalid request becomes a note and does not end a flight."""

@@ -122,7 +122,7 @@ def test_texts_fit_their_area_and_are_whole(shot: Snapshot, size: tuple[int, int
             names, values = (max(map(len, column), default=0) for column in zip(*rows, strict=True))
             assert names + values <= letters(area.width, scale)
         upper, lower = ("".join(map("".join, block)).replace(" ", "") for block in blocks)
-        wanted = help_rows(shown.actions, hand=shown.state != "flying") if keys else status_rows(shown)
+        wanted = help_rows(shown.actions, mouse=shown.state != "flying") if keys else status_rows(shown)
         assert "".join(map("".join, wanted)).replace(" ", "").startswith(upper)
         assert size[0] == 800 or "".join(map("".join, wanted)).replace(" ", "") == upper
         assert keys or all((name + value).replace(" ", "") in lower for name, value in message_rows(shown, notes))

@@ -124,16 +124,16 @@ def key_of(action: str, actions: Sequence[str]) -> str:
     return next((key.name for key in _bound(actions) if key.action == action), "")
 
 
-def help_rows(actions: Sequence[str], *, hand: bool = True) -> list[tuple[str, str]]:
+def help_rows(actions: Sequence[str], *, mouse: bool = True) -> list[tuple[str, str]]:
     """Return the rows of the help: keys and their actions.
 
     Args:
         actions: Names of the available actions.
-        hand: True if the mouse moves the flotor.
+        mouse: True if the mouse moves the flotor.
     """
     rows: dict[str, tuple[list[str], list[str]]] = {}
     for key in _bound(actions):
         names, words = rows.setdefault(key.row, ([], []))
         names.append(key.name)
         words += [key.words or key.action] if not key.action.endswith(" down") else []
-    return [*(_HANDS if hand else ()), *(("  ".join(names), ", ".join(words)) for names, words in rows.values())]
+    return [*(_HANDS if mouse else ()), *(("  ".join(names), ", ".join(words)) for names, words in rows.values())]

@@ -330,7 +330,7 @@ class Screen:
         pictures, bars = list(zip(plots, figures)), list[TextBox]()
         if self._page:
             keys = self._page == 1
-            table = help_rows(snapshot.actions, hand=moved_by_mouse(snapshot)) if keys else number_rows(snapshot)
+            table = help_rows(snapshot.actions, mouse=moved_by_mouse(snapshot)) if keys else number_rows(snapshot)
         else:
             table = status_rows(snapshot)
             if layout.strip:
