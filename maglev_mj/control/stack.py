@@ -1,12 +1,12 @@
-"""Laws and controllers of N devices as one, for a batch."""
+"""Laws and controllers of N devices as one, for a batch; and what is alike enough for one."""
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,44 @@ from maglev_mj.control.laws.base import Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import axis_indices
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+def alike(kinds: Iterable[Hashable]) -> dict[Any, list[int]]:
+    """Return the indices of equal kinds by kind, without None, in the order of the first of each."""
+    groups: dict[Any, list[int]] = {}
+    for index, kind in enumerate(kinds):
+        if kind is not None:
+            groups.setdefault(kind, []).append(index)
+    return groups
+
+
+def computed_together(
+    items: Sequence[_Item],
+    kinds: Iterable[Hashable],
+    compute: Callable[[list[_Item]], Iterable[_Result]],
+    default: Any = None,
+    most: Callable[[_Item], int] | None = None,
+) -> list[_Result]:
+    """Return the result of each item, computed at once for those of equal kind.
+
+    Args:
+        items: The items.
+        kinds: Kind of each; None for an item that gets the default.
+        compute: Function that returns a result for each of some items of one kind.
+        default: Result of items without a kind.
+        most: Function of the first item of a kind that returns how many are computed at once; None for all.
+    """
+    results = [default] * len(items)
+    for indices in alike(kinds).values():
+        size = len(indices) if most is None else most(items[indices[0]])
+        for start in range(0, len(indices), size):
+            some = indices[start : start + size]
+            for index, result in zip(some, compute([items[index] for index in some]), strict=True):
+                results[index] = result
+    return results
 
 
 def stacked_controller(controllers: Sequence[Controller], devices: int = 1) -> Controller | None:

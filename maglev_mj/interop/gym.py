@@ -20,13 +20,12 @@ from maglev_mj.frames import ZERO, Array, components, join
 from maglev_mj.parameters import axis_indices, numbers, whole
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.run import checked_plant
-from maglev_mj.scenes.stack import stacked_scenes
+from maglev_mj.scenes.stack import FAR, stacked_scenes
 
 FORCE_SHARE = 3.0
 """Device's force limit over the maximum force of an agent on a translation: 20 N of 60 N."""
 
 _DISTURBANCE, _TARGET = 0.2, 0.6
-_FAR = (1e15, 1e15)
 
 _Info: TypeAlias = dict[str, Any]
 
@@ -80,7 +79,7 @@ class TargetTask:
         drawn = np.reshape([random.uniform(-1.0, 1.0, size) for random in randoms], (*self._batch, *size[-2:]))
         self.target, self._disturbance = _TARGET * drawn[..., 0, :] * self._reach, _DISTURBANCE * drawn[..., 1, :]
         source: Any = stacked_scenes([(self.scene, 0.0)] * self._batch[0]) if self._batch else self.scene
-        self._plant = source.plant("exact", timing=self.scene.timing(), escape=_FAR)
+        self._plant = source.plant("exact", timing=self.scene.timing(), escape=FAR)
         self._controller = self.scene.controller()
         self._sample = self._plant.read()
         self._position = self._clipped_position()

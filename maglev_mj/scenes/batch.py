@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.control.stack import content, law_kind
+from maglev_mj.control.stack import computed_together, content, law_kind
 from maglev_mj.frames import Command, Mask, Sample, components
 from maglev_mj.scenes.results import figures_of_each
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stack import STACKED, Member, SceneStack
+from maglev_mj.scenes.stack import FAR, STACKED, Member, SceneStack
 
 _LEAST = 8  # smaller batches are slower than single runs
 _MOST, _AT_ONCE = 512, 64
 _MEMORY = 256e6
 _PER_KNOT = 18 * 8.0
-_FAR = (1e15, 1e15)
 _NEAR = 0.9
 _OWN_RUN = ("run_figures", "plant", "plant_keywords", "controller", "ticks")
 
@@ -45,22 +43,14 @@ def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float
         return figures
     if plant != "exact" or any(getattr(cls, name) is not getattr(Scene, name) for name in _OWN_RUN):
         return results
-    members: dict[int, Member] = {}
-    kinds: dict[Hashable, list[int]] = defaultdict(list)
+    members, kinds = list[Any](results), list[Hashable](results)
     for index, (scene, phase) in enumerate(zip(scenes, phases, strict=True)):
         with suppress(Exception):  # errors of user code are reported by the single run
             hand = scene.scripted_hand(phase)
             parts = scene.timing(phase), scene.laws(), scene.velocity_estimator(), scene.plant_keywords("exact", hand)
             members[index] = Member(scene, phase, *parts, hand)
-            kinds[_kind(members[index])].append(index)
-    kinds.pop(None, None)
-    for indices in kinds.values():
-        size = _most_of(members[indices[0]])
-        for start in range(0, len(indices), size):
-            chunk = [(index, members[index]) for index in indices[start : start + size]]
-            for index, row in _figures_of(chunk):
-                results[index] = row
-    return results
+            kinds[index] = _kind(members[index])
+    return computed_together(members, kinds, _figures_of, most=_most_of)
 
 
 def _kind(member: Member) -> Hashable:
@@ -88,25 +78,25 @@ def _most_of(member: Member) -> int:
     return max(min(_MOST, int(_MEMORY / (knots * _PER_KNOT))), 1)
 
 
-def _figures_of(members: Sequence[tuple[int, Member]]) -> list[tuple[int, Mapping[str, Any]]]:
-    """Return the figures of the successful runs of a batch by index; a failed batch is split in halves."""
+def _figures_of(members: Sequence[Member]) -> list[Mapping[str, Any] | None]:
+    """Return the figures of the runs of a batch, None for one that failed; a failed batch is split in halves."""
+    found: list[Mapping[str, Any] | None] = [None] * len(members)
     if len(members) < _LEAST:
-        return []
+        return found
     try:
-        observer = _InRange(members[0][1].options["escape"], len(members))
-        stack: Any = SceneStack([member for _, member in members], escape=_FAR)
+        observer = _InRange(members[0].options["escape"], len(members))
+        stack: Any = SceneStack(members, escape=FAR)
         result = run(stack, plant="exact", phase=stack.phases, observe=observer)
         observer.check(components(result.trace.pose[-1]))
         good = np.flatnonzero(observer.always)
-        rows: list[Mapping[str, Any]] = []
         for start in range(0, good.size, _AT_ONCE):
-            some = result[good[start : start + _AT_ONCE]]
+            devices = good[start : start + _AT_ONCE]
+            some = result[devices]
             figures, verdicts = figures_of_each(some), some.verdicts()
-            rows += [
-                {**dict(zip(figures, row, strict=True)), **({"warnings": verdict} if verdict else {})}
-                for verdict, row in zip(verdicts, zip(*figures.values(), strict=True), strict=True)
-            ]
-        return [(members[device][0], row) for device, row in zip(good.tolist(), rows, strict=True)]
+            rows = zip(*figures.values(), strict=True)
+            for device, verdict, row in zip(devices.tolist(), verdicts, rows, strict=True):
+                found[device] = {**dict(zip(figures, row)), **({"warnings": verdict} if verdict else {})}
+        return found
     except Exception:  # reported by the single run
         half = len(members) // 2
         return [*_figures_of(members[:half]), *_figures_of(members[half:])]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from maglev_mj.control import AxisLaw
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.stack import law_kind
+from maglev_mj.control.stack import alike, computed_together, law_kind
 from maglev_mj.errors import MaglevError
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.theory.read import of_scene, probed_at, scene_hand, scene_lag, stated_gains
@@ -26,27 +25,26 @@ _STATED = "stated"
 def cell_verdicts(scenes: Sequence[Scene]) -> list[Verdict | Exception]:
     """Return the verdict of `stability` on each scene, or the error that it raises."""
     result: list[Verdict | Exception] = [MaglevError()] * len(scenes)
-    equal, groups = defaultdict[Any, list[int]](list), defaultdict[Any, list[int]](list)
     kinds, controllers = dict[int, Any](), dict[int, Controller]()
+    contents: list[Any] = [None] * len(scenes)
     for index, scene in enumerate(scenes):
         try:
             controllers[index] = controller = scene.controller()
             kinds[index] = _kind(scene, controller, index)
-            equal[_content(scene, controller, index)].append(index)
+            contents[index] = _content(scene, controller, index)
         except Exception as error:  # of a user's scene
             result[index] = error
-    for first, *_ in equal.values():
-        groups[kinds[first]].append(first)
-    for kind, indices in groups.items():
-        size = len(indices) if kind == _STATED else _AT_ONCE
-        for start in range(0, len(indices), size):
-            some = indices[start : start + size]
-            members = [(scenes[index], controllers[index]) for index in some]
-            for index, verdict in zip(some, _together(members), strict=True):
-                result[index] = verdict
-    for first, *others in equal.values():
-        for index in others:
-            result[index] = result[first]
+    equal = [*alike(contents).values()]
+    firsts = [first for first, *_ in equal]
+    judged = computed_together(
+        firsts,
+        [kinds[first] for first in firsts],
+        lambda some: _together([(scenes[index], controllers[index]) for index in some]),
+        most=lambda first: len(scenes) if kinds[first] == _STATED else _AT_ONCE,
+    )
+    for indices, verdict in zip(equal, judged, strict=True):
+        for index in indices:
+            result[index] = verdict
     return result
 
 

@@ -19,6 +19,9 @@ from maglev_mj.plants.hand import HandForce
 from maglev_mj.plants.model import Flotor
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene
 
+FAR = (1e15, 1e15)
+"""Divergence bounds of a batch that a device which leaves its range does not end."""
+
 STACKED = ("pose", "twist", "wrench", "mass", "wrench_limit")
 """Keywords of a plant that may differ between the devices of a batch."""
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
+from maglev_mj.control.stack import alike
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import Parameters, numbers, param
@@ -368,11 +369,9 @@ def _plants(
     Cases are separated by rigid or soft grip, and by the whole periods of the delay; the rest is one batch.
     """
     needs = wall.requirements
-    groups: dict[tuple[bool, int], list[int]] = {}
-    for number, case in enumerate(cases):
-        key = case.hand is not None and case.hand.soft, int(split_delay(case.delay, needs.period)[0])
-        groups.setdefault(key, []).append(number)
-    for (soft, _), index in groups.items():
+    soft = [case.hand is not None and case.hand.soft for case in cases]
+    whole = [int(split_delay(case.delay, needs.period)[0]) for case in cases]
+    for (grip, _), index in alike(zip(soft, whole)).items():
         some = [cases[number] for number in index]
         yield (
             index,
@@ -383,7 +382,7 @@ def _plants(
                 quantum=contact.quantize,
                 lag=needs.lag,
                 mass=np.array([case.inertia for case in some]),
-                hand=_hands([case.hand or Hand() for case in some], soft),
+                hand=_hands([case.hand or Hand() for case in some], grip),
                 wrench_limit=contact.force_limit or None,
                 record=record,
             ),

@@ -6,7 +6,6 @@ In a simulated wall the flotor rests and is displaced slightly; the samples tell
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,6 +18,7 @@ import maglev_mj.theory as theory
 from maglev_mj.control import Law, LowPass, VelocityEstimator, Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
+from maglev_mj.control.stack import alike, computed_together
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import param, param_range
@@ -144,9 +144,8 @@ class RestingWall(Scene):
 
         Walls that differ in their gains alone are one batch.
         """
-        results: list[dict[str, Any]] = [{}] * len(scenes)
-        for indices in _alike(scenes).values():
-            walls = [scenes[index] for index in indices]
+
+        def figures(walls: Sequence[Self]) -> Iterator[Mapping[str, Any]]:
             stiffness, damping = (np.array([getattr(wall, name) for wall in walls]) for name in _GAINS)
             stiffest, loop = stiffest_in(walls[0].loop), walls[0].loop.array()
             columns = {
@@ -158,9 +157,10 @@ class RestingWall(Scene):
             if plant != "none":
                 growth = measure_growth(walls, plant)
                 columns |= {"simulated_rate": growth.rate, "simulated_stable": growth.stable}
-            for index, row in zip(indices, zip(*(column.tolist() for column in columns.values()), strict=True)):
-                results[index] = dict(zip(columns, row, strict=True))
-        return results
+            for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+                yield dict(zip(columns, row, strict=True))
+
+        return computed_together(scenes, map(_kind, scenes), figures)
 
 
 @lru_cache(maxsize=1024)
@@ -169,12 +169,9 @@ def stiffest_in(loop: Loop) -> theory.StiffestWall:
     return stiffest_of(loop.array())
 
 
-def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
-    """Return indices of walls, grouped by loop: a group differs in its gains only."""
-    groups: dict[tuple[Any, ...], list[int]] = defaultdict(list)
-    for index, wall in enumerate(walls):
-        groups[*(getattr(wall, name) for name in _AROUND), wall.device].append(index)
-    return groups
+def _kind(wall: RestingWall) -> tuple[Any, ...]:
+    """Return what is equal for walls that differ in their gains only."""
+    return (*(getattr(wall, name) for name in _AROUND), wall.device)
 
 
 def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keywords: Any) -> _Growth:
@@ -197,7 +194,7 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
     check_one_of("plant", _BATCHES, plant)
     count = len(walls)
     stable, rate, spent = np.zeros(count, dtype=bool), np.full(count, np.nan), np.zeros(count)
-    for undecided in map(np.array, _alike(walls).values()):
+    for undecided in map(np.array, alike(map(_kind, walls)).values()):
         for ticks in _PATIENCE:
             if not undecided.size:
                 break

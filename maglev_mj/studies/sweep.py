@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import itertools
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import maglev_mj
+from maglev_mj.control.stack import computed_together
 from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, check_instance, check_one_of, file_path
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.keywords import checked, with_period
@@ -438,14 +439,7 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
         ParameterError: If there is no such scene, or its file fails.
     """
     runs = [_run_of(dict(cell), text) for cell in cells]
-    results: list[Mapping[str, Any] | None] = [None] * len(runs)
-    plants = defaultdict(list)
-    for index, (scene, plant, _) in enumerate(runs):
-        plants[type(scene), plant].append(index)
-    for (cls, plant), indices in plants.items():
-        batch = _run_batch(cls, plant, [runs[index] for index in indices])
-        for index, figures in zip(indices, batch, strict=True):
-            results[index] = figures
+    results = computed_together(runs, [(type(scene), plant) for scene, plant, _ in runs], _run_batch)
     done = [
         _run_single(run, text is not None) if figures is None else plain(figures)
         for run, figures in zip(runs, results, strict=True)
@@ -467,8 +461,9 @@ def _run_of(cell: Cell, text: str | None) -> _Run:
     return object_of_text(text, cls, file).from_json(cell), plant, phase
 
 
-def _run_batch(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Mapping[str, Any] | None]:
-    """Return the figures of runs in batches; None for those that need single runs."""
+def _run_batch(runs: Sequence[_Run]) -> Sequence[Mapping[str, Any] | None]:
+    """Return the figures of runs of one class and plant in batches; None for those that need single runs."""
+    cls, plant = type(runs[0][0]), runs[0][1]
     try:
         batch = figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
     except MaglevError:  # in any of them: its single run reports the error

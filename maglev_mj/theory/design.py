@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from maglev_mj.control.stack import alike
 from maglev_mj.errors import ParameterError, refuse_mask
 from maglev_mj.frames import Array
 from maglev_mj.keywords import checked
@@ -176,9 +177,7 @@ class WallRequirements(LoopParameters):
 
     def loops(self, cases: Sequence[Loop]) -> list[tuple[Array, LoopArray]]:
         """Return one loop per hand, of shape (C,), with the indices of its cases."""
-        rows: dict[Any, list[int]] = {}
-        for row, case in enumerate(cases):
-            rows.setdefault(case.hand, []).append(row)
+        rows = alike((case.hand,) for case in cases)
         values = {name: np.array([getattr(case, name) for case in cases]) for name in ("inertia", "delay")}
         return [
             (np.array(index), cases[index[0]].array(**{name: array[index] for name, array in values.items()}))

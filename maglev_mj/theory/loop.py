@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import LinearController, LowPass, VelocityEstimator
+from maglev_mj.control.stack import computed_together
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.lazy import loaded
 from maglev_mj.plants.hand import Hand, Mode
@@ -519,16 +519,8 @@ def radius_of(loop: Loop, poles: NDArray[np.complex128]) -> float:
 
 def poles_of(loops: Sequence[Loop]) -> list[NDArray[np.complex128]]:
     """Return the poles per host period of each loop; those of equal structure are computed together."""
-    result: list[NDArray[np.complex128]] = [np.empty(0, dtype=np.complex128)] * len(loops)
-    groups: dict[Any, list[int]] = defaultdict(list)
-    for index, loop in enumerate(loops):
-        if not loop.reason:
-            groups[_structure(loop)].append(index)
-    for indices in groups.values():
-        some = [loops[index] for index in indices]
-        for index, poles in zip(indices, _poles(some), strict=True):
-            result[index] = poles
-    return result
+    kinds = (None if loop.reason else _structure(loop) for loop in loops)
+    return computed_together(loops, kinds, _poles, default=np.empty(0, dtype=np.complex128))
 
 
 def _structure(loop: Loop) -> Any:

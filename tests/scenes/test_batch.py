@@ -10,7 +10,7 @@ import pytest
 
 from maglev_mj import find_scene, stability
 from maglev_mj.control import Bias, Hold, Law, StickSlip, Wall
-from maglev_mj.control.stack import law_kind, stacked
+from maglev_mj.control.stack import alike, computed_together, law_kind, stacked
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes import batch
 from maglev_mj.scenes.drop import Drop
@@ -256,3 +256,20 @@ def test_laws_are_of_one_kind_if_all_else_agrees() -> None:
         stiffness: float
 
     assert law_kind(Silent(1.0)) is None
+
+
+def test_what_is_alike_is_computed_at_once_and_in_place() -> None:
+    kinds = ["a", "b", None, "a", "a", "b"]
+    assert alike(kinds) == {"a": [0, 3, 4], "b": [1, 5]}
+    calls: list[list[int]] = []
+
+    def doubled(some: list[int]) -> list[int]:
+        calls.append(some)
+        return [2 * one for one in some]
+
+    assert computed_together([1, 2, 3, 4, 5, 6], kinds, doubled, default=0) == [2, 4, 0, 8, 10, 12]
+    assert calls == [[1, 4, 5], [2, 6]]
+    calls.clear()
+    most = {1: 2, 2: 1}  # by the first of a kind
+    assert computed_together([1, 2, 3, 4, 5, 6], kinds, doubled, most=most.__getitem__)[2] is None
+    assert calls == [[1, 4], [5], [2], [6]]
