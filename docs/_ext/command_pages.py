@@ -89,6 +89,7 @@ def _command_page(name: str) -> Iterator[str]:
 def _scenes_page() -> Iterator[str]:
     yield from title("Parameters of the scenes", "=")
     yield "Each scene of the package, and the options that its parameters make in any command that takes a ``SCENE``."
+    yield "The name of a scene is short for :doc:`run` and that name."
     for name in scene_names():
         scene = find_scene(name)
         made = Parser()

@@ -65,8 +65,10 @@ class Parser(argparse.ArgumentParser):
 
     def group(self, title: str) -> argparse._ArgumentGroup:
         """Return the option group with this title, created at the first call."""
-        matches = (group for group in self._action_groups if group.title == title)
-        return next(matches, None) or self.add_argument_group(title)
+        for group in self._action_groups:
+            if group.title == title:
+                return group
+        return self.add_argument_group(title)
 
     def give_way(self, options: Iterable[str]) -> None:
         """Remove optional options of this command that a user's scene names its parameters by; they are None then."""

@@ -37,7 +37,7 @@ def _add_loop(parser: Parser) -> None:
 
 def _add_scene(parser: Parser) -> None:
     """Add the options of the named scene, if any, that the loop does not have."""
-    word = scene_word(parser, None, scene_names())
+    word = scene_word(parser, None, scene_names)
     if word is None or word.endswith(MEASURED_MOTIONS):
         return
     from maglev_mj.scenes.find import get_scene  # slow

@@ -304,15 +304,21 @@ def add_scene(
     from maglev_mj.scenes.find import find_scene
     from maglev_mj.scenes.names import scene_names
 
-    known = [*scene_names(), *names]
-    text = f"{', '.join(known)}, or FILE.py[:CLASS]" + (f" (default {default})" if default else "")
+    def known() -> list[str]:
+        return [*scene_names(), *names]  # those of other packages take longer to find than most scenes to parse
+
+    def text() -> str:
+        return f"{', '.join(known())}, or FILE.py[:CLASS]" + (f" (default {default})" if default else "")
+
     group = parser.group("scene")
+    argument: Any
     if option is not None:
-        group.add_argument(option, dest="scene", default=default, metavar="SCENE", help=text)
+        argument = group.add_argument(option, dest="scene", default=default, metavar="SCENE", help="scene")
     else:
-        parser.add_argument(
-            "scene", nargs="?" if default or instead else None, default=default, metavar="SCENE", help=text
+        argument = parser.add_argument(
+            "scene", nargs="?" if default or instead else None, default=default, metavar="SCENE", help="scene"
         )
+    argument.compose = text
     parser.epilog = f"{parser.epilog}\n{_MORE}" if parser.epilog else _MORE
     parser.set_defaults(scene_class=None)
 
@@ -332,7 +338,7 @@ def add_scene(
         try:
             if options:
                 scene = scene() if isinstance(scene, type) else scene
-                parser.give_way(f"--{item.name.replace('_', '-')}" for item in scene.parameters())
+                parser.give_way([f"--{item.name.replace('_', '-')}" for item in scene.parameters()])
                 add_parameters(group, scene, without=without)
                 group.title = f"parameters of {cls.name}"
             if more is not None:
@@ -368,8 +374,8 @@ def scene_class(options: argparse.Namespace) -> Any:
     return options.scene_class
 
 
-def scene_word(parser: Parser, option: str | None, names: Sequence[str]) -> str | None:
-    """Return the argument that names the scene; None without one."""
+def scene_word(parser: Parser, option: str | None, names: Callable[[], Sequence[str]]) -> str | None:
+    """Return the argument that names the scene; None without one. The names are asked for if options come first."""
     arguments = parser.words
     if option is not None:
         for index, word in enumerate(arguments):
@@ -385,6 +391,6 @@ def scene_word(parser: Parser, option: str | None, names: Sequence[str]) -> str 
         action = parser._option_string_actions.get(before)
         before = word
         # skip values of options: a file named for another purpose must not be executed
-        if action is None and (word in names or word.partition(":")[0].endswith(".py")):
+        if action is None and (word in names() or word.partition(":")[0].endswith(".py")):
             return word
     return None

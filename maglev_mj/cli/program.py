@@ -21,6 +21,7 @@ import maglev_mj
 from maglev_mj.cli.declare import Parser, joined
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.lazy import stop_profiler
+from maglev_mj.scenes.names import BUILT_IN, scene_names
 from maglev_mj.terminal import printable, say, wrapped
 
 
@@ -48,12 +49,7 @@ GROUPS: Mapping[str, Mapping[str, CommandEntry]] = {
         ),
     },
     "compute": {
-        "drop": CommandEntry("drop onto a stiff wall (figures 3, 4)", "--pulse 0 --phases 20 --out figures", "run"),
-        "press": CommandEntry("hand impact and press on a wall (figure 6)", "--hand stylus --hits 2 --json -", "run"),
-        "stick-slip": CommandEntry(
-            "pull against rendered friction (figure 8)", "--law lugre --record run.maglev", "run"
-        ),
-        "run": CommandEntry("any scene, built-in or from your own file", "twist --plant exact --json run.json"),
+        "run": CommandEntry("any scene, built-in or from your own file", "drop --pulse 0 --phases 20 --out figures"),
         "diagnose": CommandEntry(
             "why any wall or axis shakes, and what helps most", "drop --stiffness 20000 --out figures"
         ),
@@ -101,7 +97,7 @@ COMMANDS: Mapping[str, CommandEntry] = {name: command for group in GROUPS.values
 MODULES: Mapping[str, str] = {
     name: module
     for module, names in {
-        "scenes": "view tour render drop press stick-slip run",
+        "scenes": "view tour render run",
         "diagnose": "diagnose",
         "studies": "stability design compare card sweep fidelity",
         "twin": "twin",
@@ -280,11 +276,12 @@ def _drop_unwritten() -> None:
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """Return the options of a command line; `command` is None without one. Import only that command."""
-    words = joined(arguments)
+    words = in_full(joined(arguments))
     if words and words[0] in COMMANDS:
         return _parsed(*words)
     program = program_parser()  # the first word is an option of the program, or invalid
-    later = [index for index, word in enumerate(words) if word in COMMANDS and words[0].startswith("-")]
+    names = {*COMMANDS, *BUILT_IN}
+    later = [index for index, word in enumerate(words) if word in names and words[0].startswith("-")]
     if later and not {*words[: later[0]]} & {*program._option_string_actions}:
         import shlex
 
@@ -292,9 +289,17 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         program.error(f"options must follow the command: maglev-mj {shlex.join([name, *rest, *given])}")
     options, unknown = program.parse_known_args(words)
     if options.command is not None:
-        options = _parsed(*options.command)
+        options = _parsed(*in_full(options.command))
     program.refuse(unknown)
     return options
+
+
+def in_full(words: Sequence[str]) -> Sequence[str]:
+    """Return a command line whose first word is a command: a scene's name is short for `run` and that name."""
+    name = words[0] if words else "-"
+    if name in BUILT_IN or (not (name in COMMANDS or name.startswith("-")) and name in scene_names()):
+        return ["run", *words]
+    return words
 
 
 def _parsed(name: str, *words: str) -> argparse.Namespace:
@@ -306,6 +311,7 @@ def _parsed(name: str, *words: str) -> argparse.Namespace:
 
 def _typed(words: Sequence[str]) -> Parser | None:
     """Return the parser of an incomplete command line; None without a command."""
+    words = in_full(words)
     if not words or words[0] not in COMMANDS:
         return None
     parser = command_parser(words[0], words[1:])
@@ -326,12 +332,14 @@ def program_parser() -> Parser:
         "help(maglev_mj) lists names. Figures: Salcudean & Vlaar (1997).\n"
         "Exit status: 0 success, 1 failed, 2 invalid input, 130 Ctrl-C, 141 closed pipe"
     )
+    scenes = {name: CommandEntry(f"scene, short for run {name}", "") for name in BUILT_IN}
     command = parser.add_argument(
-        "command", metavar="COMMAND", nargs=argparse.PARSER, choices=COMMANDS, help=argparse.SUPPRESS
+        "command", metavar="COMMAND", nargs=argparse.PARSER, choices={**COMMANDS, **scenes}, help=argparse.SUPPRESS
     )
     command.required = False
     for title, group in GROUPS.items():
         parser.add_argument_group(title, "\n".join(f"  {name:<16}{row.summary}" for name, row in group.items()))
+    parser.add_argument_group("scenes, each short for run SCENE", f"  {' '.join(BUILT_IN)}")
     return parser
 
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import partial
+from inspect import getdoc
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
@@ -16,7 +17,6 @@ from maglev_mj.cli.options import (
     Pictures,
     Record,
     Shown,
-    add_parameters,
     add_phase,
     add_scene,
     chosen_scene,
@@ -45,6 +45,9 @@ class _Sampling(NamedTuple):
 
 
 def _add_sampling(parser: Parser, cls: type[Scene]) -> None:
+    if cls.__doc__:
+        parser.description, *paragraphs = [" ".join(part.split()) for part in str(getdoc(cls)).split("\n\n")]
+        parser.epilog = "\n\n".join([*paragraphs, str(parser.epilog)])
     plants, group = cls.plants, parser.group("run")
     text = f"plant: {', '.join(plants)} (default {plants[0]})"
     plant: Any = group.add_argument("--plant", default=plants[0], metavar="NAME", help=text)
@@ -56,25 +59,7 @@ def _add_sampling(parser: Parser, cls: type[Scene]) -> None:
         parser.set_defaults(phase=0.0, phases=None)
 
 
-def _add_scene(parser: Parser) -> None:
-    """Add the options of any scene, or of the scene with the command's name."""
-    name = parser.prog.split()[-1]
-    if name == "run":
-        add_scene(parser, more=_add_sampling)
-        return
-    from inspect import getdoc
-
-    from maglev_mj.scenes.find import find_scene
-
-    scene = find_scene(name)()
-    parser.description, *paragraphs = [" ".join(part.split()) for part in str(getdoc(scene)).split("\n\n")]
-    parser.epilog = "\n\n".join(paragraphs) or None
-    parser.set_defaults(scene_class=scene)
-    add_parameters(parser.group("parameters of the scene"), scene)
-    _add_sampling(parser, type(scene))
-
-
-_RunScene: TypeAlias = Annotated["Scene", Shared(_add_scene, chosen_scene)]
+_RunScene: TypeAlias = Annotated["Scene", Shared(partial(add_scene, more=_add_sampling), chosen_scene)]
 _HandPath: TypeAlias = Annotated[
     Path | None, option("recording whose motion is the path of the hand, from its first sample on", "run", "FILE")
 ]

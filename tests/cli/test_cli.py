@@ -72,7 +72,7 @@ def test_a_wild_run_says_one_line_and_leaves_no_log(
     assert cli.main(["drop", *arguments]) in (0, 1)
     printed = capfd.readouterr()
     assert "  Warning: drop is unstable: walls on z" in printed.out + printed.err
-    assert "Traceback" not in printed.err and printed.err.count("maglev-mj drop: ") <= 1
+    assert "Traceback" not in printed.err and printed.err.count("maglev-mj run: ") <= 1
     assert not list(tmp_path.iterdir())
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from maglev_mj import cli
 from maglev_mj.cli import program
-from maglev_mj.cli.program import COMMANDS
+from maglev_mj.cli.program import COMMANDS, in_full
 from maglev_mj.device import devices
 from maglev_mj.recording import Recording
 from tests.cli.test_options import NEEDED
@@ -39,7 +39,7 @@ def test_every_command_of_a_device_takes_the_option() -> None:
             options: Any = vars(program.parse([command, *NEEDED.get(command, "").split(), "--device", "stage"]))
             taking.add(command)
             assert "stage" in map(str, options.values()), command
-    assert taking == {line.split()[0] for line in LINES.values()} | COILS | SLOW
+    assert taking == {in_full(line.split())[0] for line in LINES.values()} | COILS | SLOW
 
 
 @pytest.mark.parametrize("device", [*devices(), "eight.toml"])

@@ -14,6 +14,8 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import EntryPoint, EntryPoints
+from inspect import getdoc
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from maglev_mj import cli
 from maglev_mj.cli import program
 from maglev_mj.cli.output import Progress
 from maglev_mj.cli.program import COMMANDS, GROUPS
+from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.names import BUILT_IN
 from tests.golden.outputs import cases, kept
 
@@ -75,6 +78,35 @@ def test_the_command_alone_prints_help_of_all_commands_in_groups(capsys: pytest.
     assert "--rate [Hz]" in out and "help(maglev_mj)" in out
 
 
+@pytest.mark.parametrize("more", [["--help"], ["--duration", "0.01", "--plant", "exact"], ["--stifness", "3"]])
+@pytest.mark.parametrize("scene", BUILT_IN)
+def test_the_name_of_a_scene_is_short_for_run(scene: str, more: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    short = said(capsys, scene, *more)
+    assert short == said(capsys, "run", scene, *more)
+    if more == ["--help"]:
+        first = " ".join(str(getdoc(find_scene(scene))).split("\n\n")[0].split())
+        assert short[0] == 0 and first in " ".join(short[1].split())
+
+
+def test_no_scene_has_the_name_of_a_command_and_the_help_lists_them_in_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert not {*COMMANDS} & {*BUILT_IN}
+    assert f"\n  {' '.join(BUILT_IN)}\n" in said(capsys, "--help")[1]
+
+
+def test_the_scene_of_another_package_is_short_for_run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entries = [EntryPoint(name, "maglev_mj.scenes.free:Twist", "maglev_mj.scenes") for name in ("own", "view")]
+    for module in ("names", "find"):
+        monkeypatch.setattr(f"maglev_mj.scenes.{module}.installed_scenes", lambda: EntryPoints(entries))
+    words = "--duration", "0.01", "--plant", "exact"
+    short = said(capsys, "own", *words)
+    assert short[0] == 0 and short == said(capsys, "run", "own", *words) == said(capsys, "twist", *words)
+    assert cli.parse(["view"]).command == "view"
+
+
 def test_the_package_runs_as_the_command_does() -> None:
     done = subprocess.run([*PROGRAM, "--version"], capture_output=True, text=True, check=True)
     assert re.fullmatch(r"maglev-mj \d+\.\d+\.\d+\n", done.stdout)
@@ -120,8 +152,8 @@ for place, line in enumerate(sys.stdin.read().splitlines()):
 
 
 OFFERED = {
-    "maglev-mj ": [*COMMANDS],
-    "maglev-mj st": ["stick-slip", "stability"],
+    "maglev-mj ": [*COMMANDS, *BUILT_IN],
+    "maglev-mj st": ["stability", "stick-slip"],
     "maglev-mj view ": [*BUILT_IN, "mine.py"],
     "maglev-mj run press --h": ["--help", "--hand-path", "--hand", "--hits", "--height"],
     "maglev-mj stick-slip --law l": ["lugre"],

@@ -17,8 +17,8 @@ LOOP = ["--rate", "1000", "--delay", "0.0008", "--stiffness", "70000"]
 GRID = ["--set", "period=0.001", "--set", "delay=0.0008", "--set", "damping=80", "--workers", "0"]
 GRID += ["--record", "cells", "--vary"]
 LINES = {
-    "drop": ["drop", *LOOP],
-    "press": ["press", *LOOP, "--hits", "1"],
+    "run, drop": ["drop", *LOOP],
+    "run, press": ["press", *LOOP, "--hits", "1"],
     "run": ["run", "drop", *LOOP, "--plant", "exact", "--phases", "2"],
     "compare": ["compare", "drop", "--law", "pd", *LOOP, "--phases", "2"],
     "sweep": ["sweep", "drop", "--set", "plant=exact", *GRID, "stiffness=50000,70000"],
@@ -29,7 +29,7 @@ LINES = {
     "fidelity": ["fidelity", "drop", *LOOP, "--phases", "1"],
     "view": ["view", "drop", *LOOP],
 }
-OTHERS = "tour render stick-slip design twin bridge info estop commission conform lessons fault replay analyse export"
+OTHERS = "tour render design twin bridge info estop commission conform lessons fault replay analyse export"
 OTHERS += " import diagnose"  # which is the verdict
 SLOW = {name: pytest.mark.study for name in ("card", "fidelity")}
 

@@ -98,7 +98,7 @@ def test_a_default_output_is_checked_too(
     told = refused(["sweep", "drop", "--vary", "height=0.001,0.002"], capsys)
     assert re.fullmatch(r"maglev-mj sweep: record must be a writable folder \(got 'drop-sweep-\w{8}'\)\n", told)
     told = refused(["drop", "--out", "."], capsys)
-    assert told == "maglev-mj drop: out must be a writable folder (got '.')\n"
+    assert told == "maglev-mj run: out must be a writable folder (got '.')\n"
 
 
 def test_a_session_starts_in_a_folder_that_takes_no_files(closed: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -272,7 +272,7 @@ def test_a_wrong_line_is_status_2_and_one_line_that_names_the_value(line: str, n
 
 ALSO = {
     "compare": "--law pd --duration 0.02",
-    "press": "--plant exact --hits 1 --interval 0.1",
+    "run press": "--plant exact --hits 1 --interval 0.1",
     "sweep": "--vary height=0.001",
 }
 SAID = {"--boundary-tolerance": "boundary"}
@@ -285,7 +285,8 @@ NUMBER = re.compile(
 def numeric_options(command: str) -> tuple[list[str], list[str], list[str]]:
     """Return a command's words, those of its options that read numbers, and those that say so in the help."""
     name, *more = command.split()
-    words = [] if more else f"{NEEDED.get(name, '')} {ALSO.get(name, '')}".replace("a.maglev", "run.maglev").split()
+    needed = "" if command == "stability map" else " ".join(more) or NEEDED.get(name, "")
+    words = f"{needed} {ALSO.get(command, '')}".replace("a.maglev", "run.maglev").split()
     asked = command_parser(name, words)
     add_options(asked, name)
     options = [(one, one.option_strings[0]) for one in asked._actions if one.option_strings]
@@ -295,7 +296,7 @@ def numeric_options(command: str) -> tuple[list[str], list[str], list[str]]:
     return [name, *words], [option for option, read in readers if read in (number_option, count, _inverse)], told
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "stability map"])
+@pytest.mark.parametrize("command", [*COMMANDS, "run press", "run stick-slip", "stability map"])
 def test_every_number_of_every_command_is_finite_and_has_a_lower_bound(command: str, refused: Refused) -> None:
     words, options, _ = numeric_options(command)
     for option in options:
@@ -308,7 +309,7 @@ def test_every_number_of_every_command_is_finite_and_has_a_lower_bound(command: 
 
 
 def test_every_number_is_visited() -> None:
-    found = {command: numeric_options(command) for command in COMMANDS}
+    found = {command: numeric_options(command) for command in [*COMMANDS, "run press", "run stick-slip"]}
     assert sum(len(options) for _, options, _ in found.values()) >= 170
     assert {
         command: {*told} - {*options} for command, (_, options, told) in found.items() if {*told} - {*options}
