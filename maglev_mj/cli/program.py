@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, TextIO
 
 import maglev_mj
 from maglev_mj.cli.declare import Parser, joined
+from maglev_mj.cli.renamed import note, renewed
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.lazy import stop_profiler
 from maglev_mj.scenes.names import BUILT_IN, scene_names
@@ -41,8 +42,7 @@ class CommandEntry(NamedTuple):
 
 GROUPS: Mapping[str, Mapping[str, CommandEntry]] = {
     "interactive": {
-        "view": CommandEntry("scene in a window or browser; drag with the mouse", "box --stiffness 4000 --friction"),
-        "tour": CommandEntry("guided tour of walls and friction in eight steps", "--out tour"),
+        "view": CommandEntry("scene in a window or browser, or a guided tour", "box --stiffness 4000 --friction"),
         "lessons": CommandEntry("Jupyter notebooks, with or without solutions", "lessons --students"),
         "render": CommandEntry(
             "image or video of a scene, rendered off-screen", "corner --out corner.png --size 800x500"
@@ -97,7 +97,7 @@ COMMANDS: Mapping[str, CommandEntry] = {name: command for group in GROUPS.values
 MODULES: Mapping[str, str] = {
     name: module
     for module, names in {
-        "scenes": "view tour render run",
+        "scenes": "view render run",
         "diagnose": "diagnose",
         "studies": "stability design compare card sweep fidelity",
         "twin": "twin",
@@ -276,7 +276,11 @@ def _drop_unwritten() -> None:
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """Return the options of a command line; `command` is None without one. Import only that command."""
-    words = in_full(joined(arguments))
+    words: Sequence[str] = joined(arguments)
+    if (new := renewed(words)) is not None:
+        print(note(words, new), file=sys.stderr)
+        words = new
+    words = in_full(words)
     if words and words[0] in COMMANDS:
         return _parsed(*words)
     program = program_parser()  # the first word is an option of the program, or invalid

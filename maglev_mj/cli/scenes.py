@@ -140,6 +140,7 @@ _ViewedScene: TypeAlias = Annotated["Scene", Shared(_add_joystick, chosen_scene)
 def view(
     *,
     scene: _ViewedScene,
+    tour: Annotated[bool, option("guided tour of walls and friction in eight steps, which set the parameters")] = False,
     hand_stiffness: Annotated[float, option("stiffness of the hand's spring [N/m]", default=_hand_stiffness)],
     seconds: Shown = None,
     record: Record = None,
@@ -151,36 +152,28 @@ def view(
     """Show a scene in a window or browser and drag its handle with the mouse."""
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.result import Table
+    from maglev_mj.scenes.find import find_scene
     from maglev_mj.scenes.stability_check import stability_warning, started
     from maglev_mj.session import Session
+    from maglev_mj.session.tour import Tour
     from maglev_mj.theory import stated_gains
 
+    if tour and (scene.name != _SCENE or scene.as_json() != find_scene(_SCENE)().as_json()):
+        raise ParameterError(f"tour needs the scene {_SCENE} with its defaults (got {scene.name}: {scene.describe()})")
     hand = SpringHand.of_mouse(hand_stiffness, scene.device)
     hand.target = None if hand_path is None else _path_of(hand_path)
     controller = started(scene)  # raises errors of a user's scene before a page opens
     if stated_gains(controller) is not None and (warning := stability_warning(scene)):  # else the viewer computes it
         print(Table("", (), (), warnings=[warning]), file=sys.stderr)
     front = page.open() or window(out)
+    if tour:
+        from maglev_mj.views.pages import FOLDER
+
+        print(f"A first wall without Python: open {FOLDER / 'wall.html'}", flush=True)
     out.mkdir(parents=True, exist_ok=True)
     with input_hand.open(hand) as devices:
         session = Session(scene, hand_force=hand, folder=out, record=record, publishers=devices)
-        _show(session, session, devices, front, seconds)
-    return 0
-
-
-def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, out: Folder = Path()) -> int:
-    """Take a guided tour of walls and friction in eight steps."""
-    from maglev_mj.plants.hand import SpringHand
-    from maglev_mj.session import Session
-    from maglev_mj.session.tour import Tour
-    from maglev_mj.views.pages import FOLDER
-
-    front, hand = page.open() or window(out), SpringHand.of_mouse()
-    print(f"A first wall without Python: open {FOLDER / 'wall.html'}", flush=True)
-    out.mkdir(parents=True, exist_ok=True)
-    with input_hand.open(hand) as devices:
-        session = Session(hand_force=hand, folder=out, publishers=devices)
-        _show(Tour(session), session, devices, front, seconds)
+        _show(Tour(session) if tour else session, session, devices, front, seconds)
     return 0
 
 

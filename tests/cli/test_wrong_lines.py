@@ -140,7 +140,9 @@ view --allow-origin http://a/b | argument --allow-origin: origin must be a URL w
 view --web --host 0.0.0.0                           | host '0.0.0.0' is not this machine: add --token
 view --web --token short                            | token must be at least 16 characters
 view --port 8000                                    | port requires --web
-tour --port 5680                                    | maglev-mj tour: port requires --web
+view --tour --port 5680                             | maglev-mj view: port requires --web
+view box --tour                                     | tour needs the scene joystick with its defaults (got box:
+view --tour --stiffness 3000                        | tour needs the scene joystick with its defaults (got joystick:
 twin --port 5680 | maglev-mj twin: port requires --web; set a device's address by --listen
 view --no-open                                      | no-open requires --web
 twin --view --web                                   | mutually exclusive

@@ -349,7 +349,7 @@ def test_no_drag_towards_walls_reaches_a_stop(name: str, count: int, slot: str) 
         assert not session._segment.plant.met_stops  # at no time
 
 
-@pytest.mark.parametrize("line", ["view", "view --web", "view --hand-stiffness 1000", "tour"])
+@pytest.mark.parametrize("line", ["view", "view --web", "view --hand-stiffness 1000", "view --tour"])
 def test_every_front_has_the_hand_of_the_mouse(line: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     hands = [Session().hand]
     monkeypatch.setattr("maglev_mj.views.window.window.require_display", lambda: None)

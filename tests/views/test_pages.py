@@ -200,6 +200,6 @@ def test_the_tour_names_the_page_that_needs_no_python(
 ) -> None:
     monkeypatch.setattr("maglev_mj.cli.peripherals.PageOptions.open", lambda self: id)
     monkeypatch.setattr("maglev_mj.cli.scenes._show", lambda *_: None)
-    assert main(["tour", "--web", "--out", str(tmp_path)]) == 0
+    assert main(["view", "--tour", "--web", "--out", str(tmp_path)]) == 0
     path = capsys.readouterr().out.strip().partition("without Python: open ")[2]
     assert Path(path).read_text("utf-8").startswith("<!doctype html>")

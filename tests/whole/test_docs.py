@@ -35,6 +35,7 @@ from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import parse
 from maglev_mj.cli.declare import joined
+from maglev_mj.cli.renamed import renewed
 from maglev_mj.scenes import names
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -227,6 +228,7 @@ def test_the_commands_of_a_page_are_understood(page: str, tmp_path: Path, monkey
     monkeypatch.setattr(names, "installed_scenes", cache(names.installed_scenes))
     write_files(page, tmp_path)
     for command in COMMANDS[page]:
+        assert page == "CHANGELOG.md" or renewed(typed(command)) is None, f"{page}: maglev-mj {command}"
         try:
             parse(typed(command))
         except SystemExit as ended:
