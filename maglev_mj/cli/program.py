@@ -77,7 +77,6 @@ GROUPS: Mapping[str, Mapping[str, CommandEntry]] = {
             "sensor and coil checks of a new device, before it hovers", "udp://127.0.0.1:5678 coils"
         ),
         "conform": CommandEntry("protocol conformance test of a device", "udp://127.0.0.1:5678 --json report.json"),
-        "fault": CommandEntry("last cycles before a fault, from its file", "fault-20260101-120000.maglev --all"),
     },
     "recordings": {
         "import": CommandEntry(
@@ -86,7 +85,9 @@ GROUPS: Mapping[str, Mapping[str, CommandEntry]] = {
             "import_log",
         ),
         "replay": CommandEntry("playback of a recording, or bit-for-bit check", "run.maglev --check"),
-        "analyse": CommandEntry("recording compared with its simulation", "run.maglev --from 0.1 --out figures"),
+        "analyse": CommandEntry(
+            "recording compared with its simulation; cause of a fault", "run.maglev --from 0.1 --out figures"
+        ),
         "export": CommandEntry("conversion of a recording to MCAP, table, arrays or sound", "run.maglev --to mcap"),
     },
 }
@@ -104,7 +105,7 @@ MODULES: Mapping[str, str] = {
         "bridge": "bridge",
         "device": "info estop commission conform",
         "lessons": "lessons",
-        "recordings": "fault replay analyse export",
+        "recordings": "replay analyse export",
         "importing": "import",
     }.items()
     for name in names.split()

@@ -1,16 +1,17 @@
-"""Commands for recordings: replay, analyse, export, fault."""
+"""Commands for recordings: replay, analyse, export."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from maglev_mj.cli.declare import option
-from maglev_mj.cli.options import Picture, Pictures, Recorded, json_of
-from maglev_mj.cli.output import LAYOUT, Progress, check_files, write_json
+from maglev_mj.cli.options import Pictures, Recorded, json_of
+from maglev_mj.cli.output import LAYOUT, Progress, check_files, write_json, write_results
 from maglev_mj.cli.peripherals import PageOptions, window
 from maglev_mj.errors import ParameterError
 from maglev_mj.recording.formats import FORMATS
@@ -29,6 +30,7 @@ _OWN_SCENE = (
     "your own scene or laws (executed): NAME or FILE.py[:CLASS]; attached for the source stored in the recording"
 )
 _PART = "part of the recording"
+_CYCLES = "device cycles, in place of samples"
 
 
 def replay(
@@ -141,6 +143,10 @@ def analyse(
     end: Annotated[float | None, option("end time within a segment [s]", _PART, "SECONDS", name="to")] = None,
     compare: Annotated[bool, option("simulate the same parameters for comparison (default on)", "simulation")] = True,
     scene: Annotated[str | None, option(_OWN_SCENE, "simulation", "SCENE")] = None,
+    cycles: Annotated[
+        bool, option("last 20 device cycles of a flight's recording, as of a file that ends with a fault", _CYCLES)
+    ] = False,
+    all: Annotated[bool, option("all 200 device cycles", _CYCLES)] = False,
     json: Annotated[str | None, json_of()] = None,
     *,
     pictures: Pictures,
@@ -149,17 +155,25 @@ def analyse(
         option("axis of the charts (default: the scene's, or one with wall contact)", "output", "NAME"),
     ] = None,
 ) -> int:
-    """Figures 5, 6 and 9 of the paper from a recording, compared with its simulation.
+    """Figures 5, 6 and 9 of the paper from a recording, compared with its simulation; or the cause of a fault.
 
-    docs/explanation/analysis.md explains each figure.
+    docs/explanation/analysis.md explains each figure. Of fault-TIME.maglev, written by a flight, it shows cause, time
+    and last device cycles.
     """
     from maglev_mj.parameters import axis_indices
-    from maglev_mj.recording import Recording
+    from maglev_mj.recording import InvalidRecordingError, Recording
 
+    of_samples = {"segment": segment, "from": begin, "to": end, "scene": scene, "axis": axis}
+    show_cycles = partial(_show_cycles, file, all, of_samples, json, pictures)
+    if cycles or all:
+        return show_cycles()
     if axis is not None:
         axis_indices(axis)
     with Progress("analyse") as progress:
         recording = Recording.load(file)
+        if not recording.segments:
+            with suppress(InvalidRecordingError):  # neither: the next check says so
+                return show_cycles()
         several = len(recording.segments) > 1
         with progress.aside():
             own = _own_code(scene, recording)
@@ -183,6 +197,26 @@ def analyse(
         damage = [f"{file}: {recording.damage}"] if recording.damage else []
         for line in [*damage, *recording.events, *drawn]:
             print("\n".join(wrapped(printable(line), further="    ")))
+    return 0
+
+
+def _show_cycles(
+    file: Path, all: bool, of_samples: Mapping[str, object], json: str | None, pictures: PictureFolder | None
+) -> int:
+    """Show cause, time and last device cycles of a fault, or of the end of a flight.
+
+    Raises:
+        InvalidRecordingError: If the file has no cycles.
+        ParameterError: If an option for samples is set.
+    """
+    from maglev_mj.bridge.fault import load_fault
+
+    record = load_fault(file)
+    for name, value in of_samples.items():
+        if value is not None:
+            raise ParameterError(f"{name} applies to samples, not to device cycles (got {value})")
+    draw = partial(lambda folder: [] if folder is None else [folder.plot(record, file.stem)], pictures)
+    write_results(json, record.as_json, lambda: str(record.table(whole=all)), draw)
     return 0
 
 
@@ -268,20 +302,4 @@ def export(
     print(f"  wrote {path}: {recording.ticks} samples")
     if to == "mcap":
         print(f"  Foxglove layout: {LAYOUT}")
-    return 0
-
-
-def fault(
-    file: Annotated[Path, option("fault-TIME.maglev written by a flight, or its recording", "", "FILE")],
-    all: Annotated[bool, option("all 200 cycles instead of the last 20", "output")] = False,
-    *,
-    pictures: Picture,
-) -> int:
-    """Show cause, time and last cycles of a fault, from a flight's journal."""
-    from maglev_mj.bridge.fault import load_fault
-
-    record = load_fault(file)
-    print(record.table(whole=all))
-    if pictures is not None:
-        print(f"  wrote {pictures.plot(record, file.stem)}")
     return 0

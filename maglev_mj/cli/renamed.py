@@ -8,7 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-RENAMED: Sequence[tuple[str, str]] = (("tour", "view --tour"),)
+RENAMED: Sequence[tuple[str, str]] = (
+    ("tour", "view --tour"),
+    ("fault FILE", "analyse FILE --cycles"),
+    ("fault", "analyse"),
+)
 """Lines of version 0.3 and the new ones, which run in versions 0.4 and 0.5; the first that fits is taken.
 
 A word in capitals stands for the value of the option before it, or for the positional argument; the new line may
@@ -19,7 +23,7 @@ are appended; another positional argument fits no line.
 _SEVERAL: frozenset[str] = frozenset()
 """Options of the old commands with several values."""
 
-_FLAGS = frozenset(("-h", "--help", "--web", "--no-open"))
+_FLAGS = frozenset(("-h", "--help", "--web", "--no-open", "--all", "--bare"))
 """Options of the old commands without a value."""
 
 

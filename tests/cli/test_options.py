@@ -129,7 +129,6 @@ NEEDED = {
     "lessons": "lessons",
     "commission": "udp://127.0.0.1:9 spots",
     "conform": "udp://127.0.0.1:9",
-    "fault": "a.json",
     "replay": "a.maglev",
     "analyse": "a.maglev",
     "export": "a.maglev --to csv",
@@ -175,7 +174,7 @@ def test_without_a_display_the_page_is_named(
         assert "--web (browser)" in capsys.readouterr().err
 
 
-QUICK = "info twin estop commission conform fault replay analyse export".split()
+QUICK = "info twin estop commission conform replay analyse export".split()
 
 
 def test_a_help_without_a_scene_loads_no_library() -> None:

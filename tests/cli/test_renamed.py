@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +13,35 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.cli.program import COMMANDS
 from maglev_mj.cli.renamed import RENAMED, renewed
+from tests.bridge.test_black_box import recorded
 
 LINES = {
     "tour": "view --tour",
     "tour --web --out made --seconds=3": "view --tour --web --out made --seconds=3",
     "tour --port 5680": "view --tour --port 5680",
+    "fault fault.maglev": "analyse fault.maglev --cycles",
+    "fault --all --out figures fault.maglev": "analyse fault.maglev --cycles --all --out figures",
+    "fault flight.maglev": "analyse flight.maglev --cycles",
+    "fault drop-exact.maglev": "analyse drop-exact.maglev --cycles",
+    "fault --help": "analyse --help",
 }
 """Old lines and the new ones."""
 
 KEPT = ["view", "view --tour", "drop", "--help", ""]
 """Lines that are no old ones."""
+
+
+RECORDINGS = Path(__file__).parents[1] / "golden/recordings"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return the files that lines read."""
+    folder = tmp_path_factory.mktemp("files")
+    flight, fault = recorded(folder, hurt=True)
+    assert fault is not None
+    files = flight.rename(folder / "flight.maglev"), fault.rename(folder / "fault.maglev")
+    return [*files, RECORDINGS / "drop-exact.maglev"]
 
 
 @pytest.fixture
@@ -32,9 +53,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def outcome(line: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> tuple[Any, ...]:
-    """Run a line in a new folder; return status, output, errors, and what it wrote."""
+def outcome(
+    line: str, files: list[Path], folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> tuple[Any, ...]:
+    """Run a line in a new folder with the files; return status, output, errors, and what is there then."""
     folder.mkdir()
+    for path in files:
+        shutil.copy(path, folder)
     monkeypatch.chdir(folder)
     try:
         status = main(shlex.split(line))
@@ -46,12 +71,17 @@ def outcome(line: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: An
 
 @pytest.mark.parametrize(("old", "new"), LINES.items())
 def test_an_old_line_gives_what_its_new_line_gives_and_a_note(
-    old: str, new: str, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    old: str,
+    new: str,
+    files: list[Path],
+    here: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    status, out, errors, written = outcome(old, here / "old", monkeypatch, capsys)
+    status, out, errors, written = outcome(old, files, here / "old", monkeypatch, capsys)
     told, _, errors = errors.partition("\n")
     assert told == f"maglev-mj: {old.split()[0]} has another name now: maglev-mj {new}"
-    assert (status, out, errors, written) == outcome(new, here / "new", monkeypatch, capsys)
+    assert (status, out, errors, written) == outcome(new, files, here / "new", monkeypatch, capsys)
     assert new.split()[0] in COMMANDS and renewed(shlex.split(new)) is None
 
 
@@ -61,3 +91,20 @@ def test_every_row_of_the_table_is_the_first_that_fits_a_line(monkeypatch: pytes
         monkeypatch.setattr("maglev_mj.cli.renamed.RENAMED", [other for other in RENAMED if other != row])
         changed = [old for old, new in LINES.items() if renewed(shlex.split(old)) != shlex.split(new)]
         assert changed, row
+
+
+def test_the_content_of_a_file_decides_how_it_is_analysed(
+    files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def shown(line: str) -> tuple[Any, ...]:
+        return outcome(line, files, tmp_path / str(len([*tmp_path.iterdir()])), monkeypatch, capsys)
+
+    cause = shown("analyse fault.maglev")
+    assert cause[0] == 0 and "COIL_NOT_FOLLOWING" in cause[1]
+    assert cause == shown("analyse fault.maglev --cycles")
+    assert len(shown("analyse fault.maglev --all")[1].splitlines()) > len(cause[1].splitlines())
+    assert json.loads(shown("analyse fault.maglev --json -")[1])["faults"] == "COIL_NOT_FOLLOWING"
+    status, _, errors, _ = shown("analyse fault.maglev --axis z")
+    assert (status, errors) == (2, "maglev-mj analyse: axis applies to samples, not to device cycles (got z)\n")
+    assert cause == shown("analyse flight.maglev --cycles")
+    assert "COIL_NOT_FOLLOWING" not in shown("analyse flight.maglev --no-compare")[1].splitlines()[0]

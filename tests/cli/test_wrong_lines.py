@@ -208,9 +208,10 @@ bridge DEVICE --force-limit 7                       | force_limit must be above
 commission DEVICE coils --coil 9                    | 9
 commission DEVICE spots --write a.json              | write
 conform nosuch                                      | nosuch
-fault nosuch.json                                   | recording 'nosuch.json' cannot be read
-fault empty.json                                    | empty.json
-fault run.maglev                                    | run.maglev
+analyse nosuch.json --cycles                        | recording 'nosuch.json' cannot be read
+analyse empty.json                                  | empty.json
+analyse run.maglev --cycles                         | run.maglev' is not a valid recording: no device cycles
+analyse run.maglev --all                            | no device cycles (only recordings of flights contain them)
 replay nosuch.maglev                                | nosuch.maglev
 replay garbage.npz                                  | garbage.npz
 replay run.maglev --scene nosuch.py --check         | nosuch.py
