@@ -292,16 +292,16 @@ def test_your_own_model_is_checked_against_the_device(
 ) -> None:
     spec, path = mujoco.MjSpec.from_string(DEVICES["stage"].mjcf()), tmp_path / "mine.xml"
     path.write_text(spec.to_xml())
-    assert not main(["info", "--device", "stage", "--model", str(path)])
+    assert not main(["card", "stage", "--table1", "--model", str(path)])
     change(spec)
     path.write_text(spec.to_xml())
-    assert main(["info", "--device", "stage", "--model", str(path)]) == 2
-    assert capsys.readouterr().err.startswith(f"maglev-mj info: {message}")
+    assert main(["card", "stage", "--table1", "--model", str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f"maglev-mj card: {message}")
 
 
 @pytest.mark.parametrize("name", ["ubc", "stage"])
 def test_the_firmware_s_header_has_the_limits_of_the_device(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert not main(["info", "--device", name, "--header"])
+    assert not main(["card", name, "--header"])
     members = dict(re.findall(r"\.(\w+) = (\{[^}]*\}|[^ ,\n]+)", capsys.readouterr().out))
     device, struct = DEVICES[name], Path("scripts/firmware/maglev_firmware.h").read_text()
     assert device.coils is not None

@@ -78,7 +78,7 @@ COMMANDS = [
     ["drop", "--delay", "0.005", "--duration", "3"],  # diverges
     ["stability", "--grid", "2"],
     ["sweep", "drop", "--vary", "plant=exact", "--workers", "0"],
-    ["info"],
+    ["card", "--table1"],
 ]
 
 

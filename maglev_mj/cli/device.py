@@ -1,4 +1,4 @@
-"""Commands for a device without a flight of a scene: info, estop, conform, commission."""
+"""Commands for a device without a flight of a scene: estop, conform, commission."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from maglev_mj.cli.declare import option
-from maglev_mj.cli.options import Address, DeviceFile, Json, Key, Realtime, Seconds
-from maglev_mj.cli.output import Progress, write_result
+from maglev_mj.cli.options import Address, DeviceFile, Key, Realtime, Seconds
+from maglev_mj.cli.output import Progress
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.terminal import say, wrapped
 
@@ -39,34 +39,6 @@ _TESTS = {
     "offsets": "offsets of the spots, currents off, flotor clamped upright at the centre",
 }
 _BLOCKED = "  block the flotor with soft foam; hands off: this test does not detect a hand"
-
-
-def info(
-    *,
-    device: Annotated[str | None, option("figures of a device file (.toml), or of a name", "device", "FILE")] = None,
-    model: Annotated[Path | None, option("your own MJCF, checked against the device first", "device", "FILE")] = None,
-    header: Annotated[bool, option("print the firmware's profile as a C header instead", "device")] = False,
-    json: Json = None,
-) -> int:
-    """Compare the model with Table 1 of the paper, or print the figures of a device."""
-    from maglev_mj.device import Device
-    from maglev_mj.plants.shapes import device_report
-    from maglev_mj.studies.card import DeviceFigures
-
-    if device is None and (header or model is not None):
-        raise ParameterError("header and model require --device")
-    if model is not None:
-        from maglev_mj.plants.model import check_model
-
-        check_model(model, Device.load(str(device)))
-    if header:
-        from maglev_mj.bridge.commissioning.calibration import Calibration
-        from maglev_mj.bridge.twin.twin import TwinParameters
-
-        print(TwinParameters(calibration=Calibration.load(str(device))).profile.header())
-        return 0
-    write_result(json, device_report() if device is None else DeviceFigures(Device.load(device)))
-    return 0
 
 
 def estop(*, address: Address, key: Key = None) -> int:

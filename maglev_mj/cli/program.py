@@ -63,9 +63,8 @@ GROUPS: Mapping[str, Mapping[str, CommandEntry]] = {
         "sweep": CommandEntry("parameter sweep of any scene", "drop --vary height=1e-3:4e-3:4 --workers 2"),
         "fidelity": CommandEntry("cheapest sufficient model for a scene", "let-go --duration 0.02 --phases 2"),
         "card": CommandEntry(
-            "data sheet of a device: Z-width, transparency, mass, force", "drop --rate 1000 --out figures"
+            "data sheet of a device: Z-width, transparency, force; Table 1", "ubc --rate 1000 --out figures"
         ),
-        "info": CommandEntry("Table 1 of the paper compared with the model", "--json table1.json"),
     },
     "device": {
         "twin": CommandEntry(
@@ -103,7 +102,7 @@ MODULES: Mapping[str, str] = {
         "studies": "stability design compare card sweep fidelity",
         "twin": "twin",
         "bridge": "bridge",
-        "device": "info estop commission conform",
+        "device": "estop commission conform",
         "lessons": "lessons",
         "recordings": "replay analyse export",
         "importing": "import",

@@ -12,6 +12,9 @@ RENAMED: Sequence[tuple[str, str]] = (
     ("tour", "view --tour"),
     ("fault FILE", "analyse FILE --cycles"),
     ("fault", "analyse"),
+    ("info --device X --header", "card X"),
+    ("info --device X", "card X --table1"),
+    ("info", "card --table1"),
 )
 """Lines of version 0.3 and the new ones, which run in versions 0.4 and 0.5; the first that fits is taken.
 
@@ -23,7 +26,7 @@ are appended; another positional argument fits no line.
 _SEVERAL: frozenset[str] = frozenset()
 """Options of the old commands with several values."""
 
-_FLAGS = frozenset(("-h", "--help", "--web", "--no-open", "--all", "--bare"))
+_FLAGS = frozenset(("-h", "--help", "--web", "--no-open", "--all", "--bare", "--header"))
 """Options of the old commands without a value."""
 
 

@@ -14,6 +14,8 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from maglev_mj.bridge.commissioning.calibration import Calibration
+from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.cli.declare import Option, Parser, Shared, declare, declared, listed, option
 from maglev_mj.cli.options import (
     Json,
@@ -34,16 +36,18 @@ from maglev_mj.cli.options import (
     stated,
 )
 from maglev_mj.cli.output import Progress, check_folder, write_result, write_results
-from maglev_mj.device import OnDevice
+from maglev_mj.device import Device, OnDevice, devices
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.keywords import with_period
 from maglev_mj.pictures import PictureFolder
 from maglev_mj.plants.hand import HANDS
+from maglev_mj.plants.model import check_model
+from maglev_mj.plants.shapes import device_report
 from maglev_mj.result import Result, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.studies.card import device_card
+from maglev_mj.studies.card import DeviceFigures, device_card
 from maglev_mj.studies.cells import StudyInterrupted, Workers, WorkersError, dask_workers, local_workers
 from maglev_mj.studies.compare import compare as compare_laws
 from maglev_mj.studies.compare import sweep_laws
@@ -420,9 +424,19 @@ def design(
     return int(result.grows.any())
 
 
+def _is_device(text: str) -> bool:
+    return text.endswith(".toml") or text in devices()
+
+
 def _card_scene(text: str) -> Scene | type[Scene]:
-    """Return a scene; for a device file, `drop` on it."""
-    return Drop(device=text) if text.endswith(".toml") else find_scene(text)
+    """Return a scene; for a device, `drop` on it."""
+    return Drop(device=text) if _is_device(text) else find_scene(text)
+
+
+def _named_device(options: argparse.Namespace) -> str | None:
+    """Return the device that the command line names; None for that of the scene."""
+    named: str | None = stated(options, options.scene_class).get("device")
+    return options.scene if named is None and _is_device(options.scene) else named
 
 
 _CardScene: TypeAlias = Annotated[Scene, Shared(partial(add_scene, default="drop", find=_card_scene), chosen_scene)]
@@ -433,15 +447,39 @@ def _add_card(parser: Parser) -> None:
     add_parameters(parser.group("loop"), LoopParameters)
 
 
-_Device: TypeAlias = Annotated[LoopParameters, Shared(_add_card, lambda options: chosen(options, LoopParameters))]
+_Loop: TypeAlias = Annotated[LoopParameters, Shared(_add_card, lambda options: chosen(options, LoopParameters))]
+_SHOWN = "in place of the card"
 
 
-def card(*, scene: _CardScene, device: _Device, json: Json = None, pictures: Picture) -> int:
+def card(
+    *,
+    scene: _CardScene,
+    device: Annotated[str | None, Shared(None, _named_device)],
+    loop: _Loop,
+    table1: Annotated[
+        bool, option("Table 1 of the paper compared with the model; figures of the device, if one is named", _SHOWN)
+    ] = False,
+    header: Annotated[bool, option("the firmware's profile as a C header", _SHOWN)] = False,
+    model: Annotated[Path | None, option("your own MJCF, checked against the device first", "device", "FILE")] = None,
+    json: Json = None,
+    pictures: Picture,
+) -> int:
     """Compute the Z-width, transparency, virtual masses and forces of a device.
 
-    SCENE may also be a device file, FILE.toml.
+    SCENE may also be a device: FILE.toml, or one of the package by name.
     """
-    write_result(json, device_card(scene, device), pictures)
+    if table1 and header:
+        raise ParameterError("table1 and header are mutually exclusive")
+    if (table1 or header) and pictures is not None:
+        raise ParameterError("out is not supported with table1 and header: they have no chart")
+    if model is not None:
+        check_model(model, Device.load(scene.device))
+    if header:
+        print(TwinParameters(calibration=Calibration.load(scene.device)).profile.header())
+    elif table1:
+        write_result(json, device_report() if device is None else DeviceFigures(Device.load(device)))
+    else:
+        write_result(json, device_card(scene, loop), pictures)
     return 0
 
 

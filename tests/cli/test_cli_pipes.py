@@ -67,7 +67,7 @@ def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
         "analyse run.maglev",
         "replay run.maglev --check",
         "export run.maglev --to csv",
-        "info",
+        "card --table1",
         "twin --seconds 0.1",
         "--version",
         "--help",
@@ -81,7 +81,7 @@ def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
 @pytest.mark.needs("linux")
 @pytest.mark.parametrize("buffering", [-1, 1])
 def test_a_full_disk_is_one_line(buffering: int) -> None:
-    status, errors = outcome(open("/dev/full", "w", buffering=buffering), "info")
+    status, errors = outcome(open("/dev/full", "w", buffering=buffering), "card", "--table1")
     assert status == 1
     assert len(errors.splitlines()) == 1 and "No space left on device" in errors
 
@@ -92,15 +92,15 @@ def test_another_broken_pipe_is_an_error_like_any(
     def broken() -> None:
         raise BrokenPipeError(32, "Broken pipe")
 
-    monkeypatch.setattr("maglev_mj.plants.shapes.device_report", broken)
-    assert main(["info"]) == 1
-    assert capsys.readouterr().err == "maglev-mj info: [Errno 32] Broken pipe\n"
+    monkeypatch.setattr("maglev_mj.cli.studies.device_report", broken)
+    assert main(["card", "--table1"]) == 1
+    assert capsys.readouterr().err == "maglev-mj card: [Errno 32] Broken pipe\n"
 
 
 @pytest.mark.parametrize("encoding", ["cp932", "ascii:surrogateescape"])
 def test_a_sign_that_an_encoding_lacks_is_a_question_mark(encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # as where a Japanese Windows writes to a file, or in a POSIX locale
-    for words in (["info"], ["µΩ"], *([command, "--help"] for command in COMMANDS)):
+    for words in (["card", "--table1"], ["µΩ"], *([command, "--help"] for command in COMMANDS)):
         monkeypatch.setattr(sys, "argv", ["maglev-mj", *words])
         name, _, errors = encoding.partition(":")
         for stream in ("stdout", "stderr"):
@@ -108,7 +108,7 @@ def test_a_sign_that_an_encoding_lacks_is_a_question_mark(encoding: str, monkeyp
         with suppress(SystemExit):
             main()
         sys.stdout.seek(0)
-        assert "?m" in sys.stdout.read() or words != ["info"]
+        assert "?m" in sys.stdout.read() or words != ["card", "--table1"]
 
 
 @pytest.mark.parametrize("closed", ["stdin", "stdout", "stderr"])

@@ -25,11 +25,11 @@ LINES = {
     "stability": "stability box",
     "stability map": "stability --grid 3",
     "compare": "compare drop --plant exact --law pd --phases 1 --duration 0.05",
-    "info": "info",
+    "card": "card --table1",
     "import": "import a.csv --columns time=t z=z fz=f --units time=s length=m force=N --out a.maglev",
 }
 COILS = {"twin", "bridge", "commission", "conform"}
-SLOW = {"design", "card", "fidelity", "view", "render"}  # the same options, with a long computation or a screen
+SLOW = {"design", "fidelity", "view", "render"}  # the same options, with a long computation or a screen
 
 
 def test_every_command_of_a_device_takes_the_option() -> None:
@@ -58,7 +58,7 @@ def test_a_command_works_with_each_device(
 
 
 @pytest.mark.parametrize("device", ["arm", "eight.toml"])
-@pytest.mark.parametrize("command", [*sorted(COILS), "info --header"])
+@pytest.mark.parametrize("command", [*sorted(COILS), "card --header"])
 def test_a_command_for_coils_refuses_a_device_without_any_or_with_more_than_six(
     command: str, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

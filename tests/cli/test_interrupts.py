@@ -37,7 +37,7 @@ sys.argv[:3] = ["maglev-mj"]
 runpy.run_module("maglev_mj", run_name="__main__", alter_sys=True)
 """
 COMMANDS = {
-    "info": "info",
+    "card": "card --table1",
     "drop": "drop --phases 400 --out pictures",
     "scene": "stability drop",
     "sweep": "sweep drop --vary height=1e-3:4e-3:3 --workers 1",

@@ -174,7 +174,7 @@ def test_without_a_display_the_page_is_named(
         assert "--web (browser)" in capsys.readouterr().err
 
 
-QUICK = "info twin estop commission conform replay analyse export".split()
+QUICK = "twin estop commission conform replay analyse export".split()
 
 
 def test_a_help_without_a_scene_loads_no_library() -> None:

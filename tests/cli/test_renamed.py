@@ -13,6 +13,7 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.cli.program import COMMANDS
 from maglev_mj.cli.renamed import RENAMED, renewed
+from maglev_mj.device import Device
 from tests.bridge.test_black_box import recorded
 
 LINES = {
@@ -24,6 +25,15 @@ LINES = {
     "fault flight.maglev": "analyse flight.maglev --cycles",
     "fault drop-exact.maglev": "analyse drop-exact.maglev --cycles",
     "fault --help": "analyse --help",
+    "info": "card --table1",
+    "info --json -": "card --table1 --json -",
+    "info --json out.json": "card --table1 --json out.json",
+    "info --device ubc": "card ubc --table1",
+    "info --json=- --device=own.toml": "card own.toml --table1 --json=-",
+    "info --device stage --model nosuch.xml": "card stage --table1 --model nosuch.xml",
+    "info --device ubc --header": "card ubc --header",
+    "info --header --device arm": "card arm --header",
+    "info --device nosuch.toml": "card nosuch.toml --table1",
 }
 """Old lines and the new ones."""
 
@@ -41,7 +51,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     flight, fault = recorded(folder, hurt=True)
     assert fault is not None
     files = flight.rename(folder / "flight.maglev"), fault.rename(folder / "fault.maglev")
-    return [*files, RECORDINGS / "drop-exact.maglev"]
+    own = folder / "own.toml"
+    own.write_text(Device.load("stage").toml())
+    return [*files, own, RECORDINGS / "drop-exact.maglev"]
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ LINES = {
     "fidelity": ["fidelity", "drop", *LOOP, "--phases", "1"],
     "view": ["view", "drop", *LOOP],
 }
-OTHERS = "render design twin bridge info estop commission conform lessons replay analyse export"
+OTHERS = "render design twin bridge estop commission conform lessons replay analyse export"
 OTHERS += " import diagnose"  # which is the verdict
 SLOW = {name: pytest.mark.study for name in ("card", "fidelity")}
 

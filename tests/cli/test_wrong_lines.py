@@ -116,6 +116,8 @@ drop --out out.png | out must be a folder; try --out . --format png (got 'out.pn
 sweep drop                                          | a sweep needs --vary NAME=VALUES; for one run: maglev-mj run drop
 sweep joystick --vary stiffness=1000,2000 --out .   | out is not supported: joystick has no figures to draw
 card nothing.toml | device file 'nothing.toml' cannot be read: No such file or directory
+card --table1 --header                              | table1 and header are mutually exclusive
+card ubc --header --out .                           | out is not supported with table1 and header: they have no chart
 card drop --delay 0.06 | delay must be at most 0.05 s, 10 periods in a simulation (got 0.06)
 sweep moon.py                                       | scene file 'moon.py' does not exist
 sweep drop --vary height=0:inf:3                    | values of height must be LOW:HIGH:COUNT

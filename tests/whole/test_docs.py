@@ -81,12 +81,13 @@ def code_of(page: str) -> list[tuple[int, str]]:
 
 
 def write_files(page: str, folder: Path) -> None:
-    """Write the files of a page, the examples that it names, and one for `my_scene.py`."""
+    """Write the files of a page, the examples that it names, and one for `my_scene.py` and `mine.toml`."""
     named = {*re.findall(r"scripts/examples/\w+\.py", text_of(page))}
     for name in filter(lambda name: (ROOT / name).is_file(), named):  # the changelog names earlier ones
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text_of(name), encoding="utf-8")
-    for name, text in {"my_scene.py": text_of("scripts/examples/detents.py"), **own_files(page)}.items():
+    own = {"my_scene.py": text_of("scripts/examples/detents.py"), "mine.toml": text_of("model/devices/stage.toml")}
+    for name, text in {**own, **own_files(page)}.items():
         (folder / name).write_text(text, encoding="utf-8")
 
 
