@@ -43,7 +43,7 @@ def simulation(device: Device) -> Any:
     return pose.tolist(), twist.tolist()
 
 
-def figures(device: Device) -> Any:
+def table1(device: Device) -> Any:
     """Figures of `card --table1`."""
     found = DeviceFigures(device)
     parts = [found.inertia, found.range, found.force_limit, found.hover, found.critical_stiffness]
@@ -89,7 +89,7 @@ def views(device: Device) -> Any:
 
 
 FIGURES: dict[str, Callable[[Device], Any]] = {
-    one.__name__: one for one in (verdict, simulation, figures, header, twin, guards, views)
+    one.__name__: one for one in (verdict, simulation, table1, header, twin, guards, views)
 }
 
 WIDER = {"current_limit": 0.8, "continuous_current": 0.8, "translation": 0.8, "rotation_deg": 0.8, "gravity": 0.8}

@@ -97,7 +97,7 @@ class Progress:
 
 
 _OUTPUTS = "json", "record", "write", "identify", "out"
-_FILES = "render", "export", "import"
+_FILES = "render", "convert"
 """Commands whose `out` is a file."""
 
 

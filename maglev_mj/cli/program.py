@@ -32,12 +32,10 @@ class CommandEntry(NamedTuple):
     Attributes:
         summary: Summary in the list of commands.
         example: Arguments of an example.
-        function: Name of the function; empty if it equals that of the command.
     """
 
     summary: str
     example: str
-    function: str = ""
 
 
 GROUPS: Mapping[str, Mapping[str, CommandEntry]] = {
@@ -78,16 +76,11 @@ GROUPS: Mapping[str, Mapping[str, CommandEntry]] = {
         "conform": CommandEntry("protocol conformance test of a device", "udp://127.0.0.1:5678 --json report.json"),
     },
     "recordings": {
-        "import": CommandEntry(
-            "measurements of another program as a recording",
-            "rig.csv --columns time=t z=z --units time=s length=m --mass 1",
-            "import_log",
-        ),
         "replay": CommandEntry("playback of a recording, or bit-for-bit check", "run.maglev --check"),
         "analyse": CommandEntry(
             "recording compared with its simulation; cause of a fault", "run.maglev --from 0.1 --out figures"
         ),
-        "export": CommandEntry("conversion of a recording to MCAP, table, arrays or sound", "run.maglev --to mcap"),
+        "convert": CommandEntry("recording or text table to recording, table, MCAP or sound", "run.maglev run.mcap"),
     },
 }
 """Commands in the order of the help."""
@@ -104,8 +97,8 @@ MODULES: Mapping[str, str] = {
         "bridge": "bridge",
         "device": "estop commission conform",
         "lessons": "lessons",
-        "recordings": "replay analyse export",
-        "importing": "import",
+        "recordings": "replay analyse",
+        "convert": "convert",
     }.items()
     for name in names.split()
 }
@@ -364,4 +357,4 @@ def add_options(parser: Parser, name: str) -> None:
     except ParameterError as error:
         parser.error(str(error))
     module = import_module(f"maglev_mj.cli.{MODULES[name]}")  # imports only what this command needs
-    declare(getattr(module, COMMANDS[name].function or name.replace("-", "_")), parser)
+    declare(getattr(module, name), parser)

@@ -1,4 +1,4 @@
-"""Commands for recordings: replay, analyse, export."""
+"""Commands for recordings: replay, analyse."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from maglev_mj.cli.declare import option
 from maglev_mj.cli.options import Pictures, Recorded, json_of
-from maglev_mj.cli.output import LAYOUT, Progress, check_files, write_json, write_results
+from maglev_mj.cli.output import Progress, write_json, write_results
 from maglev_mj.cli.peripherals import PageOptions, window
 from maglev_mj.errors import ParameterError
-from maglev_mj.recording.formats import FORMATS
 from maglev_mj.terminal import printable, say, wrapped
 
 if TYPE_CHECKING:
@@ -279,27 +278,3 @@ def _draw(analysed: SegmentReport, axis: str | None, pictures: PictureFolder, st
         if kind not in omitted
     ]
     return [*lines, *omitted.values()]
-
-
-def export(
-    file: Annotated[Path, option("recording", "", "FILE")],
-    to: Annotated[
-        str, option("format", "output", "FORMAT", meanings={name: row.text for name, row in FORMATS.items()})
-    ],
-    out: Annotated[Path | None, option("output file (default: beside the recording)", "output")] = None,
-) -> int:
-    """Convert a recording to MCAP, table, arrays or sound."""
-    from maglev_mj.recording import Recording
-    from maglev_mj.recording.export import export
-
-    path = out or file.with_suffix(f".{to}")
-    check_files({"out": path}, file)
-    with Progress("export"):
-        recording = Recording.load(file)
-        export(recording, to, path)
-    if recording.damage:
-        say(f"  {file}: {recording.damage}")
-    print(f"  wrote {path}: {recording.ticks} samples")
-    if to == "mcap":
-        print(f"  Foxglove layout: {LAYOUT}")
-    return 0

@@ -15,6 +15,12 @@ RENAMED: Sequence[tuple[str, str]] = (
     ("info --device X --header", "card X"),
     ("info --device X", "card X --table1"),
     ("info", "card --table1"),
+    ("export FILE --to KIND --out OUT", "convert FILE OUT --to KIND"),
+    ("export FILE --to KIND", "convert FILE FILE.KIND"),
+    ("export", "convert"),
+    ("import FILE --out OUT", "convert FILE OUT"),
+    ("import FILE", "convert FILE FILE.maglev"),
+    ("import", "convert"),
 )
 """Lines of version 0.3 and the new ones, which run in versions 0.4 and 0.5; the first that fits is taken.
 
@@ -23,10 +29,10 @@ repeat it, also with another suffix (FILE.csv). An option without a value must b
 are appended; another positional argument fits no line.
 """
 
-_SEVERAL: frozenset[str] = frozenset()
+_SEVERAL = frozenset(("--columns", "--units", "--scale", "--face"))
 """Options of the old commands with several values."""
 
-_FLAGS = frozenset(("-h", "--help", "--web", "--no-open", "--all", "--bare", "--header"))
+_FLAGS = frozenset(("-h", "--help", "--web", "--no-open", "--all", "--bare", "--header", "--resample"))
 """Options of the old commands without a value."""
 
 

@@ -33,6 +33,7 @@ SUFFIX = ".maglev"
 """File name suffix of a journal."""
 
 FORMAT, VERSION = "maglev_mj journal", 1
+_START = b'{"offset"'
 """Entries `format` and `version` of the header."""
 
 _CHAINED = "chained"  # entry `checksums` of the header; journals of earlier versions have none
@@ -459,6 +460,15 @@ class JournalContent(NamedTuple):
         return cycles
 
 
+def is_journal(path: Path) -> bool:
+    """Return True if a file starts as a journal does; False if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_START)) == _START
+    except OSError:
+        return False
+
+
 def open_journal(path: Path) -> JournalContent:
     """Return the content of a journal up to its first bad block.
 
@@ -468,7 +478,7 @@ def open_journal(path: Path) -> JournalContent:
     """
     with path.open("rb") as file:
         line = file.readline(_MAX_HEADER)
-        if not line.startswith(b'{"offset"'):
+        if not line.startswith(_START):
             raise ParameterError(_reason_no_journal(line + file.read(64)))
         size = os.fstat(file.fileno()).st_size
     if not line.endswith(b"\n"):

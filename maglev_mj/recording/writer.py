@@ -192,12 +192,11 @@ def check_name(path: Path) -> None:
     Raises:
         ParameterError: If its suffix is not .maglev, or it is a device or FIFO: readers map the file into memory.
     """
-    kind = path.suffix[1:]
-    if kind in FORMATS:
+    if path.suffix[1:] in FORMATS:
         journal = path.with_suffix(SUFFIX)
         raise ParameterError(
             f"record must end in {SUFFIX} (got {path.suffix}): record to {journal}, then run "
-            f"`maglev-mj export {journal} --to {kind}`"
+            f"`maglev-mj convert {journal} {path}`"
         )
     if path.suffix != SUFFIX:
         raise ParameterError(f"record must be a file that ends in {SUFFIX} (got {str(path)!r})")

@@ -66,7 +66,7 @@ def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
         "sweep drop --vary phase=0:0.5:2 --set plant=exact --workers 0 --json -",
         "analyse run.maglev",
         "replay run.maglev --check",
-        "export run.maglev --to csv",
+        "convert run.maglev run.csv",
         "card --table1",
         "twin --seconds 0.1",
         "--version",

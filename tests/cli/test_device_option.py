@@ -26,7 +26,7 @@ LINES = {
     "stability map": "stability --grid 3",
     "compare": "compare drop --plant exact --law pd --phases 1 --duration 0.05",
     "card": "card --table1",
-    "import": "import a.csv --columns time=t z=z fz=f --units time=s length=m force=N --out a.maglev",
+    "convert": "convert a.csv a.maglev --columns time=t z=z fz=f --units time=s length=m force=N",
 }
 COILS = {"twin", "bridge", "commission", "conform"}
 SLOW = {"design", "fidelity", "view", "render"}  # the same options, with a long computation or a screen
@@ -52,7 +52,7 @@ def test_a_command_works_with_each_device(
     rows = (f"{0.005 * tick},{1e-6 * tick * tick},0.1" for tick in range(32))
     Path("a.csv").write_text("\n".join(["t,z,f", *rows]))
     assert cli.main([*line.split(), "--device", device]) == 0, capsys.readouterr()
-    if line.startswith("import"):
+    if line.startswith("convert"):
         (segment,) = Recording.load("a.maglev").segments
         assert segment.metadata.inertia[0] == {"arm": 0.15, "ubc": 0.7}.get(device, 0.3)
 

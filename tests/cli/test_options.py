@@ -131,11 +131,10 @@ NEEDED = {
     "conform": "udp://127.0.0.1:9",
     "replay": "a.maglev",
     "analyse": "a.maglev",
-    "export": "a.maglev --to csv",
-    "import": "a.csv --columns time=t z=z --mass 1",
+    "convert": "a.csv a.maglev --columns time=t z=z --mass 1",
 }
 TIMED = set("sweep view render run diagnose stability design card compare fidelity twin".split())
-TIMED |= {"import"}
+TIMED |= {"convert"}
 
 
 def test_a_rate_is_understood_where_a_period_is() -> None:
@@ -146,7 +145,7 @@ def test_a_rate_is_understood_where_a_period_is() -> None:
             with suppress(SystemExit):
                 options = vars(program.parse([*words, more]))
                 found.append({name: value for name, value in options.items() if name == "rate" or "period" in name})
-        known = {"rate": 500.0} if command in ("twin", "sweep", "import") else {"parameter period": 0.002}
+        known = {"rate": 500.0} if command in ("twin", "sweep", "convert") else {"parameter period": 0.002}
         assert found == (1 if command == "sweep" else 2) * [known] * (command in TIMED), command
 
 
@@ -174,7 +173,7 @@ def test_without_a_display_the_page_is_named(
         assert "--web (browser)" in capsys.readouterr().err
 
 
-QUICK = "twin estop commission conform replay analyse export".split()
+QUICK = "twin estop commission conform replay analyse convert".split()
 
 
 def test_a_help_without_a_scene_loads_no_library() -> None:

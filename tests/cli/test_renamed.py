@@ -25,6 +25,18 @@ LINES = {
     "fault flight.maglev": "analyse flight.maglev --cycles",
     "fault drop-exact.maglev": "analyse drop-exact.maglev --cycles",
     "fault --help": "analyse --help",
+    "export flight.maglev --to csv": "convert flight.maglev flight.csv",
+    "export --to npz drop-exact.maglev --out made.npz": "convert drop-exact.maglev made.npz --to npz",
+    "export drop-exact.maglev --out=table.txt --to=csv": "convert drop-exact.maglev table.txt --to csv",
+    "export nosuch.maglev --to wav": "convert nosuch.maglev nosuch.wav",
+    "export --help": "convert --help",
+    "import rig.csv --columns time=t z=z --units time=s length=m --mass 1": (
+        "convert rig.csv rig.maglev --columns time=t z=z --units time=s length=m --mass 1"
+    ),
+    "import --mass 1 --resample rig.csv --out made.csv --units time=s length=m": (
+        "convert rig.csv made.csv --mass 1 --resample --units time=s length=m"
+    ),
+    "import --help": "convert --help",
     "info": "card --table1",
     "info --json -": "card --table1 --json -",
     "info --json out.json": "card --table1 --json out.json",
@@ -53,7 +65,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     files = flight.rename(folder / "flight.maglev"), fault.rename(folder / "fault.maglev")
     own = folder / "own.toml"
     own.write_text(Device.load("stage").toml())
-    return [*files, own, RECORDINGS / "drop-exact.maglev"]
+    table = folder / "rig.csv"
+    table.write_text("\n".join(["t,z", *(f"{0.005 * tick},{1e-6 * tick * tick}" for tick in range(32))]))
+    return [*files, own, table, RECORDINGS / "drop-exact.maglev"]
 
 
 @pytest.fixture

@@ -29,8 +29,8 @@ LINES = {
     "fidelity": ["fidelity", "drop", *LOOP, "--phases", "1"],
     "view": ["view", "drop", *LOOP],
 }
-OTHERS = "render design twin bridge estop commission conform lessons replay analyse export"
-OTHERS += " import diagnose"  # which is the verdict
+OTHERS = "render design twin bridge estop commission conform lessons replay analyse convert"
+OTHERS += " diagnose"  # which is the verdict
 SLOW = {name: pytest.mark.study for name in ("card", "fidelity")}
 
 

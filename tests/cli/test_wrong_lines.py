@@ -221,9 +221,14 @@ replay run.maglev --port 80                         | port
 analyse run.maglev --segment 9                      | 9
 analyse run.maglev --axis w                         | w
 analyse run.maglev --json run.maglev                | must not overwrite the recording
-export run.maglev --to npz --out run.maglev         | out must not overwrite the recording
-export run.maglev --to npz --out .                  | out must be a file in an existing folder
-export none.maglev --to csv                         | 'none.maglev' cannot be read: No such file
+convert run.maglev run.maglev --to npz              | out must not overwrite the recording
+convert run.maglev . --to npz                       | out must be a file in an existing folder
+convert none.maglev none.csv                        | 'none.maglev' cannot be read: No such file
+convert none.csv none.maglev --mass 1               | 'none.csv'
+convert run.maglev run                              | format of out must be one of maglev, npz, mcap, csv
+convert run.maglev run.csv --to ods                 | format of out must be one of maglev, npz, mcap, csv
+convert run.maglev run.csv --units time=s           | units applies to a text table, not to a recording (got
+convert notes.jsonl run.csv                         | mass or device must be given
 """
 LINES = [
     [part.strip() for part in line.replace("DEVICE", DEVICE).split(" | ", 1)]

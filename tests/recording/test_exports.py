@@ -139,7 +139,7 @@ def test_what_is_recorded_is_found_in_an_export_by_name_with_its_units(
 ) -> None:
     path = tmp_path / "run.maglev"
     whole.save(path)
-    status, output, errors = run_here("export", str(path), "--to", kind)
+    status, output, errors = run_here("convert", str(path), str(tmp_path / f"run.{kind}"))
     assert (status, errors) == (0, "") and f"  wrote {tmp_path / f'run.{kind}'}: {whole.ticks} samples\n" in output
     assert whole.damage in output
     samples, found = load_samples(path), READERS[kind](tmp_path / f"run.{kind}")
@@ -253,7 +253,7 @@ def test_an_export_that_cannot_be_is_one_line_and_an_older_file_stays(
     path, other = tmp_path / "run.maglev", tmp_path / f"run.{kind}"
     assert main(["drop", "--plant", "exact", "--record", str(other)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith(f"record to {path}, then run `maglev-mj export {path} --to {kind}`")
+    assert line.endswith(f"record to {path}, then run `maglev-mj convert {path} {other}`")
     path.write_bytes(made("drop"))
     other.write_bytes(b"that of before")
     limit: Any = pytest.importorskip("resource")
@@ -261,7 +261,7 @@ def test_an_export_that_cannot_be_is_one_line_and_an_older_file_stays(
     for room in (100, 1_000):
         limit.setrlimit(limit.RLIMIT_FSIZE, (room, before[1]))
         try:
-            status = main(["export", str(path), "--to", kind])
+            status = main(["convert", str(path), str(other)])
         finally:
             limit.setrlimit(limit.RLIMIT_FSIZE, before)
         (line,) = capsys.readouterr().err.splitlines()

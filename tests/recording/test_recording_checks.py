@@ -95,7 +95,7 @@ def answers(path: Path, capsys: Any) -> list[int]:
     """Return each command's status on a file: 2 with one line, or a finite result."""
     found = []
     commands = (["replay", str(path), "--check"], ["analyse", str(path)])
-    for command in (*commands, ["export", str(path), "--to", "csv", "--out", str(path.with_suffix(".csv"))]):
+    for command in (*commands, ["convert", str(path), str(path.with_suffix(".csv"))]):
         status = main(command)  # a warning is an error here
         said = capsys.readouterr()
         assert status in (0, 1, 2)

@@ -288,10 +288,10 @@ def test_every_command_reads_to_the_damage_and_names_it(lost: int, whole: bytes,
     for command in (
         ["replay", "--check"],
         ["analyse", "--no-compare"],
-        ["export", "--to", "csv", "--out", str(table)],
+        ["convert", str(table)],
         ["run", "joystick", "--hand-path", str(path)],
         ["diagnose"],
-        ["fault"],
+        ["analyse", "--cycles"],
     ):
         words = command if str(path) in command else [command[0], str(path), *command[1:]]
         status, said = main(words), capsys.readouterr()

@@ -314,7 +314,7 @@ def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_che
     (face,) = found["recorded"]["faces"]
     assert face["edge"] == 0.001 and face["penetration"] > 1e-4 and found["comparison"]["same"]
     assert abs(found["recorded"]["unexplained_force"]["z"]) < 1e-9  # gravity and mass are those of the run
-    assert main(["export", str(path), "--to", "csv"]) == 0
+    assert main(["convert", str(path), str(path.with_suffix(".csv"))]) == 0
     capsys.readouterr()
     assert main(["replay", str(path), "--check"]) == 0  # its laws are this package's
     assert f"source/{hash_of(OWN)}/own.py" in Recording.load(tmp_path / "whole.maglev").attachments

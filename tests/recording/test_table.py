@@ -83,7 +83,7 @@ def test_logs_of_public_data_sets_are_imported(name: str, tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path)
     text, options, expected = LOGS[name]
     Path("log.csv").write_text(text + "\n")
-    assert main(["import", "log.csv", "--columns", *options.split()]) == 0
+    assert main(["convert", "log.csv", "log.maglev", "--columns", *options.split()]) == 0
     columns = Recording.load("log.maglev").columns()
     for column, values in expected.items():
         assert_allclose(columns[column], values, rtol=0.0, atol=5e-12)
@@ -231,7 +231,7 @@ BROKEN = {
         "--decimal comma",
         "numbers must have a decimal comma .got '0.0' in row 2, column 't'",
     ),
-    "format": (lines(HEAD, GOOD), "--out log.xls", "suffix of out must be one of .maglev"),
+    "format": (lines(HEAD, GOOD), "--to xls", "format of out must be one of maglev, npz"),
 }
 
 
@@ -242,7 +242,7 @@ def test_a_broken_table_or_option_is_refused_in_a_line(
     monkeypatch.chdir(tmp_path)
     text, options, message = BROKEN[name]
     Path("log.csv").write_text(text)
-    words = "import log.csv --columns time=t z=z --units time=s length=m --mass 1".split()
+    words = "convert log.csv log.maglev --columns time=t z=z --units time=s length=m --mass 1".split()
     assert main(words + options.split()) == 2
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1 and [path.name for path in Path().iterdir()] == ["log.csv"]
@@ -257,7 +257,7 @@ def test_a_measured_motion_is_the_path_of_a_hand(tmp_path: Path) -> None:
     rig, flown = tmp_path / "rig.maglev", tmp_path / "flown.maglev"
     units = ["--units", "time=s", "length=mm"]
     assert not main(
-        ["import", str(tmp_path / "rig.csv"), "--columns", "time=1", "x=2", *units, "--mass", "0.3", "--out", str(rig)]
+        ["convert", str(tmp_path / "rig.csv"), str(rig), "--columns", "time=1", "x=2", *units, "--mass", "0.3"]
     )
     assert not main(["run", "joystick", "--no-wall", "--hand-path", str(rig), "--record", str(flown)])
     segment = Recording.load(flown).segments[0]

@@ -453,7 +453,7 @@ def by_command(path: Path, one: Dialect) -> Array:
     units = [f"time={one.time_unit}", f"{'angle' if len(one.axis) == 2 else 'length'}={one.unit}"]
     columns = ["time=1", f"{one.axis}={'3' if one.spare else '2'}"]
     out = path.with_name("out.maglev")
-    assert not main(["import", str(path), "--columns", *columns, "--units", *units, "--mass", "0.3", "--out", str(out)])
+    assert not main(["convert", str(path), str(out), "--columns", *columns, "--units", *units, "--mass", "0.3"])
     segment = Recording.load(out).segments[0]
     return np.column_stack([segment.tick, segment.time, segment.position])
 

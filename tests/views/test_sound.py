@@ -1,4 +1,4 @@
-"""Forces as sound: `maglev-mj export --to wav`, and in clips."""
+"""Forces as sound: `maglev-mj convert run.maglev run.wav`, and in clips."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_empty_and_invalid_files_are_rejected_in_one_line(tmp_path: Path, capsys
     Recording([]).save(tmp_path / "empty.maglev")
     (tmp_path / "wrong.maglev").write_bytes(b"no recording")
     for name, words in {"empty": "nothing to export to wav", "wrong": "wrong.maglev"}.items():
-        assert main(["export", str(tmp_path / f"{name}.maglev"), "--to", "wav"]) == 2
+        assert main(["convert", str(tmp_path / f"{name}.maglev"), str(tmp_path / f"{name}.wav")]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert words in line and not (tmp_path / f"{name}.wav").exists()
 
