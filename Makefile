@@ -21,7 +21,7 @@ demo: $(DEMO)  ## drop the flotor: a summary here, pictures in figures/
 	  '  $(BIN)/maglev-mj view --web                 feel it in a browser: the mouse is the hand' \
 	  '  $(BIN)/maglev-mj press --out figures        a hand hits the wall' \
 	  '  $(BIN)/maglev-mj stick-slip --out figures   pulled out of friction' \
-	  '  $(BIN)/maglev-mj stability --hand arm       the stiffest wall in a hand' \
+	  '  $(BIN)/maglev-mj map --hand arm             the stiffest wall in a hand' \
 	  '  $(BIN)/maglev-mj drop --record drop.maglev    a recording, for analyse, replay and convert' \
 	  '  $(BIN)/maglev-mj drop --help                height, gains, rate, delay'
 

@@ -76,7 +76,7 @@ def test_any_difference_is_named_with_both_values() -> None:
 COMMANDS = [
     ["drop", "--plant", "exact"],
     ["drop", "--delay", "0.005", "--duration", "3"],  # diverges
-    ["stability", "--grid", "2"],
+    ["map", "--grid", "2"],
     ["sweep", "drop", "--vary", "plant=exact", "--workers", "0"],
     ["card", "--table1"],
 ]
@@ -112,7 +112,7 @@ def test_a_file_of_last_cycles_names_its_code(tmp_path: Path) -> None:
 
 
 SWEEP = ["sweep", "drop", "--vary", "phase=0:0.5:2", "--set", "plant=exact", "--workers", "0"]
-MAP = ["stability", "--grid", "2", "--plant", "exact"]
+MAP = ["map", "--grid", "2", "--of", "exact"]
 
 
 THEIRS: list[tuple[Any, str]] = [

@@ -281,7 +281,7 @@ def add_scene(
     default: str | None = None,
     without: Sequence[str] = (),
     options: bool = True,
-    instead: Callable[[Parser], object] | None = None,
+    optional: bool = False,
     find: Find | None = None,
     names: Sequence[str] = (),
 ) -> None:
@@ -297,7 +297,7 @@ def add_scene(
         default: Default scene; None if the scene is required.
         without: Names of parameters without an option.
         options: False if parameters are set in another way.
-        instead: Called with the parser if no scene is named, for a command with an optional scene.
+        optional: True if the scene may be left out.
         find: Function that returns the scene or its class, in place of `find_scene`; None for no options.
         names: Additional names that `find` accepts.
     """
@@ -316,7 +316,7 @@ def add_scene(
         argument = group.add_argument(option, dest="scene", default=default, metavar="SCENE", help="scene")
     else:
         argument = parser.add_argument(
-            "scene", nargs="?" if default or instead else None, default=default, metavar="SCENE", help="scene"
+            "scene", nargs="?" if default or optional else None, default=default, metavar="SCENE", help="scene"
         )
     argument.compose = text
     parser.epilog = f"{parser.epilog}\n{_MORE}" if parser.epilog else _MORE
@@ -325,8 +325,6 @@ def add_scene(
     def add_chosen() -> None:
         name = scene_word(parser, option, known) or default
         if name is None:
-            if instead is not None:
-                instead(parser)
             return
         try:
             scene = (find or find_scene)(name)

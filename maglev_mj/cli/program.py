@@ -51,7 +51,8 @@ GROUPS: Mapping[str, Mapping[str, CommandEntry]] = {
         "diagnose": CommandEntry(
             "why any wall or axis shakes, and what helps most", "drop --stiffness 20000 --out figures"
         ),
-        "stability": CommandEntry("stability of walls (figure 2) or of a scene", "--hand arm --delay 0.002 --grid 20"),
+        "stability": CommandEntry("stability of a scene, or of one wall", "drop --delay 0.002"),
+        "map": CommandEntry("stable walls by theory or simulation (figure 2)", "--hand arm --delay 0.002 --grid 20"),
         "design": CommandEntry(
             "stiffest wall for uncertain mass, delay and hand", "--mass 0.56:0.84 --hand arm,stylus"
         ),
@@ -92,7 +93,7 @@ MODULES: Mapping[str, str] = {
     for module, names in {
         "scenes": "view render run",
         "diagnose": "diagnose",
-        "studies": "stability design compare card sweep fidelity",
+        "studies": "stability map design compare card sweep fidelity",
         "twin": "twin",
         "bridge": "bridge",
         "device": "estop commission conform",

@@ -8,6 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+_OF_DROPS = "--height", "--pulse", "--pulse-width", "--force-limit", "--quantize"
+"""Options that made a map one of drops."""
+
 RENAMED: Sequence[tuple[str, str]] = (
     ("tour", "view --tour"),
     ("fault FILE", "analyse FILE --cycles"),
@@ -21,15 +24,24 @@ RENAMED: Sequence[tuple[str, str]] = (
     ("import FILE --out OUT", "convert FILE OUT"),
     ("import FILE", "convert FILE FILE.maglev"),
     ("import", "convert"),
+    ("stability --help", ""),
+    ("stability -h", ""),
+    ("stability --damping NUMBER --stiffness NUMBER", ""),
+    *((f"stability --plant exact {name}", "map --of drops") for name in _OF_DROPS),
+    *((f"stability {name}", "map --of drops") for name in _OF_DROPS),
+    ("stability --plant none", "map"),
+    ("stability --plant PLANT", "map --of PLANT"),
+    ("stability", "map"),
 )
 """Lines of version 0.3 and the new ones, which run in versions 0.4 and 0.5; the first that fits is taken.
 
 A word in capitals stands for the value of the option before it, or for the positional argument; the new line may
-repeat it, also with another suffix (FILE.csv). An option without a value must be there, and stays. All other options
-are appended; another positional argument fits no line.
+repeat it, also with another suffix (FILE.csv); NUMBER stands for one number. An option with another value must have it,
+and goes; one without a value must be there, and stays. All other options are appended; another positional argument
+fits no line. A line whose new one is empty is not an old one.
 """
 
-_SEVERAL = frozenset(("--columns", "--units", "--scale", "--face"))
+_SEVERAL = frozenset(("--damping", "--stiffness", "--columns", "--units", "--scale", "--face"))
 """Options of the old commands with several values."""
 
 _FLAGS = frozenset(("-h", "--help", "--web", "--no-open", "--all", "--bare", "--header", "--resample"))
@@ -50,7 +62,7 @@ def renewed(words: Sequence[str]) -> list[str] | None:
         command, *pattern = old.split()
         if list(words[:1]) == [command] and (fit := _fit(pattern, words[1:])) is not None:
             values, rest = fit
-            return [*(_filled(word, values) for word in new.split()), *rest]
+            return None if not new else [*(_filled(word, values) for word in new.split()), *rest]
     return None
 
 
@@ -78,18 +90,22 @@ def _fit(pattern: Sequence[str], words: Sequence[str]) -> tuple[Mapping[str, str
     """Return the values of the words in capitals, and all other words; None if the words do not fit."""
     parts, values = _parts(words), dict[str, str]()
     for wanted in _parts(pattern):
-        part = next((part for part in parts if part.option == wanted.option and part.values), None)
-        if not wanted.values:
-            if all(part.option != wanted.option for part in parts):
-                return None
-        elif part is None:
+        part = next((part for part in parts if part.option == wanted.option), None)
+        if part is None or not all(_stands_for(value, part.values) for value in wanted.values):
             return None
-        else:
-            values[wanted.values[0]] = part.values[0]
+        for value in wanted.values:
+            values[value] = part.values[0]
             parts.remove(part)
     if any(not part.option for part in parts):
         return None
     return values, [word for part in parts for word in part.words]
+
+
+def _stands_for(wanted: str, values: Sequence[str]) -> bool:
+    """Return True if a word of a pattern stands for the values of an option."""
+    if wanted == "NUMBER":
+        return len(values) == 1 and re.fullmatch(r"[-+.\deE]+", values[0]) is not None
+    return bool(values) and (wanted.isupper() or [wanted] == list(values))
 
 
 def _filled(word: str, values: Mapping[str, str]) -> str:

@@ -10,13 +10,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.twin.twin import TwinParameters
-from maglev_mj.cli.declare import Option, Parser, Shared, declare, declared, listed, option
+from maglev_mj.cli.declare import Option, Parser, Shared, declared, listed, option
 from maglev_mj.cli.options import (
     Json,
     Picture,
@@ -240,7 +240,8 @@ def compare(
 
 
 _WALL = "wall parameters"
-_DROP = "drop parameters; any of these selects a map of drops"
+_DROP = "parameters of --of drops"
+_MAP = "map"
 _NEEDED = "requirements"
 _RANGE = "range of validity"
 _REQUIRED, _GAINS = ("mass", "inertia", "delay"), ("damping", "stiffness")
@@ -264,70 +265,100 @@ def _ranges(options: argparse.Namespace, names: Sequence[str], forms: str = _END
     return {name: range_of(name, " ".join(some), forms) for name, some in words.items() if some is not None}
 
 
-def _add_map(parser: Parser) -> None:
+def _add_wall(parser: Parser) -> None:
+    """Add the options of a wall on a device: gains, each a value or a range, and loop."""
     _add_ranges(parser, _WALL, StabilityParameters, _GAINS, "covers the stable region", _AXIS)
     add_device(parser)
-    add_parameters(parser.group(_WALL), StabilityParameters)
-    add_parameters(parser.group(_DROP), DropMapParameters)
+    add_parameters(parser.group(_WALL), StabilityParameters, without=("grid", "plant"))
 
 
-def _chosen_map(options: argparse.Namespace) -> StabilityParameters | DropMapParameters:
-    """Return the parameters of a map of walls, or of drops if one of theirs is set."""
+def _add_region(parser: Parser) -> None:
+    _add_wall(parser)
+    add_parameters(parser.group(_WALL), StabilityParameters, without=("plant",))
+    add_parameters(parser.group(_DROP), DropMapParameters, without=("plant",))
+
+
+def _region(options: argparse.Namespace) -> StabilityParameters:
+    """Return the walls of a map.
+
+    Raises:
+        ParameterError: If a value is outside its bounds, or a parameter of drops is set for another map.
+    """
     ranges = _ranges(options, _GAINS, _AXIS)
-    drops = stated(options, DropMapParameters).keys() - stated(options, StabilityParameters).keys()
-    return chosen(options, DropMapParameters if drops else StabilityParameters, **ranges)
+    if options.of == "drops":
+        return chosen(options, DropMapParameters, **ranges)
+    if own := stated(options, DropMapParameters).keys() - {item.name for item in StabilityParameters.parameters()}:
+        raise ParameterError(f"{min(own)} requires --of drops (got --of {options.of})")
+    return chosen(options, StabilityParameters, plant=_PLANT_OF[options.of], **ranges)
 
 
-_Map: TypeAlias = Annotated[StabilityParameters | DropMapParameters, Shared(_add_map, _chosen_map)]
+_PLANT_OF = {"theory": "none", "exact": "exact", "mujoco": "mujoco"}
+_Region: TypeAlias = Annotated[StabilityParameters, Shared(_add_region, _region)]
 
 
-def stability_map(
+def map(
     *,
-    region: _Map,
+    of: Annotated[
+        Literal["theory", "exact", "mujoco", "drops"],
+        option("theory, its comparison with walls simulated on the plant exact or mujoco, or simulated drops", _MAP),
+    ] = "theory",
+    region: _Region,
     json: Json = None,
     pictures: Annotated[PictureFolder | None, pictures_to("output folder for the chart")],
     record: Annotated[Path | None, cells_in("none")] = None,
     workers: WorkerOptions,
 ) -> int:
-    """Map the stability of a wall by theory and simulation (figure 2), or judge a scene.
-
-    With one stiffness and one damping it prints what `diagnose` says of that wall. The exit status is 0 for an unstable
-    wall too; `stable` in the JSON of a scene or of one wall is the verdict.
-    """
-    if isinstance(region, StabilityParameters) and region.plant == "none" and (wall := region.wall):
-        write_result(json, diagnose(**wall), pictures)
-        return 0
+    """Map which walls are stable, over their damping and stiffness (figure 2)."""
     if pictures is not None:
         for name in _GAINS:
             if (limits := getattr(region, name)) is not None and limits[0] == limits[1]:
                 raise ParameterError(f"{name} must be a range for a chart (got {limits[0]:g})")
-    drops = isinstance(region, DropMapParameters)
-    if record is not None and not drops and region.plant == "none":
-        raise ParameterError(f"record is not supported with plant none, which has no cells (got {record})")
+    if record is not None and of == "theory":
+        raise ParameterError(f"record requires --of exact, mujoco or drops: theory has no cells (got {record})")
     # a map of drops uses every core if it has more than one part
-    running = workers.open(default=None if drops and region.count > PART else 0)
-    run: Any = run_drop_map if drops else run_stability
-    with saved_cells(record, Path("stability-cells")), Progress("stability") as progress:
+    running = workers.open(default=None if of == "drops" and region.count > PART else 0)
+    run: Any = run_drop_map if of == "drops" else run_stability
+    with saved_cells(record, Path("stability-cells")), Progress("map") as progress:
         result = run(region, record=Record(record), workers=running, progress=progress)
     write_result(json, result, pictures)
     return 0
 
 
-def _add_stability_scene(parser: Parser) -> None:
-    """Add the scene, or the options of a map without one."""
-    add_scene(parser, instead=partial(declare, stability_map))
-    parser.group(_WALL)
+def _add_judged(parser: Parser) -> None:
+    """Add the scene, or the options of one wall if none is named."""
+
+    def add_one_wall() -> None:
+        if parser.get_default("scene_class") is None:
+            _add_wall(parser)
+
+    parser.later.append(add_one_wall)  # called after the scene is found
+    add_scene(parser, optional=True)
 
 
-_JudgedScene: TypeAlias = Annotated[Scene, Shared(_add_stability_scene, chosen_scene)]
+def _judged(options: argparse.Namespace) -> Scene | None:
+    return None if options.scene_class is None else chosen_scene(options)
 
 
-def stability(*, scene: _JudgedScene, json: Json = None, pictures: Picture) -> int:
-    """Map the stability of a wall by theory and simulation (figure 2), or judge a scene.
+def _one_wall(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments of `diagnose` for one wall; empty for a scene."""
+    if options.scene_class is not None:
+        return {}
+    return chosen(options, StabilityParameters, **_ranges(options, _GAINS, _AXIS)).wall
 
-    With one stiffness and one damping it prints what `diagnose` says of that wall. The exit status is 0 for an unstable
-    wall too; `stable` in the JSON of a scene or of one wall is the verdict.
+
+_JudgedScene: TypeAlias = Annotated[Scene | None, Shared(_add_judged, _judged)]
+_OneWall: TypeAlias = Annotated[dict[str, Any], Shared(None, _one_wall)]
+
+
+def stability(*, scene: _JudgedScene, wall: _OneWall, json: Json = None, pictures: Picture) -> int:
+    """Judge a scene, or one wall by its damping and stiffness.
+
+    Of one wall it prints what `diagnose` says. The exit status is 0 if it is unstable, too; `stable` in the JSON is
+    the verdict.
     """
+    if scene is None:
+        write_result(json, diagnose(**wall), pictures)
+        return 0
     with Progress("stability"):
         verdict = judge(scene)
     data = {"scene": scene.name, "parameters": scene.as_json(), **verdict.as_json()}
@@ -399,7 +430,7 @@ _Contact: TypeAlias = Annotated[
 ]
 _Requirements: TypeAlias = Annotated[WallRequirements, Shared(_add_requirements, _chosen_requirements)]
 _OfScene: TypeAlias = Annotated[
-    type[Scene] | None, Shared(partial(add_scene, options=False, instead=lambda _: None), scene_class)
+    type[Scene] | None, Shared(partial(add_scene, options=False, optional=True), scene_class)
 ]
 
 

@@ -311,7 +311,7 @@ PICTURES: Mapping[str, Picture] = {
     "analysis_run.png": _analysis("press"),
     "analysis_sticks.png": _analysis("box", "--friction"),
     "stability.png": _chart(
-        *"stability --rate 1000 --delay 0.0005 --mass 0.15 --own-damping 20 --friction 0.6 --quantum 1e-5".split()
+        *"map --rate 1000 --delay 0.0005 --mass 0.15 --own-damping 20 --friction 0.6 --quantum 1e-5".split()
     ),
     "diagnosis.png": _chart(*"diagnose --stiffness 500 --damping 1 --rate 200 --delay 0.005 --mass 0.15".split()),
     "compare_drop.png": _chart("compare", "drop", *_LAWS),

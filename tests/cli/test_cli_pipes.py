@@ -62,7 +62,7 @@ def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
         "drop --json -",
         "press --plant exact",
         "stick-slip --json -",
-        "stability --grid 4 --plant exact --json -",
+        "map --of exact --grid 4 --json -",
         "sweep drop --vary phase=0:0.5:2 --set plant=exact --workers 0 --json -",
         "analyse run.maglev",
         "replay run.maglev --check",
@@ -117,7 +117,7 @@ def test_a_closed_stream_is_none(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     grid = "--vary phase=0,0.5 --set plant=exact --set duration=0.1 --workers 0"
-    runs = ["drop --plant exact --duration 0.1", f"sweep drop {grid}", "stability --grid 2 --plant exact"]
+    runs = ["drop --plant exact --duration 0.1", f"sweep drop {grid}", "map --of exact --grid 2"]
     for line in [*runs, *(f"{command} --help" for command in COMMANDS)]:
         monkeypatch.setattr(sys, closed, None)
         try:

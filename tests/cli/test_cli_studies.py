@@ -1,4 +1,4 @@
-"""`maglev-mj stability` and `maglev-mj sweep` as a person types them."""
+"""`maglev-mj map` and `maglev-mj sweep` as a person types them."""
 
 import json
 import re
@@ -12,7 +12,7 @@ from maglev_mj.cli import main
 
 def test_stability_goes_on_from_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = tmp_path / "cells"
-    arguments = ["stability", "--grid", "2", "--plant", "exact", "--record", str(record)]
+    arguments = ["map", "--grid", "2", "--of", "exact", "--record", str(record)]
     assert main([*arguments, "--json", "-"]) == 0
     first = capsys.readouterr().out
     (shard,) = record.glob("cells-*")
@@ -55,5 +55,5 @@ def test_each_grid_has_a_record_of_its_own_and_is_found_again(
 
 
 def test_a_map_without_a_stable_wall_is_still_a_map(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["stability", "--hand", "0,0,5e4", "--grid", "3"]) == 0
+    assert main(["map", "--hand", "0,0,5e4", "--grid", "3"]) == 0
     assert "no wall is stable" in capsys.readouterr().out

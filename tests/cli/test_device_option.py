@@ -23,7 +23,7 @@ LINES = {
     "run": "run six-axes --plant exact --duration 0.05",
     "diagnose": "diagnose drop",
     "stability": "stability box",
-    "stability map": "stability --grid 3",
+    "map": "map --grid 3",
     "compare": "compare drop --plant exact --law pd --phases 1 --duration 0.05",
     "card": "card --table1",
     "convert": "convert a.csv a.maglev --columns time=t z=z fz=f --units time=s length=m force=N",

@@ -133,7 +133,7 @@ NEEDED = {
     "analyse": "a.maglev",
     "convert": "a.csv a.maglev --columns time=t z=z --mass 1",
 }
-TIMED = set("sweep view render run diagnose stability design card compare fidelity twin".split())
+TIMED = set("sweep view render run diagnose stability map design card compare fidelity twin".split())
 TIMED |= {"convert"}
 
 

@@ -88,6 +88,11 @@ def test_the_name_of_a_scene_is_short_for_run(scene: str, more: list[str], capsy
         assert short[0] == 0 and first in " ".join(short[1].split())
 
 
+def test_there_are_20_commands_besides_the_scenes() -> None:
+    choices: Any = program.program_parser()._actions[-1].choices
+    assert [*choices] == [*COMMANDS, *BUILT_IN] and len(COMMANDS) == 20
+
+
 def test_no_scene_has_the_name_of_a_command_and_the_help_lists_them_in_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

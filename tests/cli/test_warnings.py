@@ -30,7 +30,7 @@ LINES = {
     "view": ["view", "drop", *LOOP],
 }
 OTHERS = "render design twin bridge estop commission conform lessons replay analyse convert"
-OTHERS += " diagnose"  # which is the verdict
+OTHERS += " diagnose map"  # which is the verdict
 SLOW = {name: pytest.mark.study for name in ("card", "fidelity")}
 
 

@@ -28,8 +28,7 @@ def outputs() -> list[tuple[str, str, str]]:
     return found
 
 
-OUTPUTS = [*outputs(), ("stability map", "--json", "FILE"), ("stability map", "--out", "DIR")]
-OUTPUTS += [("stability map", "--record", "DIR"), ("commission", "--write", "FILE")]
+OUTPUTS = [*outputs(), ("commission", "--write", "FILE")]
 
 
 @pytest.fixture
@@ -49,7 +48,7 @@ def words_of(command: str, option: str, path: Path) -> list[str]:
         needed = ["udp://127.0.0.1:9", "offsets"]
     if command == "render":
         needed = []
-    return [*(["stability"] if command == "stability map" else [command]), *needed, option, str(path)]
+    return [command, *needed, option, str(path)]
 
 
 def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:

@@ -55,8 +55,12 @@ design --hand fist                                  | hand must be one of none, 
 design --held                                       | hand must be at least one, without duplicates (got none)
 design --spectral-radius 0.4                                | spectral_radius must be above 0.4: no pd wall
 design --out x                                      | mass or delay must be a range for a chart
-stability --grid 3 --height 0 --plant mujoco        | plant must be one of exact (got 'mujoco')
-stability --grid 3 --pulse 220 --damping 50 --out . | damping must be a range for a chart (got 50)
+map --grid 3 --plant mujoco                         | unrecognized arguments: --plant mujoco
+map --of moon                                       | --of must be one of theory, exact, mujoco, drops
+map --grid 3 --height 0                             | height requires --of drops (got --of theory)
+map --grid 3 --of exact --pulse 1                   | pulse requires --of drops (got --of exact)
+map --grid 3 --record a                             | record requires --of exact, mujoco or drops
+map --of drops --grid 3 --pulse 220 --damping 50 --out . | damping must be a range for a chart (got 50)
 # numbers, their bounds and their kinds
 drop --delay soon                                   | argument --delay: must be a number (got 'soon')
 drop --delay 0.8 | delay must be at most 0.05 s, 10 periods in a simulation (got 0.8); did you mean 0.0008 s?
@@ -76,9 +80,9 @@ view box --seconds 0                                | seconds must be above 0 s 
 render box --out a.png --fps 0                      | fps must be
 fidelity drop --tolerance 0                         | tolerance must be above 0 (got 0
 fidelity drop --boundary-tolerance 0                | boundary must be above 0 (got 0
-stability --grid 1                                  | grid must be
-stability --grid 3 --force-limit -1 | force_limit must be between 0 and 1e6 N (got -1
-stability --grid 3 --quantize 2 | quantize must be between 0 and 1 m (got 2
+map --grid 1                                  | grid must be
+map --of drops --grid 3 --force-limit -1 | force_limit must be between 0 and 1e6 N (got -1
+map --of drops --grid 3 --quantize 2 | quantize must be between 0 and 1 m (got 2
 drop --phases 0                                     | phases must be at least 1 and at most 10000 (got 0
 drop --rate 0                                       | argument --rate: must be a finite number above 0 (got '0')
 press --hits 0                                      | hits must be
@@ -86,12 +90,14 @@ stick-slip --breakaway 0                            | breakaway must be
 twin --rate 0                                       | rate must be between 10 and 20000 Hz (got 0
 twin --block -3                                     | block must be above 0 and at most 20000 N/m (got -3
 bridge DEVICE --max-current 0                       | max_current must be
-stability --damping 80 --stiffness 6000 --plant exact | must be a range (got one wall): for one, maglev-mj diagnose
-stability --damping 80 --stiffness 6000 --height 0  | must be a range (got one wall): for one, maglev-mj diagnose
-stability --damping 1 2                             | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1 2')
-stability --damping 1:2:0 | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:0')
-stability --damping 1:2:1.5 | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:1.5')
-stability --damping 1:2:2000                        | count of damping must be between 1 and 1000
+map --damping 80 --stiffness 6000                   | must be a range (got one wall): for one, maglev-mj diagnose
+map --damping 80 --stiffness 6000 --of exact        | must be a range (got one wall): for one, maglev-mj diagnose
+map --damping 80 --stiffness 6000 --of drops        | must be a range (got one wall): for one, maglev-mj diagnose
+stability --damping 80 --stiffness 6000 --grid 20   | unrecognized arguments: --grid
+map --damping 1 2                                   | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1 2')
+map --damping 1:2:0                                 | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:0')
+map --damping 1:2:1.5                               | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:1.5')
+map --damping 1:2:2000                              | count of damping must be between 1 and 1000
 # rates beside periods
 drop --rate fast                                    | argument --rate: must be a
 drop --rate 100 --period 0.01                       | argument --period: not allowed with argument --rate
@@ -102,15 +108,15 @@ drpo                                                | (got 'drpo'); did you mean
 --verison                                           | unrecognized arguments: --verison; did you mean --version?
 drop --stifness 3                                   | unrecognized arguments: --stifness 3; did you mean --stiffness?
 sweep drop --vary stifness=1,2                      | (got 'stifness'); did you mean stiffness?
-stability --hand armm                               | (got 'armm'); did you mean arm?
+map --hand armm                               | (got 'armm'); did you mean arm?
 drop --plant exct                                   | (got 'exct'); did you mean exact?
 # maps of stability
-stability --damping -5:3 | damping must be between 0 and 1e6 (got -5
-stability --stiffness 9:3                           | stiffness must be in ascending order, low to high (got 9 to 3)
-stability --delay 2 | delay must be between 0 and 1 s (got 2.0); did you mean 0.002 s?
-stability --hand 1e-300,0,0,0,1e10                  | hand grip_stiffness must be between 0 and 1e7
-stability --hand 0,0,1e300                          | hand stiffness must be between 0 and 1e7
-stability --hand 0.2,0,0,1,0                        | grip_stiffness above 0 in a soft grip
+map --damping -5:3 | damping must be between 0 and 1e6 (got -5
+map --stiffness 9:3                           | stiffness must be in ascending order, low to high (got 9 to 3)
+map --delay 2 | delay must be between 0 and 1 s (got 2.0); did you mean 0.002 s?
+map --hand 1e-300,0,0,0,1e10                  | hand grip_stiffness must be between 0 and 1e7
+map --hand 0,0,1e300                          | hand stiffness must be between 0 and 1e7
+map --hand 0.2,0,0,1,0                        | grip_stiffness above 0 in a soft grip
 # sweeps
 drop --out out.png | out must be a folder; try --out . --format png (got 'out.png')
 sweep drop                                          | a sweep needs --vary NAME=VALUES; for one run: maglev-mj run drop
@@ -165,7 +171,7 @@ run still.py                                        | must define force(self
 run law.py                                          | law Odd raises ZeroDiv
 run figure.py                                       | figure.py
 run syntax.py                                       | syntax.py
-stability --record notes.jsonl                      | notes.jsonl
+map --record notes.jsonl                      | notes.jsonl
 compare drop --law glue                             | glue
 compare drop --law pd --law pd                      | pd
 compare drop --law pd --law nofile.py               | nofile.py
@@ -282,6 +288,7 @@ def test_a_wrong_line_is_status_2_and_one_line_that_names_the_value(line: str, n
 
 ALSO = {
     "compare": "--law pd --duration 0.02",
+    "map": "--of drops",
     "run press": "--plant exact --hits 1 --interval 0.1",
     "sweep": "--vary height=0.001",
 }
@@ -295,7 +302,7 @@ NUMBER = re.compile(
 def numeric_options(command: str) -> tuple[list[str], list[str], list[str]]:
     """Return a command's words, those of its options that read numbers, and those that say so in the help."""
     name, *more = command.split()
-    needed = "" if command == "stability map" else " ".join(more) or NEEDED.get(name, "")
+    needed = " ".join(more) or NEEDED.get(name, "")
     words = f"{needed} {ALSO.get(command, '')}".replace("a.maglev", "run.maglev").split()
     asked = command_parser(name, words)
     add_options(asked, name)
@@ -306,7 +313,7 @@ def numeric_options(command: str) -> tuple[list[str], list[str], list[str]]:
     return [name, *words], [option for option, read in readers if read in (number_option, count, _inverse)], told
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "run press", "run stick-slip", "stability map"])
+@pytest.mark.parametrize("command", [*COMMANDS, "run press", "run stick-slip"])
 def test_every_number_of_every_command_is_finite_and_has_a_lower_bound(command: str, refused: Refused) -> None:
     words, options, _ = numeric_options(command)
     for option in options:

@@ -131,7 +131,7 @@ COMMANDS = {
     "press, own hand": "press --plant exact --hits 2 --hand 0.554,6.45,135.5,25.25,1000.5 --force-limit 60.5",
     "stick-slip": "stick-slip --plant exact",
     "scene": "run joystick --phases 2",
-    "stability, hand": "stability --grid 6 --delay 0 --hand arm",
+    "stability, hand": "map --grid 6 --delay 0 --hand arm",
     "card": "card --rate 1000 --delay 0.0005",
     "sweep": "sweep drop --vary height=1e-3:3e-3:3 --vary damping=60,80 --set plant=exact --workers 0",
     "sweep, choice": "sweep stick-slip --vary law=stick-slip,elasto-plastic,dahl,lugre,kikuuwe --workers 0",

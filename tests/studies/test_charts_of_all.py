@@ -225,7 +225,7 @@ def test_the_chart_of_a_scene_is_that_of_its_contact() -> None:
 COMMANDS = {
     "drop": "drop --plant exact",
     "stability": "stability drop",
-    "map": "stability --grid 3",
+    "map": "map --grid 3",
     "diagnose": "diagnose --stiffness 500 --damping 1 --rate 200 --delay 0.005 --mass 0.15",
     "sweep": "sweep drop --vary height=1e-3:3e-3:3 --set plant=exact --workers 0",
     "compare": "compare drop --law pd --law half-sample --vary stiffness=4000,6000 --phases 2",

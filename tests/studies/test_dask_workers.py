@@ -199,16 +199,16 @@ def test_a_scheduler_without_workers_is_said_at_once_and_its_first_worker_does_t
     assert (process.returncode, more) == (0, "") and "4 cells" in out
 
 
-@pytest.mark.parametrize("command", ["sweep", pytest.param("stability", marks=pytest.mark.study)])
+@pytest.mark.parametrize("command", ["sweep", pytest.param("map", marks=pytest.mark.study)])
 def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
     mortal: Cluster, command: str, tmp_path: Path
 ) -> None:
     # The map is asked for no record; its cells are kept where those of one that is stopped are.
     studies = {
         "sweep": ["sweep", "drop", "--vary", "phase=0:0.999:600", "--set", "plant=mujoco", "--set", "duration=2"],
-        "stability": ["stability", "--grid", "40", "--plant", "mujoco"],
+        "map": ["map", "--grid", "40", "--of", "mujoco"],
     }
-    pattern = {"sweep": "drop-sweep-*", "stability": "stability-cells-*"}[command]
+    pattern = {"sweep": "drop-sweep-*", "map": "stability-cells-*"}[command]
     arguments = [sys.executable, "-m", "maglev_mj", *studies[command], "--scheduler", mortal.address]
     with mortal.worker():
         before = mortal.transitions()

@@ -352,7 +352,7 @@ def test_a_diagnosis_of_a_wall_on_the_device_alone() -> None:
     )
 
 
-@pytest.mark.parametrize("command", ["design --spectral-radius 1", "card", "stability --grid 2", "diagnose"])
+@pytest.mark.parametrize("command", ["design --spectral-radius 1", "card", "map --grid 2", "diagnose"])
 def test_device_options_reach_the_loop_of_every_command(command: str, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr("maglev_mj.studies.card.HANDS", {"none": ()})
     loop = "--stiffness 6000 --damping 80 --rate 200 --delay 0.0015 --mass 0.7" * (command == "diagnose")
@@ -360,7 +360,7 @@ def test_device_options_reach_the_loop_of_every_command(command: str, tmp_path: 
     words = [*command.split(), *loop.split(), *options.split(), "--json", str(tmp_path / "out.json")]
     assert main([*words, "--device-delay", "0.0001"]) == 0
     data = json.loads((tmp_path / "out.json").read_text())
-    wall = {"design": "wall", "card": "walls", "stability": "maximum", "diagnose": "best"}[command.split()[0]]
+    wall = {"design": "wall", "card": "walls", "map": "maximum", "diagnose": "best"}[command.split()[0]]
     best = data[wall][0] if command == "card" else data[wall]
     device, mode = DeviceLaw(100.0, 50.0, 5e-4, 1e-4), Mode(1100.0, 0.01, -1.0)
     known = stiffest_wall(period=5e-3, delay=1.5e-3, mass=0.7, own_damping=2.0, mode=mode, device=device)

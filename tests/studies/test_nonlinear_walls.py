@@ -112,7 +112,7 @@ def test_the_command_maps_drops_where_an_option_of_theirs_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    arguments = ["stability", "--grid", "6", "--pulse", "220", "--force-limit", "60", "--quantize", "5e-6"]
+    arguments = ["map", "--of", "drops", "--grid", "6", "--pulse", "220", "--force-limit", "60", "--quantize", "5e-6"]
     assert main([*arguments, "--json", "map.json", "--out", "."]) == 0
     said = capsys.readouterr().out
     assert "Drops on a PD wall along z, 200 Hz" in said and "sensor 5 µm" in said and "stability_drops.png" in said

@@ -209,7 +209,7 @@ EFFECTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "inertia": ({}, {"mass": 0.4}),
     "rotary": ({"mass": None, "inertia": 0.3}, {"mass": None, "inertia": 0.4}),
 }
-"""Options of `diagnose`, `stability`, `design` and `card`, without and with an effect."""
+"""Options of `diagnose`, `map`, `design` and `card`, without and with an effect."""
 
 
 def of_loop(p: dict[str, Any]) -> Loop:
@@ -300,7 +300,7 @@ def test_the_target_wall_of_a_card_is_the_wall_of_its_scene(
     assert target.spectral_radius == pytest.approx(judge(wall_loops(scene)).spectral_radius, rel=1e-9)
 
 
-@pytest.mark.parametrize("command", ["diagnose", "stability", "design", "card"])
+@pytest.mark.parametrize("command", ["diagnose", "stability", "map", "design", "card"])
 def test_every_front_end_has_the_same_options(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main([command, "--help"])
@@ -314,8 +314,8 @@ def test_every_front_end_has_the_same_options(command: str, capsys: pytest.Captu
         ("card --hand arm", "hand must be none (got arm): a card has a wall for each hand"),
         ("card --inertia 1e-3", "inertia must be none (got 0.001): a card is along a translation"),
         ("design --friction 0.1", "friction must be 0 (got 0.1): a design is of the linear loop"),
-        ("stability --inertia 1e-3 --plant exact", "a rotary axis cannot be simulated (plant exact)"),
-        ("stability --inertia 1e-3 --height 1e-3", "inertia must be none (got 0.001): a drop is along z"),
+        ("map --of exact --inertia 1e-3", "a rotary axis cannot be simulated (plant exact)"),
+        ("map --of drops --inertia 1e-3 --height 1e-3", "inertia must be none (got 0.001): a drop is along z"),
         ("design --inertia 1e-3 --mass 0.7", "mass and inertia must not both be given"),
     ],
 )
@@ -327,9 +327,9 @@ def test_an_option_without_an_effect_is_refused_in_one_line(
     assert says in text and text.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["stability", "design", "diagnose"])
+@pytest.mark.parametrize("command", ["map", "design", "diagnose"])
 def test_a_rotary_axis_has_its_units_in_text_and_json(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    own = {"stability": "--grid 3", "design": "", "diagnose": "--stiffness 3 --damping 0.03 --rate 500 --delay 1e-3"}
+    own = {"map": "--grid 3", "design": "", "diagnose": "--stiffness 3 --damping 0.03 --rate 500 --delay 1e-3"}
     assert main([command, "--inertia", "0.002", "--cutoff", "100", *own[command].split()]) == 0
     text = capsys.readouterr().out
     assert re.search(r"N m/rad", text) and re.search(r"0\.002 kg m²", text)

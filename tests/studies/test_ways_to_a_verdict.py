@@ -236,7 +236,7 @@ def of_card(**values: Any) -> float:
 
 
 FRONTS: dict[str, Callable[..., float]] = {
-    "`stability`": of_map,
+    "`map`": of_map,
     "`diagnose`": lambda **values: diagnose(**{**NUMBERS, **GAINS, **values}).spectral_radius,
     "`design`": of_design,
     "`card`": of_card,
@@ -280,7 +280,7 @@ def test_delays_above_ten_periods_have_a_verdict_where_the_table_says() -> None:
     assert of_map(5.0, **late) > 0.0 and diagnose(**late, **soft).stable
     assert stability(scene).stable and margin(scene).stable
     assert _critical_delay(scene, scene.body.inertia) > 0.02
-    for front in ("`stability`", "`diagnose`", "`stability SCENE`", "page and window", PREFLIGHT):
+    for front in ("`map`", "`diagnose`", "`stability SCENE`", "page and window", PREFLIGHT):
         assert TABLE[front, "any delay"] == YES
 
 

@@ -37,7 +37,7 @@ DELAYS = (0.0, 0.0015, 0.003, 0.005)
     ],
 )
 def test_every_cell_of_the_map_settles_or_grows_as_theory_has_it(plant: str, grid: int, delay: float) -> None:
-    # Except within half a percent of the boundary; 60 x 60 on MuJoCo: `maglev-mj stability --plant mujoco`.
+    # Except within half a percent of the boundary; 60 x 60 on MuJoCo: `maglev-mj map --of mujoco`.
     result = run_stability(StabilityParameters(plant=plant, grid=grid, delay=delay))
     assert result.simulated is not None and result.disagreement is not None
     assert not result.disagreement.any()
