@@ -78,12 +78,17 @@ def _parts(words: Sequence[str]) -> list[_Part]:
         last = parts[-1] if parts else _Part("", [], [])
         if re.match(r"--?[a-z]", word):
             parts.append(_Part(option, [value] if equals else [], [word]))
-        elif last.option and last.option not in _FLAGS and (last.option in _SEVERAL or not last.values):
+        elif last.option and last.option not in _FLAGS and (not last.values or _is_further(last.option, word)):
             last.values.append(word)
             last.words.append(word)
         else:
             parts.append(_Part("", [word], [word]))
     return parts
+
+
+def _is_further(option: str, word: str) -> bool:
+    """Return True if a word is a further value of an option: a number, NAME=VALUE or AXIS:EDGE:SIDE, not a file."""
+    return option in _SEVERAL and re.match(r"[-+.\d]|[^:]*=|\w+:[-.\d]", word) is not None
 
 
 def _fit(pattern: Sequence[str], words: Sequence[str]) -> tuple[Mapping[str, str], list[str]] | None:

@@ -14,8 +14,6 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maglev_mj.bridge.commissioning.calibration import Calibration
-from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.cli.declare import Option, Parser, Shared, declared, listed, option
 from maglev_mj.cli.options import (
     Json,
@@ -41,8 +39,6 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.keywords import with_period
 from maglev_mj.pictures import PictureFolder
 from maglev_mj.plants.hand import HANDS
-from maglev_mj.plants.model import check_model
-from maglev_mj.plants.shapes import device_report
 from maglev_mj.result import Result, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
@@ -504,10 +500,17 @@ def card(
     if (table1 or header) and pictures is not None:
         raise ParameterError("out is not supported with table1 and header: they have no chart")
     if model is not None:
+        from maglev_mj.plants.model import check_model  # imported here, as below: needs MuJoCo
+
         check_model(model, Device.load(scene.device))
     if header:
+        from maglev_mj.bridge.commissioning.calibration import Calibration
+        from maglev_mj.bridge.twin.twin import TwinParameters
+
         print(TwinParameters(calibration=Calibration.load(scene.device)).profile.header())
     elif table1:
+        from maglev_mj.plants.shapes import device_report
+
         write_result(json, device_report() if device is None else DeviceFigures(Device.load(device)))
     else:
         write_result(json, device_card(scene, loop), pictures)

@@ -92,7 +92,7 @@ def test_another_broken_pipe_is_an_error_like_any(
     def broken() -> None:
         raise BrokenPipeError(32, "Broken pipe")
 
-    monkeypatch.setattr("maglev_mj.cli.studies.device_report", broken)
+    monkeypatch.setattr("maglev_mj.plants.shapes.device_report", broken)
     assert main(["card", "--table1"]) == 1
     assert capsys.readouterr().err == "maglev-mj card: [Errno 32] Broken pipe\n"
 
