@@ -63,11 +63,12 @@ def _prepared(name: str, arguments: Sequence[str]) -> Parser:
 
 def _command_page(name: str) -> Iterator[str]:
     command = _prepared(name, [])
+    description, notes = str(command.description), command.epilog  # with a scene, `run` has those of the scene
     if any(one.dest == "scene" and one.required for one in command._actions):
         command = _prepared(name, [_ANY_SCENE])  # for what each scene has
     of_scene = f"parameters of {getattr(command.get_default('scene_class'), 'name', '')}"
     yield from title(name, "=")
-    yield as_rst(str(command.description))
+    yield as_rst(description)
     yield from _block(command.format_usage().removeprefix("usage: "))
     yield from ("Example:", *_block(command.example))
     for group in command._action_groups:
@@ -78,9 +79,9 @@ def _command_page(name: str) -> Iterator[str]:
         if options:
             yield from title(_capital(named), "-")
             yield from _options(options)
-    if command.epilog:
+    if notes:
         yield from title("Notes", "-")
-        for paragraph in re.split(r"\n(?!\s)", command.epilog):
+        for paragraph in re.split(r"\n(?!\s)", notes):
             yield from _block(paragraph) if "\n " in paragraph else (as_rst(paragraph), "")
     if "SCENE" in command.format_help():
         yield "Each scene has parameters of its own, which are further options: see :doc:`scenes`."
