@@ -63,9 +63,11 @@ def _prepared(name: str, arguments: Sequence[str]) -> Parser:
 
 def _command_page(name: str) -> Iterator[str]:
     command = _prepared(name, [])
-    description, notes = str(command.description), command.epilog  # with a scene, `run` has those of the scene
+    description, notes = str(command.description), command.epilog
     if any(one.dest == "scene" and one.required for one in command._actions):
         command = _prepared(name, [_ANY_SCENE])  # for what each scene has
+        if command.description == description:  # `run` has that of the scene, and its notes
+            notes = command.epilog
     of_scene = f"parameters of {getattr(command.get_default('scene_class'), 'name', '')}"
     yield from title(name, "=")
     yield as_rst(description)
