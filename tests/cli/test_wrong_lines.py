@@ -95,8 +95,8 @@ map --damping 80 --stiffness 6000 --of exact        | must be a range (got one w
 map --damping 80 --stiffness 6000 --of drops        | must be a range (got one wall): for one, maglev-mj diagnose
 stability --damping 80 --stiffness 6000 --grid 20   | unrecognized arguments: --grid
 map --damping 1 2                                   | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1 2')
-map --damping 1:2:0                                 | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:0')
-map --damping 1:2:1.5                               | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:1.5')
+map --damping 1:2:0 | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:0')
+map --damping 1:2:1.5 | damping must be LOW:HIGH:COUNT, LOW:HIGH or one value (got '1:2:1.5')
 map --damping 1:2:2000                              | count of damping must be between 1 and 1000
 # rates beside periods
 drop --rate fast                                    | argument --rate: must be a
