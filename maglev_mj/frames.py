@@ -50,7 +50,7 @@ Six: TypeAlias = Sequence[Component]
 def distances(furthest: Array) -> str:
     """Return the largest of six displacements [m, rad], in mm and degrees."""
     parts = [(furthest[..., :3].max() * 1e3, "mm"), (np.degrees(furthest[..., 3:].max()), "deg")]
-    return " and ".join(f"{value:.4g} {unit}" for value, unit in parts if value > 1e-9) or "0 mm"
+    return " and ".join(f"{value:.3g} {unit}" for value, unit in parts if value > 1e-9) or "0 mm"
 
 
 @dataclass(slots=True, eq=False)

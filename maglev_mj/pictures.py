@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -440,6 +440,29 @@ def draw_limit(panel: Any, scene: Any) -> None:
     limit, peak = scene.body.force_limit, np.nanmax(np.abs(panel.dataLim.intervaly))
     if scene.axis == "z" and limit < 3.0 * peak:
         panel.axhline(limit, label=f"force limit, {limit:.4g} N", **_LIMIT)
+
+
+def draw_walls(panel: Any, faces: Iterable[tuple[float, float]]) -> None:
+    """Shade the walls near the range shown.
+
+    Args:
+        panel: Panel with a position [mm, mrad] upwards.
+        faces: Normal, 1 or -1, and edge [m, rad] of each wall.
+    """
+    bottom, top = panel.get_ylim()
+    margin = 0.08 * (top - bottom)
+    label = "wall"
+    for normal, edge in ((normal, 1e3 * edge) for normal, edge in faces):
+        if normal > 0.0 and edge > bottom - margin:
+            bottom = min(bottom, edge - margin)
+            panel.axhspan(bottom - 1e3, edge, label=label, **SHADE)
+        elif normal < 0.0 and edge < top + margin:
+            top = max(top, edge + margin)
+            panel.axhspan(edge, top + 1e3, label=label, **SHADE)
+        else:
+            continue
+        label = ""
+    panel.set_ylim(bottom, top)
 
 
 def axis_label(name: str, unit: str | None) -> str:

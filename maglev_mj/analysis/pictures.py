@@ -13,7 +13,7 @@ import numpy as np
 from maglev_mj.analysis import Run, SegmentReport
 from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, drawn, name_curves, new_grid
+from maglev_mj.pictures import FIRST, SECOND, TITLE, draw_walls, drawn, name_curves, new_grid
 
 _SHOWN, _LEAD, _POINTS = 0.4, 0.1, 2001
 _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
@@ -136,7 +136,7 @@ def _over_time(report: SegmentReport, axis: int, window: tuple[float, float], *,
     _dots(upper, report.recorded, axis, window)
     if marks:
         _marks(upper, report.recorded, axis)
-    _walls(upper, report, axis)
+    draw_walls(upper, [face[1:] for face in report.metadata.faces if face[0] == axis])
     upper.set_xlim(window)
     name_curves(figure, [upper])
     return figure
@@ -173,18 +173,3 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
         )
     if contacts:
         panel.margins(y=0.16)
-
-
-def _walls(panel: Any, report: SegmentReport, axis: int) -> None:
-    """Shade the walls of an axis near the range shown."""
-    bottom, top = panel.get_ylim()
-    margin = 0.08 * (top - bottom)
-    for _, normal, edge in (face for face in report.metadata.faces if face[0] == axis):
-        edge *= 1e3
-        if normal > 0.0 and edge > bottom - margin:
-            bottom = min(bottom, edge - margin)
-            panel.axhspan(bottom - 1e3, edge, **SHADE)
-        elif normal < 0.0 and edge < top + margin:
-            top = max(top, edge + margin)
-            panel.axhspan(edge, top + 1e3, **SHADE)
-    panel.set_ylim(bottom, top)

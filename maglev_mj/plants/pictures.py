@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.colours import SERIES
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.pictures import drawn, name_curves, new_grid
+from maglev_mj.pictures import drawn, line_style, name_curves, new_grid
 from maglev_mj.plants.trace import Trace
 
 _STILL = 1e-6
@@ -62,7 +61,7 @@ def moving_axes(head: Sequence[str], time: Array, position: Array, force: Array)
     for name, panel in panels.items():
         axes, step = styles[name]
         for axis, curve in zip(axes, curves[name][0], strict=True):
-            panel.plot(time, curve, drawstyle=step, color=SERIES[axis % 3], linewidth=1.3, label=AXES[axis])
+            panel.plot(time, curve, drawstyle=step, linewidth=1.3, label=AXES[axis], **line_style(axis % 3))
         lowest[axes[0]] = panel
     for panel in lowest.values():
         name_curves(panel)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,6 +33,7 @@ class Twist(_Body):
 
     figures: ClassVar = ("peak_speed", "final_position")
     shown_axis: ClassVar[str] = "rx"
+    plots: ClassVar[Mapping[str, str]] = {"twist": "maglev_mj.scenes.pictures:every_axis"}
 
     duration: float = param("simulated time", "s", default=0.04, above=0.0, at_most=1e6)
 
@@ -85,6 +86,7 @@ class SixAxes(_Body):
 
     figures: ClassVar = ("peak_speed", "final_position", "ripple")
     shown_axis: ClassVar[str] = "x"
+    plots: ClassVar[Mapping[str, str]] = {"six-axes": "maglev_mj.scenes.pictures:every_axis"}
 
     duration: float = param("simulated time", "s", default=0.3, above=0.0, at_most=1e6)
     stiffness: float = param(

@@ -10,12 +10,13 @@ import numpy as np
 
 from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, unit_of
+from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.pictures import (
     SHADE,
     TITLE,
     broken,
     draw_limit,
+    draw_walls,
     drawn,
     label_rows,
     line_style,
@@ -23,6 +24,7 @@ from maglev_mj.pictures import (
     new_figure,
     new_grid,
 )
+from maglev_mj.plants.pictures import moving_axes
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import Variants, figure_head, rank_text
 from maglev_mj.scenes.stability_check import wall_loops
@@ -30,7 +32,7 @@ from maglev_mj.theory import judge, stated_gains
 
 _FINE, _POINTS, _TICK = 1e-4, 2001, 0.05
 _MOST_PANELS = 4
-_NAMES = {"z": "height"}
+_OUTSIDE = 1.25  # ranges of motion, up to which a run outside is drawn
 
 
 @drawn
@@ -43,10 +45,62 @@ def series(variants: Variants) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure, _ = _series(variants)
-    if len({line.get_label() for panel in figure.axes for line in panel.lines}) > 1:
-        name_curves(figure, figure.axes)
+    figure, panels = _series(variants)
+    scene = variants.first.scene
+    index = AXES.index(scene.axis)
+    if len(variants.runs) == 1:  # its name is in the head
+        for panel in figure.axes:
+            panel.lines[0].set_label(None)
+    if (upper := panels.get(_along(scene.axis))) is not None:
+        draw_walls(upper, [face[1:] for face in scene.controller().faces if face[0] == index])
+        _draw_range(figure, upper, variants)
+    name_curves(figure, figure.axes)
     return figure
+
+
+@drawn
+def every_axis(variants: Variants) -> Any:
+    """Draw position and force of each axis that moves; of several runs, see `series`.
+
+    Args:
+        variants: The runs.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    if len(variants.runs) > 1:
+        return series(variants)
+    result = variants.first
+    time = result.times(_FINE)
+    pose, _, wrench = result.trace.at(time)
+    figure = moving_axes(_head(variants), time, pose, wrench)
+    figure.axes[0].set_xlim(0.0, float(time[-1]))
+    return figure
+
+
+def _along(axis: str) -> str:
+    """Return the name of the position on an axis."""
+    return f"angle about {axis[-1]}" if axis.startswith("r") else f"position along {axis}"
+
+
+def _draw_range(figure: Any, panel: Any, variants: Variants) -> None:
+    """Mark the range of motion of the scene's axis, and the time outside, if a run leaves it."""
+    scene, times = variants.first.scene, list[float]()
+    index = AXES.index(scene.axis)
+    reach = float(scene.body.range[index])
+    for result in variants.runs.values():
+        outside = np.abs(result.motion(time := result.times(_FINE))[0]) > reach
+        times += [float(time[np.argmax(outside)])] if outside.any() else []
+    if not times:
+        return
+    name = f"range of motion, ±{1e3 * reach:.3g} {unit_of('mm', index)}"
+    for side in (-1e3 * reach, 1e3 * reach):
+        panel.axhline(side, color=REFERENCE, linestyle="--", linewidth=1.0, label=name if side > 0.0 else None)
+    low, high = panel.get_ylim()
+    panel.set_ylim(max(low, -_OUTSIDE * 1e3 * reach), min(high, _OUTSIDE * 1e3 * reach))
+    name = "outside the range"
+    for one in figure.axes:
+        one.axvspan(min(times), one.get_xlim()[1], color=REFERENCE, alpha=0.12, linewidth=0.0, zorder=0, label=name)
 
 
 def _series(variants: Variants) -> tuple[Any, dict[str, Any]]:
@@ -54,7 +108,8 @@ def _series(variants: Variants) -> tuple[Any, dict[str, Any]]:
     result = variants.first
     first = result.series(_FINE)
     names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
-    return _over_time(variants, {_NAMES.get(name, name): name for name in names}, row=2.2)
+    called = {"position": _along(result.scene.axis), "z": "height"}
+    return _over_time(variants, {called.get(name, name): name for name in names}, row=2.2)
 
 
 def _head(variants: Variants, *details: str) -> tuple[str, ...]:
@@ -108,9 +163,9 @@ def first_contact(variants: Variants) -> Any:
     begin = min(float(line.time[np.argmax(line.pose[:, 0] <= 0.0)]) for line in lines)
     start = math.floor(max(begin - 0.01, 0.0) / _TICK) * _TICK
     figure.axes[0].set_xlim(start, begin + 0.15)
-    if "position" in panels:
-        panels["position"].set_ylabel("height above the wall (mm)")
-        _draw_wall(panels["position"])
+    if (upper := panels.get(_along(variants.first.scene.axis))) is not None:
+        upper.set_ylabel("height above the wall (mm)")
+        _draw_wall(upper)
     name_curves(figure, figure.axes)
     return figure
 
