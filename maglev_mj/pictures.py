@@ -52,6 +52,8 @@ Quantities: TypeAlias = Mapping[str, tuple[Any, str]]
 _NOISE = {"mm": 1e-3, "mrad": 1e-3, "mm/s": 0.1, "mrad/s": 0.1, "N": 1e-3, "N m": 1e-5}
 """Range by unit up to which a quantity counts as constant."""
 
+_LETTER, _SAMPLE = 0.54 / 72.0, 0.57  # width of a letter [inch/pt] and of a line sample in a legend [inch]
+_PLAIN, _DENSE = (1e-3, 1e4), 200.0  # numbers written out, and the ratio of a short logarithmic axis
 _FLAT = 1e-3  # the same, relative to the value
 _COLUMNS = 3  # per row of a grid
 _LARGE, _MANY = 300_000, 1000  # SVG size [bytes] above which curves of this many points are rasterised
@@ -420,7 +422,8 @@ def _range(values: Any) -> tuple[float, float]:
 def broken(x: Any, y: Any) -> tuple[Any, Any]:
     """Return curves, (M,) and (M, N), with a gap at each jump.
 
-    A jump is a step of more than a tenth of the range and ten times the smaller step beside it.
+    A jump is a step of more than a tenth of the range and ten times the smaller step beside it; in a constant curve
+    there is none.
 
     Example:
         >>> from maglev_mj.pictures import broken
@@ -430,7 +433,9 @@ def broken(x: Any, y: Any) -> tuple[Any, Any]:
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     steps = np.abs(np.diff(y.reshape(len(y), -1), axis=0))
     padded = np.pad(steps, ((1, 1), (0, 0)), constant_values=np.inf)
-    jumps = (steps > 0.1 * np.ptp(y, axis=0)) & (steps > 10.0 * np.minimum(padded[:-2], padded[2:]))
+    ranges = np.ptp(y.reshape(len(y), -1), axis=0)
+    least = np.maximum(0.1 * ranges, _FLAT * np.abs(y.reshape(len(y), -1)).max(axis=0))
+    jumps = (steps > least) & (steps > 10.0 * np.minimum(padded[:-2], padded[2:]))
     after = np.flatnonzero(jumps.any(axis=1)) + 1
     return np.insert(x, after, 0.5 * (x[after - 1] + x[after])), np.insert(y, after, np.nan, axis=0)
 
@@ -463,6 +468,20 @@ def draw_walls(panel: Any, faces: Iterable[tuple[float, float]]) -> None:
             continue
         label = ""
     panel.set_ylim(bottom, top)
+
+
+def plain_numbers(axis: Any) -> None:
+    """Write the numbers of a logarithmic axis as 0.01 or 2000 while they are short; at 1, 2 and 5 on a short axis."""
+    from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation, LogLocator, NullFormatter
+
+    low, high = axis.get_data_interval()
+    if not 0.0 < low <= high:
+        return
+    short = low >= 0.5 * _PLAIN[0] and high <= 2.0 * _PLAIN[1]
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}") if short else LogFormatterSciNotation())
+    axis.set_minor_formatter(NullFormatter())
+    if short and high / low < _DENSE:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
 
 
 def axis_label(name: str, unit: str | None) -> str:
@@ -537,6 +556,11 @@ def name_curves(target: Any, panels: Sequence[Any] = ()) -> None:
         down = moves.ScaledTranslation(0.0, -_UNDER / 72.0, target.figure.dpi_scale_trans)
         options = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "bbox_transform": target.transAxes + down}
         options["borderaxespad"] = 0.0
+    elif (gap := _gap(target)) is not None:
+        entries_width = max(map(len, entries)) * _LETTER * size + _SAMPLE
+        if entries_width <= gap.get_gridspec().figure.get_figwidth() / gap.get_gridspec().ncols:
+            gap.legend(entries.values(), entries.keys(), loc="center", frameon=False, fontsize=size)
+            return
     options |= {
         "ncols": _columns(list(entries), width),
         "columnspacing": 1.2,
@@ -547,6 +571,12 @@ def name_curves(target: Any, panels: Sequence[Any] = ()) -> None:
     target.legend(entries.values(), entries.keys(), **options)
 
 
+def _gap(figure: Any) -> Any:
+    """Return the empty cell at the end of a grid of panels; None if the grid is full."""
+    last = figure.axes[-1] if figure.axes else None
+    return None if last is None or last.axison or last.get_subplotspec() is None else last
+
+
 def _width(columns: int) -> float:
     """Return the width of a legend under a panel [inch]."""
     width = _page.get().width
@@ -555,7 +585,7 @@ def _width(columns: int) -> float:
 
 def _columns(names: Sequence[str], width: float) -> int:
     """Return the number of legend columns of about equal length for a width [inch]."""
-    lengths = np.array([len(name) * 0.54 * _LEGEND_SIZE / 72.0 + 0.57 for name in names])  # with its line sample
+    lengths = np.array([len(name) * _LETTER * _LEGEND_SIZE + _SAMPLE for name in names])  # with its line sample
     counts = range(len(names), 0, -1)
     fitting = (count for count in counts if sum(part.max() for part in np.array_split(lengths, count)) <= width)
     rows = -(-len(names) // next(fitting, 1))
@@ -611,6 +641,8 @@ def small_multiples(head: Sequence[str], panels: Sequence[ChartPanel], path: Pat
                 style |= {"marker": "o", "markersize": 6, "markerfacecolor": "white", "linestyle": "none"}
                 axis.plot(np.asarray(x)[hollow], np.asarray(y)[hollow], **style)
         axis.set(**{f"{name}scale": "log" for name in panel.log}, xlabel=panel.labels[0], ylabel=panel.labels[1])
+        for name in panel.log:
+            plain_numbers(axis.xaxis if name == "x" else axis.yaxis)
         if panel.level is not None:
             axis.axhline(panel.level, color=REFERENCE, linewidth=1.0, linestyle=":")
         if panel.top is not None:

@@ -73,7 +73,8 @@ def sticks(report: SegmentReport, axis: int) -> Any:
     slips = {axis: friction.slips for axis, friction in run.figures.friction.items()}
     titles = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
     conditions = report.conditions_on([*slips] or [AXES[axis]])
-    head = f"Slips in {np.ptp(run.motion.time):.3g} s: {sum(slips.values())}", conditions
+    count = sum(slips.values())
+    head = f"{count} slip{'' if count == 1 else 's'} in {np.ptp(run.motion.time):.3g} s", conditions
     return staircases(head, run.motion.time, positions, anchors, titles or {axis: "no friction"})
 
 

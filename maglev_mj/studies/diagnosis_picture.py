@@ -66,6 +66,7 @@ def _region(panel: Any, result: Diagnosis) -> None:
             panel.annotate("", to, (damper, stiffness), arrowprops=style)
             panel.plot([], [], color=on_white(GOOD), label=f"remedy {index}")
             break
+    panel.set_title("stable below the curve", **TITLE)
     top = 1.15 * max(float(boundary.max()), stiffness)
     panel.set(xlim=(0.0, widest), ylim=(0.0, top))
     panel.set(xlabel=f"damping ({result.unit('N s/m')})", ylabel=f"stiffness ({result.unit('N/m')})")
@@ -114,7 +115,9 @@ def _bars(panel: Any, result: Diagnosis, names: Sequence[str]) -> None:
     panel.set_yticks(places, names, fontsize=8.5)
     panel.spines["left"].set_position(("data", start))  # the names are within the axes
     panel.spines["bottom"].set_bounds(start, end)
-    ticks = [10.0**power for power in range(-3, 9) if start <= 10.0**power <= end]
+    wide = end / start > 3000.0
+    every = [first * 10.0**power for power in range(-3, 9) for first in ((1,) if wide else (1, 2, 5))]
+    ticks = [tick for tick in every if start <= tick <= end]
     panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     panel.minorticks_off()
     for level, name, side in ((1.0, "stable ", "right"), (loop.target, " target", "left")):
@@ -122,6 +125,7 @@ def _bars(panel: Any, result: Diagnosis, names: Sequence[str]) -> None:
         panel.annotate(name, (level, len(names) - 0.45), fontsize=8.5, ha=side, va="center", color=REFERENCE)
     beside: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 8.5, "bbox": _GROUND}
     for place, ratio in zip(places, ratios):
-        panel.annotate(short(ratio), (ratio, place), (4, 0), **beside)
+        end_of_bar = loop.target if ratio < loop.target < 1.7 * ratio else ratio  # beside the line
+        panel.annotate(short(ratio), (end_of_bar, place), (4, 0), **beside)
     panel.grid(visible=False, axis="y")
     panel.set(xlabel="critical over requested stiffness", ylim=(-0.6, len(names) - 0.1))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.colours import GRID, REFERENCE, SERIES, STOP
+from maglev_mj.colours import BAD, GOOD, GRID, REFERENCE, SERIES, STOP, on_white
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.pictures import (
@@ -45,6 +45,7 @@ _STAR: dict[str, Any] = {
 _DECADES = [10.0**power for power in range(-6, 0)]
 _SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#43a2ca", "#0868ac"]
 _UNSTABLE = "#fbe3da"
+_FEW = 8  # values of a heat map, whose cells are set apart
 _LETTERS = 80  # of tick labels that fit across a chart
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
@@ -328,8 +329,17 @@ def _heat_maps(
         panel.grid(visible=False)
         panel.set_facecolor(GRID)
         values = found[name][0].reshape(len(x), len(y)).T
-        figure.colorbar(panel.imshow(values, extent=edges, origin="lower", aspect="auto", cmap="cividis"), ax=panel)
+        image = panel.imshow(values, extent=edges, origin="lower", aspect="auto", cmap="GnBu")
+        bar = figure.colorbar(image, ax=panel)
+        bar.outline.set_visible(False)
+        panel.spines[:].set_visible(False)
         panel.set(xlim=edges[:2], ylim=edges[2:])
+        for axis, numbers in ((panel.xaxis, x), (panel.yaxis, y)):
+            if len(numbers) <= _FEW:
+                axis.set_ticks(numbers)
+                steps = np.convolve(numbers, (0.5, 0.5), "valid")
+                for step in steps:
+                    (panel.axvline if axis is panel.xaxis else panel.axhline)(step, color="white", linewidth=1.5)
         if panel.get_subplotspec().is_first_col():
             panel.set_ylabel(axis_label(second, units.get(second)))
     missing = {words[name] for name, (values, _) in found.items() if name in panels and np.isnan(values).any()}
@@ -360,17 +370,25 @@ def fidelity(result: FidelityResult) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    details = result.conditions, result.preset.scene.describe()
-    figure, (panel,) = new_figure((result.headline, *details), 1, 1, 4.0)
+    figure, (panel,) = new_figure((result.headline, result.conditions), 1, 1, 4.4)
     names, missing = result.columns()["level"], 1e6 * result.columns()["missing"]
-    panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="max. deviation")
-    for name in names[missing == 0.0]:  # which has no place on a log axis
-        panel.text(0.01, name, "0", transform=panel.get_yaxis_transform(), va="center", color=SERIES[0])
     allowed = 1e6 * result.tolerance / MARGIN
+    chosen, kept = names == (result.level.level if result.level else ""), missing <= allowed
+    places, below = np.arange(len(names)), missing > 0.0
+    for rows, colour, label in (
+        (below & ~kept, on_white(BAD, 3.0), "max. deviation, too large"),
+        (below & kept & ~chosen, on_white(GOOD, 3.0), "within tolerance"),
+    ):
+        if rows.any():
+            panel.plot(missing[rows], places[rows], "o", color=colour, label=label)
+    if (below & chosen).any():
+        panel.plot(missing[chosen], places[chosen], label="least sufficient level", **_STAR | {"color": SERIES[0]})
+    for place in places[~below]:  # which has no place on a log axis
+        panel.text(0.01, place, "0", transform=panel.get_yaxis_transform(), va="center", color=SERIES[0])
     panel.axvline(allowed, color=REFERENCE, linestyle="--", zorder=1, label=f"tolerance / margin, {allowed:g} µm")
-    panel.set_yticks(range(len(names)), names)
+    panel.set_yticks(places, [f"{row.level}: {row.adds}" for row in result.levels])
     panel.set(ylim=(len(names) - 0.5, -0.5), xscale="log", xlabel="deviation from all higher levels (µm)")
-    name_curves(panel)
+    name_curves(figure, [panel])
     return figure
 
 
@@ -384,7 +402,7 @@ def device_card(result: DeviceCard) -> Any:
     figure, (width, size) = new_figure((result.headline, result.conditions), 1, 2, 4.4)
     for index, (hand, limit) in enumerate(zip(result.hands, result.limits)):
         width.plot(result.damping, limit / 1e3, label=f"hand {hand}", linewidth=1.8, **line_style(index))
-    width.set(xlabel="damping (N s/m)", ylabel="stiffness (N/mm)", ylim=(0.0, None))
+    width.set(xlabel="damping (N s/m)", ylabel="stiffness (kN/m)", ylim=(0.0, None))
     width.set_title("Z-width (stable below the curve)", **TITLE)
     frequency, target, rendered, simulated = result.impedance
     size.loglog(frequency, target, label="target", linewidth=1.8, **line_style(1))

@@ -141,6 +141,7 @@ def figure_9(pictures: PictureFolder, quick: bool) -> Path:
     anchors = np.where(result.stuck, result.anchor, np.nan)
     least = min(steps.min() for steps in result.steps()[:3] if steps.size) * 1e3
     head = [f"{result.slips.sum()} slips in {duration:g} s; resting places at least {least:.2g} mm apart"]
+    head += ["a smooth hand on six axes in stick-slip, 200 Hz, delay 1.5 ms, 6000 N/m, 80 N s/m, breakaway 2 N"]
     return save(staircases(head, result.time, result.position, anchors, labels), pictures.path("fig9_six_axes"))
 
 

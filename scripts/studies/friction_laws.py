@@ -342,7 +342,14 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
     cases = [(0.0, "difference"), (5e-6, "difference"), (5e-6, "low-pass"), (5e-6, "adaptive")]
     least = min(rows, key=lambda row: row["error"])
     head = f"Least error: {least['error'] * 1e3:.2g} mm with law {least['law']} at {least['rate']:g} Hz"
-    figure, panels = new_figure([head], 2, 2, 6.6, sharex=True, sharey=True)
+    figure, panels = new_figure(
+        [head, "pull of figure 8 along x, delay 1.5 ms, 6000 N/m, 80 N s/m, breakaway 2 N"],
+        2,
+        2,
+        6.6,
+        sharex=True,
+        sharey=True,
+    )
     names = list(dict.fromkeys(row["law"] for row in rows))
     for panel, (quantize, velocity) in zip(panels, cases, strict=True):
         for name, color in zip(names, SERIES, strict=False):

@@ -68,7 +68,9 @@ if __name__ == "__main__":
     print("wrote", path)
     medians = [row["settles_up_to_over_theory"]["median"] for row in data.values()]
     head = f"Drops settle up to {100.0 * min(medians):.0f} to {100.0 * max(medians):.0f} % of the stability boundary"
-    figure, panels = new_figure([head], 3, 2, 8.2, sharex=True, sharey=True)
+    figure, panels = new_figure(
+        [head, "PD wall along z, 200 Hz, delay 1.5 ms, 0.7 kg, no hand"], 3, 2, 8.2, sharex=True, sharey=True
+    )
     drop_panels(figure, panels, list(results.values()))
     for panel, name in zip(panels, results, strict=True):
         panel.set_title(name, **TITLE)

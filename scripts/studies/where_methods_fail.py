@@ -217,9 +217,11 @@ def pulse_finding(presses: ChartPanel, walls: ChartPanel) -> str:
 
 def limits_finding(drops: ChartPanel, sensors: ChartPanel) -> str:
     """Return the headline of force limits and of a coarse sensor."""
-    name, _, depths = max(drops.curves, key=lambda curve: curve[2].max())
+    outside = [heights[beyond] for (_, heights, _), beyond in zip(drops.curves, drops.outside, strict=True)]
+    left = [(float(heights.min()), name) for heights, (name, _, _) in zip(outside, drops.curves) if heights.size]
     swing = max(swing.max() for _, _, swing in sensors.curves)
-    return f"{name}: up to {depths.max():.0f} mm from the centre; friction ends a swing of {swing:.0f} µm"
+    found = [f"{name.rpartition(', ')[2]} stop no drop from {height:.2g} mm" for height, name in sorted(left)[:1]]
+    return "; ".join([*found, f"friction ends a swing of {swing:.0f} µm"])
 
 
 def hands_finding(held: ChartPanel, thrown: ChartPanel) -> str:
