@@ -25,7 +25,7 @@ for count in (1, 2, 3):
     time = result.times(0.0005)
     heights = 1e3 * result.motion(time)[0]
     inside = np.logical_and.accumulate(np.abs(heights) <= 1e3 * RANGE[2])
-    name = f"mean of {count}{'' if inside.all() else ', to the end of the range'}"
+    name = f"mean of {count}{'' if inside.all() else ' (leaves)'}"
     falls.append((name, time[inside], heights[inside]))
 
 phases = np.arange(100) / 100

@@ -153,6 +153,7 @@ def saturation() -> ChartPanel:
         curves,
         log="xy",
         level=RANGE[2] * 1e3,
+        top=3.0 * RANGE[2] * 1e3,
         marked=True,
         outside=outside,
     )
