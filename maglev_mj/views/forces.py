@@ -52,7 +52,9 @@ def averaging_time(snapshot: Snapshot) -> float:
 
 
 def forces(snapshot: Snapshot) -> Mapping[str, ForceRange]:
-    """Return the forces of "hand" and "device" over `averaging_time`, up to the newest sample."""
+    """Return the forces of "hand" and "device" over `averaging_time`, up to the newest sample; none while stopped."""
+    if snapshot.state == "stopped":  # what acted before is in the charts
+        return dict.fromkeys(("hand", "device"), ForceRange(np.zeros(6), 0.0, 0.0))
     rows = snapshot.history
     if not len(rows):
         pairs = ("hand", snapshot.hand), ("device", snapshot.force)

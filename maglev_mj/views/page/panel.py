@@ -349,6 +349,7 @@ def _gauge(snapshot: Snapshot) -> str:
         )
     if bars:
         words = f"mean and range over {averaging_time(snapshot):.2g} s; arrows: mean"
+        words = "no force; plots and strip show the last one" if snapshot.state == "stopped" else words
         bars += f'<div style="font-size:.78em;opacity:.7">{words}</div>'
     state = f'<b style="color:{on_page(STUCK)}">{escape(state_words(snapshot))}</b>'
     return f'<div class="gauge" style="padding:.2em .75em 0">{bars}<div style="min-height:1.5em">{state}</div></div>'

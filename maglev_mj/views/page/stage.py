@@ -300,7 +300,8 @@ class Stage:
             update(self._ghost, color=rgb(FIRST if len(snapshot.first) else STUCK))
         update(self._ghost, visible=ghost is not None)
         content = banner(snapshot)
-        text = self.hint if content is None else content.text.split(":")[0]
+        hint = "" if "stops" in arrows else self.hint  # whose arrow may point to its place
+        text = hint if content is None else content.text.split(":")[0]
         update(self._label, visible=bool(text), text=text or self._label.text)  # viser draws an empty one as a bar
 
     def _set_pose(self, node: Any, pose: Array) -> None:
