@@ -341,7 +341,7 @@ def _gauge(snapshot: Snapshot) -> str:
             f'<div role="meter" aria-label="{label}, force [N]" aria-valuemin="0" aria-valuemax="{_FULL:g}" '
             f'aria-valuenow="{min(force.size, _FULL):.0f}" aria-valuetext="{text}" '
             f'style="display:flex;align-items:center;gap:.5em;margin-bottom:.2em">'
-            f'<span style="width:5.6em;line-height:1.1">{label} |F|</span>'
+            f'<span style="width:5.6em;line-height:1.1">{label.replace("hand, ", "hand |F|, ") if "," in label else f"{label} |F|"}</span>'
             f'<div style="{_BAR}">'
             f'<div style="width:{mean:.1f}%;background:{shade};height:100%"></div>'
             f'<div style="position:absolute;{band}"></div></div><span style="{number}">'

@@ -153,8 +153,10 @@ def _fill(figure: Any, chart: Chart, room: int) -> None:
     titles = f"{words}: {', '.join(name for name, _ in series)}" if series else words, words
     text = next((text for text in titles if len(text) <= room), _shortened(words, room))
     figure.title = f"{text}\0"  # MuJoCo reads one more character, which may belong to a longer previous title
-    figure.textrgb[:] = on_dark(colour) if colour in (GOOD, BAD) else _TEXT
-    figure.xlabel = _shortened(f"{side} vs {foot}" if side else foot, room)
+    figure.textrgb[:] = on_dark(colour, _PALE) if colour in (GOOD, BAD) else _TEXT  # also of the numbers
+    units = [text.partition("[")[2].partition("]")[0] for text in (side, foot)]
+    below = (f"{side} vs {foot}", " vs ".join(units)) if side else (foot,)
+    figure.xlabel = next((text for text in below if len(text) <= room), _shortened(below[-1], room))
     figure.range[0], figure.range[1] = across, up
     figure.linepnt[:] = 0
     figure.flg_ticklabel[:] = bool(lines)  # a title alone has no frame
@@ -167,7 +169,7 @@ def _fill(figure: Any, chart: Chart, room: int) -> None:
 
 
 _TEXT, _PANEL, _TRACK = (0.95, 0.96, 0.98), (0.07, 0.08, 0.10), (0.25, 0.27, 0.30)
-_PANE, _GRID, _LEAST_BAR = (0.13, 0.15, 0.18), (0.34, 0.37, 0.42), 0.3
+_PANE, _GRID, _LEAST_BAR, _PALE = (0.13, 0.15, 0.18), (0.34, 0.37, 0.42), 0.3, 9.0
 
 
 def _new_figure() -> Any:
@@ -325,7 +327,8 @@ class Screen:
         figures = self._plots.update(snapshot, self._axis, letters(plots[0].width, scale)) if plots else []
         boxes = [TextBox(text, _PANEL), *self._bar(snapshot, layout.bar)]
         if self._has_keys and EMERGENCY_STOP in snapshot.actions:
-            boxes.append(TextBox(layout.label, _RED, _STOP_LABEL))
+            # a stop that reaches no device is not the heaviest element
+            boxes.append(TextBox(layout.label, _TRACK if snapshot.device is None else _RED, _STOP_LABEL))
         boxes += self._banner(snapshot, layout, scale)
         pictures, bars = list(zip(plots, figures)), list[TextBox]()
         if self._page:
