@@ -85,7 +85,7 @@ class Picture:
 
 def render(scene: str, path: Path, *options: str) -> None:
     """Render a scene."""
-    _maglev("render", scene, "--bare", "--out", str(path), *(options or ("--size", "560x350")))
+    _maglev("render", scene, "--bare", "--out", str(path), *(options or ("--size", "1120x700")))
 
 
 _PAGES = {"mine.py": "compare.md", "device.py": "wall_on_the_device.md"}
@@ -296,7 +296,7 @@ def _analysis(*command: str, **options: Any) -> Picture:
 
 PICTURES: Mapping[str, Picture] = {
     **{f"scene_{name}.png": Picture(partial(render, name)) for name in ("joystick", "drop", "table", "box", "corner")},
-    "scene_press.png": Picture(lambda path: render("press", path, "--size", "560x350", "--seconds", "2.5")),
+    "scene_press.png": Picture(lambda path: render("press", path, "--size", "1120x700", "--seconds", "2.5")),
     "device.png": Picture(
         lambda path: subprocess.run([sys.executable, ROOT / "scripts/figures/render_device.py", path], check=True)
     ),

@@ -148,6 +148,7 @@ def _add(scene: Any, kind: int, size: Any, at: Any, matrix: Any, colour: _Shade,
 _HIGH, _WIDE = 0.92, 0.95
 """Fractions of the default view's height that stay visible, vertically and horizontally."""
 
+_SHADOW = 4096  # pixels of the shadow of a picture: smooth edges
 _MAX_GEOMS, _TURN = 2000, 180.0  # [deg] per height of the picture
 _LABEL, _LETTER, _PADDING = 0.21, 0.07, 0.1
 """Height, width of a letter and padding of a label [pixels], at a font scale of 1 %."""
@@ -188,6 +189,7 @@ class Painter:
         model = self.scenery.model
         if self._size is not None:
             model.vis.global_.offwidth, model.vis.global_.offheight = self._size
+            model.vis.quality.shadowsize = _SHADOW
         self._scene = mujoco.MjvScene(model, _MAX_GEOMS)
         self._context = mujoco.MjrContext(model, self._scale)
         if self._size is not None:
