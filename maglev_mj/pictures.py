@@ -243,7 +243,7 @@ def use_style() -> None:
     head: dict[Any, Any] = {"axes.titlelocation": "left", "axes.titleweight": "bold", "axes.titlesize": size}
     figure: dict[Any, Any] = {"figure.figsize": (7.5, 3.2), "figure.constrained_layout.use": True}
     suptitle: dict[Any, Any] = {"figure.titleweight": "bold", "figure.titlesize": size}
-    legend: dict[Any, Any] = {"legend.frameon": False, "legend.fontsize": _LEGEND_SIZE}
+    legend: dict[Any, Any] = {"legend.edgecolor": "none", "legend.framealpha": 0.85, "legend.fontsize": _LEGEND_SIZE}
     matplotlib.rcParams.update({**head, **figure, **suptitle, **legend})
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 from maglev_mj.errors import MaglevError, check_one_of, require
 from maglev_mj.keywords import checked
 from maglev_mj.lazy import loaded
-from maglev_mj.terminal import WIDTH, printable, width, wrapped
+from maglev_mj.terminal import WIDTH, joined, printable, width, wrapped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -393,7 +393,9 @@ def _block(columns: Sequence[Sequence[str]], left: Sequence[bool], gap: str) -> 
     for row in zip(*columns):
         last, size = len(row) - 1, widths
         texts = [
-            wrap(text, size[index], break_on_hyphens=False) if left[index] and index in (0, last) else [text]
+            [part.replace("\0", " ") for part in wrap(joined(text), size[index], break_on_hyphens=False)]
+            if left[index] and index in (0, last)
+            else [text]
             for index, text in enumerate(row)
         ]
         for parts in zip_longest(*texts, fillvalue=""):

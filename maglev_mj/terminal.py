@@ -40,6 +40,9 @@ def say(line: str, file: TextIO | None = None) -> None:
     print(printable(line), file=file, flush=True)
 
 
+_WITHIN = re.compile(r"(?<=\d) (?=[^\W\d])|(?<=\bN) (?=s/|m\b)")
+
+
 def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[str]:
     """Wrap a text to the width of a table, without separating a number from its unit.
 
@@ -48,9 +51,8 @@ def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[s
         indent: Indentation of the first line.
         further: Indentation of the other lines; None for the same.
     """
-    joined = re.sub(r"(?<=\d) (?=[^\W\d])", "\0", text)
     lines = wrap(
-        joined,
+        joined(text),
         width(),
         initial_indent=indent,
         subsequent_indent=indent if further is None else further,
@@ -58,3 +60,8 @@ def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[s
         break_on_hyphens=False,
     )
     return [line.replace("\0", " ") for line in lines]
+
+
+def joined(text: str) -> str:
+    """Return a text with NUL in place of the spaces between a number and its unit, and inside the unit."""
+    return _WITHIN.sub("\0", text)

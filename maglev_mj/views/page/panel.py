@@ -333,7 +333,8 @@ def _gauge(snapshot: Snapshot) -> str:
     for force, label, colour in zip(forces(snapshot).values(), (hand, "device"), (HAND, DEVICE)):
         if not (text := force_text(force)):
             continue
-        shade = on_page(colour, 3.0)
+        shade, (first, *more) = on_page(colour, 3.0), label.split(", ")
+        name = ", ".join([f"{first} |F|", *more])
         low, mean, high = (100.0 * min(size / _FULL, 1.0) for size in (force.least, force.size, force.most))
         band = f"left:{low:.1f}%;width:{max(high - low, 0.0):.1f}%;background:{shade};opacity:.4;inset-block:0"
         number = f"width:5.2em;text-align:right;line-height:1.1;color:{on_page(colour)}"
@@ -341,7 +342,7 @@ def _gauge(snapshot: Snapshot) -> str:
             f'<div role="meter" aria-label="{label}, force [N]" aria-valuemin="0" aria-valuemax="{_FULL:g}" '
             f'aria-valuenow="{min(force.size, _FULL):.0f}" aria-valuetext="{text}" '
             f'style="display:flex;align-items:center;gap:.5em;margin-bottom:.2em">'
-            f'<span style="width:5.6em;line-height:1.1">{label.replace("hand, ", "hand |F|, ") if "," in label else f"{label} |F|"}</span>'
+            f'<span style="width:5.6em;line-height:1.1">{name}</span>'
             f'<div style="{_BAR}">'
             f'<div style="width:{mean:.1f}%;background:{shade};height:100%"></div>'
             f'<div style="position:absolute;{band}"></div></div><span style="{number}">'
