@@ -175,6 +175,11 @@ def fitting(columns: int) -> int:
     return max(min(columns, int(_page.get().width / _LEAST_PANEL)), 1)
 
 
+def in_own_axes() -> bool:
+    """Return True if a chart is drawn into axes passed to `plot`, which hold one panel."""
+    return _page.get().ax is not None
+
+
 def wide_share() -> float:
     """Return the width of the chart, relative to the default."""
     return _page.get().width / WIDTH

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.colours import REFERENCE, SERIES
-from maglev_mj.pictures import FIRST, SECOND, TITLE, drawn, name_curves, new_figure, wide_share
+from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, on_white
+from maglev_mj.pictures import FIRST, SECOND, TITLE, drawn, in_own_axes, name_curves, new_figure, wide_share
 from maglev_mj.theory import ClosedLoop, Linearised, Verdict
 
 _TICKS = 8
@@ -29,7 +30,10 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
             [loop.contact_headline, loop.conditions, f"worst of all axes: {loop}"],
             loop.contact[0].poles,
         )
-    figure, (panel,) = new_figure(head, 1, 1, 5.2)
+    states = (
+        [] if in_own_axes() or not isinstance(loop, Verdict) else [row for row in loop.states if row.spectral_radius]
+    )
+    figure, (panel, *others) = new_figure(head, 1, 2 if states else 1, 4.6 if states else 5.2)
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     panel.plot(np.cos(turn), np.sin(turn), color=REFERENCE, linewidth=1.2, label="unit circle (stability boundary)")
     outside = np.abs(eigenvalues) > 1.0 + _FREE
@@ -44,9 +48,28 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
             panel.plot(poles.real, poles.imag, "x", color=color, markersize=9, markeredgewidth=2.0, label=label)
     end = min(1.1 * float(np.abs(eigenvalues).max(initial=1.0)), _OUTER)
     panel.set(aspect="equal", xlabel="real part", ylabel="imaginary part", xlim=(-end, end), ylim=(-end, end))
-    panel.locator_params(nbins=max(int(_TICKS * wide_share()), 4))
+    panel.locator_params(nbins=max(int(_TICKS * wide_share()) // (1 + len(others)), 5))
+    for other in others:
+        panel.set_title("poles", **TITLE)
+        _states(other, states)
     name_curves(figure, [panel])
     return figure
+
+
+def _states(panel: Any, states: Sequence[Any]) -> None:
+    """Draw the spectral radius of each loop in each state of its laws."""
+    for index, state in enumerate(states):
+        axes, acting, radius, _ = state.row()
+        colour = GOOD if state.spectral_radius < 1.0 else BAD
+        panel.barh(index, state.spectral_radius, color=on_white(colour, 3.0), height=0.3)
+        inside: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 9.0}
+        panel.annotate(f"{axes}: {acting}", (0.0, index - 0.15), (4, 9), **inside)
+        panel.annotate(radius, (state.spectral_radius, index), (-4, 0), ha="right", color="white", **inside)
+    panel.axvline(1.0, color=REFERENCE, linewidth=1.2)
+    panel.set(
+        xlabel="spectral radius", ylim=(len(states) - 0.5, -0.8), xlim=(0.0, max(1.05, panel.get_xlim()[1])), yticks=[]
+    )
+    panel.set_title("each loop and state; stable below 1", **TITLE)
 
 
 @drawn
