@@ -444,7 +444,7 @@ def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(tmp_path: Path) 
     replay = Replay(recording)
     replay.tick(0.25)
     shown = replay.snapshot()
-    assert shown.hand_estimated and "hand, estimated |F|" in panel._gauge(shown)
+    assert shown.hand_estimated and "hand |F|, estimated" in panel._gauge(shown)
     assert "hand, estimated" in panel.drawn(Charts(100).of(shown, 0)[1])
 
 

@@ -284,8 +284,11 @@ def test_the_series_of_a_run_are_those_of_its_trace() -> None:
 def test_a_choice_of_model_draws_the_distance_of_each_level() -> None:
     found: Any = results()["fidelity"]
     missing = 1e6 * found.to_pandas()["missing"].to_numpy()
-    dots, tolerance = lines(found.plot())
-    np.testing.assert_array_equal(dots.get_xdata(), missing[missing > 0.0])
+    *dots, tolerance = lines(found.plot())
+    drawn = {int(level): x for line in dots for x, level in zip(*line.get_data())}
+    assert drawn == dict(zip(np.flatnonzero(missing), missing[missing > 0.0]))
+    within = {line.get_label(): np.max(line.get_xdata()) <= tolerance.get_xdata()[0] for line in dots}
+    assert within.pop("max. deviation, too large", False) is False and all(within.values())
     assert tolerance.get_xdata()[0] == pytest.approx(1e6 * found.tolerance / MARGIN)
     assert found.to_pandas().attrs["units"] == {
         **dict.fromkeys(("changes", "worst", "missing"), "m"),

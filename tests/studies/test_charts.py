@@ -31,6 +31,8 @@ from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.pictures import FORMATS, ChartPanel, broken, new_figure, new_grid, save, small_multiples
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.free import LetGo, SixAxes
+from maglev_mj.scenes.interactive import Box
 from maglev_mj.scenes.run import run
 from maglev_mj.studies.pictures import _even
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
@@ -81,6 +83,12 @@ def numbers_of(axis: Any) -> list[Any]:
     return [tick.label1 for tick in ticks if tick.label1.get_visible() and tick.label1.get_text()]
 
 
+def legends_of(figure: Any) -> list[Any]:
+    """Return the legends, also that in the empty cell of a grid."""
+    found = [*figure.legends, *(panel.get_legend() for panel in figure.axes)]
+    return [legend for legend in found if legend is not None]
+
+
 def words_of(figure: Any) -> list[Any]:
     """Return the texts that are seen."""
     from matplotlib.axis import Tick
@@ -110,7 +118,7 @@ def complaints(figure: Any) -> list[str]:
             found.append(f"{text.get_text()!r} leaves the picture")
         if contrast(to_rgb(text.get_color()), PAPER) < 4.5:
             found.append(f"{text.get_text()!r} is pale")
-    legends = [legend for legend in [*figure.legends, *(panel.get_legend() for panel in panels)] if legend is not None]
+    legends = legends_of(figure)
     for legend in legends:
         box = legend.get_window_extent(renderer)
         inside = [panel.get_title(loc="left") for panel in panels if not apart([box, panel.bbox])]
@@ -168,8 +176,46 @@ def test_a_curve_has_a_gap_at_a_jump_and_none_at_a_slope() -> None:
     x = np.linspace(0.0, 1.0, 21)
     gaps = np.isnan(broken(x, np.where(x > 0.42, 2.0, 0.0) + x)[1])
     assert np.flatnonzero(gaps).tolist() == [9]
-    for slope in (x, x**2, np.sin(6.0 * x), np.zeros(21)):
+    rounding = 40.4 + 1e-13 * np.random.default_rng(3).normal(size=21)
+    for slope in (x, x**2, np.sin(6.0 * x), np.zeros(21), rounding):
         assert not np.isnan(broken(x, slope)[1]).any()
+
+
+def test_a_run_outside_the_range_of_motion_is_drawn_up_to_it() -> None:
+    figure = run(LetGo(), plant="exact").plot()
+    height, speed = figure.axes
+    low, high = height.get_ylim()
+    assert -6.0 < low < -4.5 < high < 6.0
+    (left,) = [patch.get_x() for patch in speed.patches]
+    assert left == pytest.approx(np.sqrt(2.0 * 0.0045 / 9.81), abs=1e-3)  # the fall to its stop
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == ["range of motion, ±4.5 mm", "outside the range"]
+    assert complaints(figure) == []
+
+
+def test_the_chart_of_a_box_has_its_walls_and_a_free_scene_all_axes() -> None:
+    upper = run(Box(), plant="exact").plot().axes[0]
+    edges = sorted((patch.get_y(), patch.get_y() + patch.get_height()) for patch in upper.patches)
+    assert edges[0][1] == pytest.approx(-3.0) and edges[1][0] == pytest.approx(3.0)
+    figure = run(SixAxes(), plant="exact").plot()
+    assert [panel.get_ylabel() for panel in figure.axes] == [
+        "position (mm)",
+        "rotation (mrad)",
+        "force (N)",
+        "torque (N m)",
+    ]
+    assert complaints(figure) == []
+
+
+def test_short_logarithmic_axes_have_plain_numbers(tmp_path: Path, figures: list[Any]) -> None:
+    x = np.array([0.05, 0.3, 5.0])
+    curves = [("curve", x, 1e5 * x**4)]
+    panel = ChartPanel(title="title", labels=("x", "y"), curves=curves, log="xy")
+    small_multiples(HEAD, [panel], tmp_path / "short.png")
+    figures[0].canvas.draw()
+    axis = figures[0].axes[0]
+    assert {"0.1", "0.2", "0.5", "1", "2"} <= {text.get_text() for text in numbers_of(axis.xaxis)}
+    assert all("10^" in text.get_text() for text in numbers_of(axis.yaxis))
 
 
 def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
@@ -180,6 +226,7 @@ def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
     assert np.asarray(image.get_array()) == pytest.approx(1e3 * found.figure("penetration").T)
     assert image.get_extent() == pytest.approx([*figure.axes[0].get_xlim(), 45.0, 85.0])
     assert figure.axes[0].get_ylim() == (45.0, 85.0)
+    assert figure.axes[0].get_yticks().tolist() == [50.0, 60.0, 70.0, 80.0]
     title = details(figure)
     assert (
         title.startswith("drop along z, 200 Hz, delay 1.5 ms, plant exact, stiffness 6000 N/m")
@@ -306,7 +353,7 @@ def test_panels_of_curves_can_be_read(figures: list[Any]) -> None:
     ]
     small_multiples(HEAD, panels, Path("unused.png"))
     (figure,) = figures
-    assert complaints(figure) == [] and len(figure.legends) == 1
+    assert complaints(figure) == [] and len(legends_of(figure)) == 1
 
 
 def test_speed_and_accuracy_can_be_read(figures: list[Any]) -> None:

@@ -141,6 +141,15 @@ def test_arrows_are_the_means_that_bars_show() -> None:
         assert averaging_time(now) == pytest.approx(time) and f"over {time:g} s" in panel._gauge(now)
 
 
+def test_no_force_acts_once_a_scene_has_stopped() -> None:
+    session = Session(Joystick(), pacer=unhurried())
+    shown = played(session, [[0.03, 0.0, 0.0, 0.0, 0.0, 0.0]] * 400, 0.005)[-1]
+    assert {"hand", "device"} <= force_arrows(shown).keys()
+    stopped = replace(shown, state="stopped")
+    assert [force_text(force) for force in forces(stopped).values()] == ["0.0 N, peak 0.0 N"] * 2
+    assert not force_arrows(stopped) and "no force" in panel._gauge(stopped)
+
+
 def truth(timing: Timing, controller: Controller, hand: float, ticks: int) -> tuple[Array, Any]:
     """Return the rows of a history of an exact run against a wall along x, and its trace."""
     rows = []
