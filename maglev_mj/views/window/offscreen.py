@@ -125,7 +125,7 @@ def _drawing(scene: Scene, width: int, height: int, *, plots: bool) -> Iterator[
         raise DisplayError(f"cannot render with {library} ({NEEDS[library]}; or set MUJOCO_GL): {error}") from error
     context.make_current()
     # without plots, only the numbers of the forces: larger
-    scale = (150 if height >= _LARGE else 100) if plots else min(max(50 * round(height / 250), 150), 300)
+    scale = (150 if height >= _LARGE else 100) if plots else min(max(50 * round(height / 125), 150), 300)
     screen = Screen(keys=False, plots=plots)
 
     def picture(snapshot: Snapshot) -> Pixels:
