@@ -115,7 +115,7 @@ def _bars(panel: Any, result: Diagnosis, names: Sequence[str]) -> None:
     panel.set_yticks(places, names, fontsize=8.5)
     panel.spines["left"].set_position(("data", start))  # the names are within the axes
     panel.spines["bottom"].set_bounds(start, end)
-    wide = end / start > 3000.0
+    wide = end / start > 3000.0 * wide_share() ** 6  # numbers of a narrow chart are few
     every = [first * 10.0**power for power in range(-3, 9) for first in ((1,) if wide else (1, 2, 5))]
     ticks = [tick for tick in every if start <= tick <= end]
     panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])

@@ -23,6 +23,7 @@ from maglev_mj.pictures import (
     name_curves,
     new_figure,
     new_grid,
+    wide_share,
 )
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import figure_head, prefixed
@@ -386,7 +387,9 @@ def fidelity(result: FidelityResult) -> Any:
     for place in places[~below]:  # which has no place on a log axis
         panel.text(0.01, place, "0", transform=panel.get_yaxis_transform(), va="center", color=SERIES[0])
     panel.axvline(allowed, color=REFERENCE, linestyle="--", zorder=1, label=f"tolerance / margin, {allowed:g} µm")
-    panel.set_yticks(places, [f"{row.level}: {row.adds}" for row in result.levels])
+    panel.set_yticks(
+        places, [f"{row.level}: {row.adds}" if wide_share() >= 1.0 else row.level for row in result.levels]
+    )
     panel.set(ylim=(len(names) - 0.5, -0.5), xscale="log", xlabel="deviation from all higher levels (µm)")
     name_curves(figure, [panel])
     return figure

@@ -63,8 +63,7 @@ def _states(panel: Any, states: Sequence[Any]) -> None:
         colour = GOOD if state.spectral_radius < 1.0 else BAD
         panel.barh(index, state.spectral_radius, color=on_white(colour, 3.0), height=0.3)
         inside: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 9.0}
-        panel.annotate(f"{axes}: {acting}", (0.0, index - 0.15), (4, 9), **inside)
-        panel.annotate(radius, (state.spectral_radius, index), (-4, 0), ha="right", color="white", **inside)
+        panel.annotate(f"{axes}: {acting}, {radius}", (0.0, index - 0.15), (4, 9), **inside)
     panel.axvline(1.0, color=REFERENCE, linewidth=1.2)
     panel.set(
         xlabel="spectral radius", ylim=(len(states) - 0.5, -0.8), xlim=(0.0, max(1.05, panel.get_xlim()[1])), yticks=[]
