@@ -58,6 +58,7 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
 
 def _states(panel: Any, states: Sequence[Any]) -> None:
     """Draw the spectral radius of each loop in each state of its laws."""
+    panel.set_label("<states>")  # left out of axes of the user
     for index, state in enumerate(states):
         axes, acting, radius, _ = state.row()
         colour = GOOD if state.spectral_radius < 1.0 else BAD

@@ -173,7 +173,7 @@ def test_a_chart_as_wide_as_a_column_of_a_journal_can_be_read(name: str) -> None
 def test_a_chart_of_one_panel_is_drawn_into_axes_of_the_user(name: str) -> None:
     result = result_of(name)
     for picture, own in charts_of(result):
-        panels = [panel for panel in own.axes if panel.axison and panel.get_label() != "<colorbar>"]
+        panels = [panel for panel in own.axes if panel.axison and panel.get_label() not in ("<colorbar>", "<states>")]
         figure = Figure(figsize=(4.0, 4.0))
         ax = figure.subplots()
         if len(panels) > 1:
