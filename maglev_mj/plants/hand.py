@@ -205,7 +205,7 @@ def _mode_of(text: str) -> Mode:
 def motion(
     mass: ArrayLike,
     hand: Hand | None = None,
-    lag: float = 0.0,
+    lag: ArrayLike = 0.0,
     own_damping: ArrayLike = 0.0,
     mode: Mode | None = None,
 ) -> tuple[Array, Array]:
@@ -218,7 +218,7 @@ def motion(
     Args:
         mass: Mass of the flotor [kg], (...,).
         hand: Hand; None for no hand.
-        lag: Time constant of the drivers [s]; 0 for no lag.
+        lag: Time constant of the drivers [s], (...,); 0 for no lag, of all.
         own_damping: Viscous damping of the device to ground [N s/m], (...,).
         mode: Flexible mode; None for a rigid flotor.
 
@@ -230,9 +230,10 @@ def motion(
     flotor = np.asarray(mass, dtype=np.float64)
     total = flotor if hand.soft else flotor + hand_mass
     own, flexible = np.asarray(own_damping, dtype=np.float64), mode is not None
-    first = 2 + 2 * hand.soft
-    size = first + 2 * flexible + (lag > 0.0)
-    shape = np.broadcast_shapes(total.shape, hand.shape, own.shape, mode.shape if mode else ())
+    late = np.asarray(lag, dtype=np.float64)
+    first, lags = 2 + 2 * hand.soft, bool((late > 0.0).any())
+    size = first + 2 * flexible + lags
+    shape = np.broadcast_shapes(total.shape, hand.shape, own.shape, late.shape, mode.shape if mode else ())
     a, b = np.zeros((*shape, size, size)), np.zeros((*shape, size, 3))
     spring, damper = (grip_stiffness, grip_damping) if hand.soft else (stiffness, damping)
     a[..., 0, 1], a[..., 1, 0], a[..., 1, 1] = 1.0, -spring / total, -(damper + own) / total
@@ -246,9 +247,9 @@ def motion(
         b[..., 3, 2] = 1.0 / hand_mass
     else:
         b[..., 1, 2] = 1.0 / total
-    if lag > 0.0:
+    if lags:
         a[..., 1, -1] = 1.0 / total
-        a[..., -1, -1], b[..., -1, 0] = -1.0 / lag, 1.0 / lag
+        a[..., -1, -1], b[..., -1, 0] = -1.0 / late, 1.0 / late
     else:
         b[..., 1, 0] = 1.0 / total
     if mode is not None:
@@ -256,7 +257,7 @@ def motion(
         turn = 2.0 * np.pi * frequency
         a[..., first, first + 1], a[..., first + 1, first] = turn, -turn
         a[..., first + 1, first + 1] = -2.0 * ratio * turn
-        force = a[..., -1] if lag > 0.0 else b[..., 0]
+        force = a[..., -1] if lags else b[..., 0]
         force[..., first + 1] = participation / (total * turn)
         # the sensed position is the sum of mean position and deflection
         a[..., 0, :] += a[..., first, :]

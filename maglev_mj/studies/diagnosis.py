@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import FiniteDifference, LowPass
 from maglev_mj.device import Device
@@ -22,10 +22,17 @@ from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import body_of
 from maglev_mj.result import NoTruthValue, Result, Table, conditions_text, number_text, plain
 from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD, RANGE
-from maglev_mj.theory.boundary import StiffestWall, least_passive_damping, rigid_note
+from maglev_mj.studies.diagnosed_loops import (
+    DiagnosedLoops,
+    checked_arrays,
+    diagnosed_loops,
+    error_gain,
+    passive_damping,
+)
+from maglev_mj.theory.boundary import StiffestWall, rigid_note
 from maglev_mj.theory.held import Held, held_of
 from maglev_mj.theory.loop import Bound, Loop, Loops, StableDelays, StableRange, holds
-from maglev_mj.theory.loop_array import LinearisedLaw, LoopArray, PdLaw, pd
+from maglev_mj.theory.loop_array import LinearisedLaw, LoopArray, PdLaw
 from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.remedies import MOST_DAMPING, Remedy, has_room, hidden_amplitude, short
 from maglev_mj.theory.two_rates import rates_of
@@ -34,7 +41,6 @@ from maglev_mj.theory.verdict import Verdict, judge, margin_words, verdicts
 if TYPE_CHECKING:
     from maglev_mj.studies.oscillation import Oscillation
 
-_SAMPLES = 4096
 _APART = 0.02  # largest distance of measured and judged frequency, relative
 _NAMES = (
     *("loop", "stable", "spectral_radius", "frequency", "doubling_time", "critical_stiffness", "damping_range"),
@@ -201,11 +207,7 @@ class Diagnosis(NoTruthValue, Result):
     @cached_property
     def passive_damping(self) -> float:
         """Own damping that makes the law passive [N s/m, N m s/rad]; NaN at two rates, with a driver lag or a mode."""
-        around = self.loop.sampled
-        if around.device is not None or around.driver_lag or around.mode is not None:
-            return math.nan
-        times: Any = {"period": around.period, "delay": around.delay, "design": around.design or pd(around.velocity)}
-        return float(least_passive_damping(*self.loop.gains, **times))
+        return float(passive_damping(self.loop.sampled, *self.loop.gains))
 
     @cached_property
     def amplitude_limit(self) -> float:
@@ -218,7 +220,7 @@ class Diagnosis(NoTruthValue, Result):
         """Largest steady error by the sensor's resolution while contact lasts [m, rad]; NaN if unknown."""
         around, quantum = self.loop.sampled, self.loop.quantum
         known = self.stable and quantum and around.device is None and not around.long
-        return 0.5 * quantum * _error_gain(around, *self.loop.gains) if known else math.nan
+        return 0.5 * quantum * float(error_gain(around, *self.loop.gains)) if known else math.nan
 
     @cached_property
     def held(self) -> Held:
@@ -345,9 +347,18 @@ class Diagnosis(NoTruthValue, Result):
         yield "not modelled: edge of the wall, saturation, amplifiers" + ", flexible modes" * (self.loop.mode is None)
 
 
+@overload
+def diagnose(
+    scene: Any = None, *, on_axis: str | None = None, **values: float | str | LinearisedLaw | PdLaw | None
+) -> Diagnosis: ...
+@overload
+def diagnose(**values: ArrayLike | None) -> DiagnosedLoops: ...
 @checked
-def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) -> Diagnosis:
+def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) -> Diagnosis | DiagnosedLoops:
     """Return verdict, margins and ranked remedies of a wall's closed loop, in contact.
+
+    Of arrays of values it returns verdict and margins of every loop as columns, see `DiagnosedLoops`. Loops are
+    computed together unless they differ in a cutoff or in their law on the device.
 
     For a recording of a shaking device, the loop as stated must have its oscillation; of mass, delay and own damping,
     what is not stated is fitted to its frequency and growth.
@@ -357,19 +368,26 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
             else with the smallest margin; or path of a recording or CSV file; None for the values.
         on_axis: Axis of a scene whose worst loop is diagnosed; None for all.
         values: Parameters of `DiagnosedLoop` or of the scene; `rate` [Hz] for `period`. They replace those of scene or
-            recording.
+            recording. Without either, each number may be an array; all broadcast.
 
     Raises:
-        ParameterError: If a value is missing or outside its bounds, or a recording contains no oscillation.
+        ParameterError: If a value is missing or outside its bounds, shapes do not match, or a recording contains no
+            oscillation.
 
     Example:
         >>> from maglev_mj import diagnose
         >>> found = diagnose(stiffness=500.0, damping=1.0, rate=200.0, delay=0.005, mass=0.15)
         >>> found.stable, round(found.frequency, 2), round(found.critical_stiffness, 1)
         (False, 8.92, 128.4)
+        >>> diagnose(stiffness=[100.0, 200.0], damping=1.0, rate=200.0, delay=0.005, mass=0.15).ratio.round(3)
+        array([1.284, 0.642])
     """
     accepted = [item.name for item in DiagnosedLoop.parameters()]
     values = with_period(accepted, values)
+    arrays = checked_arrays(DiagnosedLoop, values)
+    if arrays and scene is not None:
+        raise ParameterError(f"{', '.join(arrays)} must be numbers beside a scene or recording: sweep the scene for more")
+    values |= {name: float(array.max()) for name, array in arrays.items()}
     assumptions: list[str] = []
     of_scene: dict[str, Any] = {"valid_to": None, "scene_hand": None}
     recorded = isinstance(scene, str | Path) and str(scene).endswith(MEASURED_MOTIONS)
@@ -401,6 +419,9 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
             raise ParameterError(f"{' or '.join(names)} must be given, or a scene")
     late: dict[str, Any] = {"delay": values["period"]}
     loop = DiagnosedLoop(**late | {name: value for name, value in values.items() if value is not None})
+    if arrays:
+        arrays |= {"delay": arrays["period"]} if "period" in arrays and values.get("delay") is None else {}
+        return diagnosed_loops(loop, arrays, [] if values.get("delay") is not None else ["a delay of one period"])
     if not loop.gains[0]:
         raise ParameterError(f"stiffness must be above 0 (got {loop.stiffness:g})")
     if measured is not None:
@@ -547,18 +568,6 @@ def _explained(loop: DiagnosedLoop, seen: Oscillation, given: set[str], assumpti
         found.remarks if loop.whole.on_host else tuple(text.replace("delay", "device delay") for text in found.remarks)
     )
     return loop.trial(**fitted), found.oscillation, how
-
-
-def _error_gain(around: LoopArray, stiffness: float, damping: float) -> float:
-    """Return the l1 norm from measurement error to position: it bounds the steady error per half a sensor step."""
-    matrix, phi = around.matrix(stiffness, damping), around.flotor()[0]
-    error = matrix[:, 0].copy()
-    error[: len(phi)] -= phi[:, 0]
-    total, state = 0.0, error
-    for _ in range(_SAMPLES):
-        total += abs(float(state[0]))
-        state = matrix @ state
-    return total
 
 
 def _hertz(value: float) -> str:

@@ -12,7 +12,7 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache, lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from timeit import timeit
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -310,6 +310,7 @@ class _SteppedLoop(LoopArray):
     step: float = 1e-3
     aligned: bool = True
 
+    @cached_property
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
         """See `LoopArray`."""
         if self.mode is not None or np.any(self.own_damping):
@@ -344,7 +345,7 @@ class _SteppedLoop(LoopArray):
 
         The force acts throughout the steps.
         """
-        return _steps(self.integrator, float(np.asarray(self.mass)), step, count, self.hand, self.driver_lag)
+        return _steps(self.integrator, float(np.asarray(self.mass)), step, count, self.hand, float(np.asarray(self.driver_lag)))
 
 
 _PLACE = np.eye(5)[0]

@@ -284,7 +284,7 @@ class StateSpace(LinearController):
             driver_lag: Time constant of the drivers [s].
         """
         around: Any = {"period": period, "delay": delay, "hand": hand, "driver_lag": driver_lag}
-        phi, old, new, whole, waiting = LoopArray(mass=inertia, **around).flotor()
+        phi, old, new, whole, waiting = LoopArray(mass=inertia, **around).flotor
         states = range(phi.shape[-1])
         body = np.block([[np.diag(phi[:, row, column]) for column in states] for row in states])
         before, after = (np.vstack([np.diag(part[:, row]) for row in states]) for part in (old, new))

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import LinearController, LowPass, VelocityEstimator
 from maglev_mj.control.stack import computed_together
+from maglev_mj.control.timeline import split_delay
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.lazy import loaded
 from maglev_mj.plants.hand import Hand, Mode
@@ -20,7 +21,7 @@ from maglev_mj.result import number_text
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
 from maglev_mj.theory.delay import AnyCutOf, first_delays, stable_intervals
 from maglev_mj.theory.linearise import INTEGRATOR_POLE, Linearised, StateSpace
-from maglev_mj.theory.loop_array import LinearisedLaw, LoopArray, critical_delay_of, pd, sampled_fields
+from maglev_mj.theory.loop_array import LONG, LOOPS, LinearisedLaw, LoopArray, critical_delay_of, pd, sampled_fields
 from maglev_mj.theory.two_rates import DeviceLaw, rates_of
 
 RELATIVE_ROUNDING = 1e-9
@@ -591,6 +592,28 @@ def _two_rate_poles(
     return np.asarray(worst.astype(np.complex128) ** (1.0 / rates.host))
 
 
+def alike(loops: Sequence[Loop]) -> Iterator[tuple[NDArray[np.int64], LoopArray, Array, Array]]:
+    """Yield loops of equal structure as one `LoopArray`: their indices, the loops, stiffness and damping, (N,) each.
+
+    Those whose matrix has the same size are equal in structure if they share estimator, hand, mode and laws. At most
+    256 come together.
+    """
+    groups: dict[Any, list[int]] = defaultdict(list)
+    for index, loop in enumerate(loops):
+        whole, rest = split_delay(loop.delay, loop.period)
+        waiting = int(whole) + (rest > 0.0) if whole <= LONG else math.inf
+        around = loop.velocity, loop.hand, loop.mode, loop.device, loop.driver_lag > 0.0, id(loop.law)
+        clock = loop.period if loop.device is not None else 0.0  # a multiple of the device's or not
+        groups[waiting, whole > MAX_DELAY_PERIODS, clock, *around].append(index)
+    for indices in groups.values():
+        for rows in np.array_split(indices, math.ceil(len(indices) / LOOPS)):
+            some = [loops[index] for index in rows.tolist()]
+            names = "period", "delay", "inertia", "driver_lag", "own_damping", "stiffness", "damping"
+            values = {name: np.array([getattr(loop, name) for loop in some]) for name in names}
+            stiffness, damping = values.pop("stiffness"), values.pop("damping")
+            yield rows, some[0].array(**values), stiffness, damping
+
+
 def stable_delays(loop: LoopArray, stiffness: float, damping: float, *, free: bool | None = None) -> StableDelays:
     """Return all stable delays of a single loop up to 1 s.
 
@@ -634,14 +657,16 @@ def delay_bound(loop: LoopArray, stiffness: float, damping: float) -> Bound:
 
 
 def delay_bounds(loop: LoopArray, stiffness: ArrayLike, damping: ArrayLike, free: Mask | None = None) -> list[Bound]:
-    """Return the critical delay for each pair of gains of a single loop; see `stable_delays`."""
+    """Return the critical delay of N loops, or for N pairs of gains; see `stable_delays`."""
     undelayed = replace(loop, delay=0.0)
     k, b = (np.atleast_1d(gain) for gain in undelayed.broadcast(stiffness, damping))
     found = np.atleast_1d(critical_delay_of(undelayed, k, b, free))
     return [
         Bound(delay)
         if delay <= MAX_DELAY
-        else stable_delays(undelayed, k[row], b[row], free=None if free is None else bool(free[row])).bound
+        else stable_delays(
+            undelayed.part(k.shape, row), k[row], b[row], free=None if free is None else bool(free[row])
+        ).bound
         for row, delay in enumerate(found.tolist())
     ]
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias, TypedDict, Unpack
 
 import numpy as np
@@ -30,7 +31,7 @@ from maglev_mj.theory.delay import ROUNDING, AnyDelay, Cut, CutOf, dominant_pole
 from maglev_mj.theory.frequencies import angles_of, peak
 from maglev_mj.theory.two_rates import DeviceLaw, TwoRates, rates_of
 
-_CHUNK, _LOOPS, _LONG, _MOST_PERIODS = 1 << 16, 256, 30, 1000
+_CHUNK, LOOPS, LONG, _MOST_PERIODS = 1 << 16, 256, 30, 1000
 """Loops computed at once, by matrices and at any delay; periods of delay up to which a matrix is used, and allowed."""
 _TOGETHER = 1024
 _DIVIDES = "device period must divide the host's, {0} s (got {1.period:g})"
@@ -38,7 +39,7 @@ _ALMOST = 1.0 - 2e-9
 """Largest fraction that does not count as a whole period."""
 _NAMES = {"inertia": "mass", "law": "design"}
 """Names of a `Loop` for two fields of `LoopArray`."""
-_BATCHED = "period", "delay", "mass", "prediction", "own_damping"
+_BATCHED = "period", "delay", "mass", "prediction", "own_damping", "driver_lag"
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
 """Function from stiffness, damping and sample period, (...,) each, to the linear controller inside the wall."""
@@ -72,7 +73,7 @@ class LoopKeywords(TypedDict, total=False):
     delay: ArrayLike
     mass: ArrayLike
     hand: Hand | str | None
-    driver_lag: float
+    driver_lag: ArrayLike
     velocity: VelocityEstimator | None
     prediction: ArrayLike
     design: Design | None
@@ -156,7 +157,7 @@ class LoopArray:
         delay: Time from a sample to the effect of its command [s], up to 1 s.
         mass: Mass of the flotor with its handle [kg].
         hand: Hand on the flotor, or a text for `get_hand`; None for a free flotor.
-        driver_lag: Time constant of the current drivers [s]; 0 for none.
+        driver_lag: Time constant of the current drivers [s]; 0 for none, of all loops.
         velocity: Linear velocity estimator of the PD wall; None for the finite difference.
         prediction: Prediction time of the PD wall's position along the velocity [s].
         design: Linear controller in place of the PD wall.
@@ -173,7 +174,7 @@ class LoopArray:
     delay: ArrayLike = Spec.transport_delay.value
     mass: ArrayLike = Spec.moving_mass.value
     hand: Hand | Any | None = None
-    driver_lag: float = 0.0
+    driver_lag: ArrayLike = 0.0
     velocity: VelocityEstimator | None = None
     prediction: ArrayLike = 0.0
     design: Design | None = None
@@ -182,7 +183,7 @@ class LoopArray:
     device: DeviceLaw | None = None
     rate: ArrayLike = rate_of("period")
     shape: tuple[int, ...] = field(init=False)
-    """Broadcast shape of period, delay, mass, prediction, own damping, hand and mode."""
+    """Broadcast shape of period, delay, mass, prediction, own damping, driver lag, hand and mode."""
 
     def __post_init__(self) -> None:
         period = numbers("period", self.period, **SAMPLE_PERIOD)
@@ -190,7 +191,9 @@ class LoopArray:
         store(self, mass=numbers("mass", self.mass, above=0.0))
         store(self, prediction=numbers("prediction", self.prediction, at_least=0.0))
         store(self, own_damping=numbers("own_damping", self.own_damping, at_least=0.0))
-        number("driver_lag", self.driver_lag, at_least=0.0, **LAG)
+        store(self, driver_lag=numbers("driver_lag", self.driver_lag, at_least=0.0, **LAG))
+        if len(np.unique(np.asarray(self.driver_lag) > 0.0)) > 1:
+            raise ParameterError("driver_lag must be 0 in all loops, or above 0 in all: it adds a state")
         shapes = [np.shape(getattr(self, name)) for name in _BATCHED]
         shapes += [part.shape for part in (self.hand, self.mode) if part is not None]
         store(self, shape=common_shape(f"{', '.join(_BATCHED)}, hand, mode", *shapes))
@@ -214,7 +217,7 @@ class LoopArray:
         if self.device is not None:
             return self._hyperperiod(k, b)[..., :-1, :-1]
         law = self.law(k, b)
-        phi, old, new, whole, waiting = self.flotor()
+        phi, old, new, whole, waiting = self.flotor
         system = law.advance, law.take[..., None], law.give[..., None, :], law.direct[..., None, None]
         return loop_matrix(phi, old[..., None], new[..., None], whole, waiting, *system)
 
@@ -268,7 +271,7 @@ class LoopArray:
     @property
     def long(self) -> bool:
         """True if the delay of a loop is above 30 periods, where the poles are not computed by a matrix."""
-        return bool((self.periods > _LONG).any()) and self.affine
+        return bool((self.periods > LONG).any()) and self.affine
 
     @property
     def narrowed(self) -> float:
@@ -299,8 +302,8 @@ class LoopArray:
         result = np.empty(k.size, dtype=bool)
         flat = (gain.reshape(-1) for gain in (k, b))
         stiff, damp = flat
-        for start in range(0, k.size, _LOOPS):
-            part = slice(start, start + _LOOPS)
+        for start in range(0, k.size, LOOPS):
+            part = slice(start, start + LOOPS)
             cut, whole, _ = self.part(k.shape, part).cut_at_delay(stiff[part], damp[part])
             none = np.zeros(len(whole), dtype=bool)
             cut = cut.outside(np.full(len(whole), limit * (1.0 - ROUNDING)), whole)
@@ -329,21 +332,33 @@ class LoopArray:
         return np.where(moves, 1 + still, 0)
 
     def pole(self, stiffness: float, damping: float) -> tuple[float, float]:
-        """Return the spectral radius of a single loop, and the frequency of its dominant pole [Hz].
+        """Return spectral radius and frequency [Hz] of a single loop; see `frequency`."""
+        return float(self.spectral_radius(stiffness, damping)), float(self.frequency(stiffness, damping))
 
-        Beside a device law the frequency is the mean over the hyperperiod, from event to event.
+    def frequency(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
+        """Return the frequency of the dominant pole [Hz], broadcast over gains and loop.
+
+        Beside a device law it is the mean over the hyperperiod, from event to event.
         """
+        k, b = self.broadcast(stiffness, damping)
+        if self.device is not None and not self.long:
+            parts = [self.part(k.shape, index) for index in range(k.size)]
+            gains = zip(parts, k.reshape(-1).tolist(), b.reshape(-1).tolist())
+            return np.array([one._frequency_of_events(*pair) for one, *pair in gains]).reshape(k.shape)
         if self.long:
-            (one, *_), period = self.poles(stiffness, damping), float(np.asarray(self.period))
-            return float(np.abs(one)), abs(float(np.angle(one))) / (2.0 * np.pi * period)
+            dominant = self.poles(k, b)[..., 0]
+        else:
+            poles = np.linalg.eig(self.matrix(k, b)).eigenvalues
+            dominant = np.take_along_axis(poles, np.abs(poles).argmax(axis=-1)[..., None], axis=-1)[..., 0]
+        return np.asarray(np.abs(np.angle(dominant)) / (2.0 * np.pi * np.asarray(self.period)))
+
+    def _frequency_of_events(self, stiffness: float, damping: float) -> float:
+        """Return the frequency of a single loop beside a device law [Hz]."""
         poles, vectors = np.linalg.eig(self.matrix(stiffness, damping))
         worst = np.argmax(np.abs(poles))
-        radius, period = float(self.spectral_radius(stiffness, damping)), float(np.asarray(self.period))
-        if self.device is None:
-            return radius, abs(float(np.angle(poles[worst]))) / (2.0 * np.pi * period)
         times, positions = self.response(stiffness, damping, np.append(vectors[:, worst], 0.0))
         turns = np.unwrap(np.angle(positions[np.diff(times, prepend=-1.0) > 0.0]))
-        return radius, abs(float(turns[-1] - turns[0])) / (2.0 * np.pi * float(times[-1]))
+        return abs(float(turns[-1] - turns[0])) / (2.0 * np.pi * float(times[-1]))
 
     def response(
         self, stiffness: float, damping: float, state: Array | None = None, span: float = 0.0
@@ -439,12 +454,12 @@ class LoopArray:
         """Return the flotor's continuous-time state space model; see `plants.hand.motion`."""
         return motion(self.mass, self.hand, self.driver_lag, self.own_damping, self.mode)
 
+    @cached_property  # a diagnosis asks a loop several times
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
-        """Return the flotor's state transition over a period, and its inputs.
+        """Flotor's state transition over a period, and its inputs.
 
-        Returns:
-            Transition (..., n, n), input vectors of the commands before and after the switch (..., n) each, whole
-            periods in the delay (...,), and the largest number of delayed commands.
+        Transition (..., n, n), input vectors of the commands before and after the switch (..., n) each, whole periods
+        in the delay (...,), and the largest number of delayed commands.
         """
         period, delay = np.asarray(self.period), np.asarray(self.delay)
         whole, remainder = map(np.asarray, split_delay(delay, period))
@@ -506,8 +521,8 @@ class LoopArray:
         shape, (k, b) = gains[0].shape, (gain.reshape(-1) for gain in gains)
         result = np.empty(k.size)
         if self.long:
-            far = np.broadcast_to(self.periods > _LONG, shape).reshape(-1)
-            for rows in filter(len, np.array_split(np.flatnonzero(far), 1 + far.size // _LOOPS)):
+            far = np.broadcast_to(self.periods > LONG, shape).reshape(-1)
+            for rows in filter(len, np.array_split(np.flatnonzero(far), 1 + far.size // LOOPS)):
                 cut, whole, _ = self.part(shape, rows).cut_at_delay(k[rows], b[rows])
                 none = np.zeros(len(rows))
                 result[rows] = np.abs(dominant_poles(cut, whole, none))
@@ -541,7 +556,8 @@ class LoopArray:
         copy = object.__new__(type(self))  # not `replace`: the values are checked
         values: Any = {name: change(np.asarray(getattr(self, name))) for name in _BATCHED}
         shapes = [np.shape(value) for value in values.values()] + [part.shape for part in (hand, mode) if part]
-        vars(copy).update(vars(self), hand=hand, mode=mode, shape=np.broadcast_shapes(*shapes), **values)
+        own = {name: value for name, value in vars(self).items() if name != "flotor"}  # that of the arrays before
+        vars(copy).update(own, hand=hand, mode=mode, shape=np.broadcast_shapes(*shapes), **values)
         return copy
 
     def part(self, shape: tuple[int, ...], part: Any) -> LoopArray:
@@ -732,7 +748,7 @@ def critical_delay_of(around: LoopArray, stiffness: Array, damping: Array, free:
     cut_of, moves = around.cuts(stiffness, damping)
     free = moves if free is None else free
     result = np.zeros(free.size)
-    for rows in filter(len, np.array_split(np.arange(free.size), 1 + free.size // _LOOPS)):
+    for rows in filter(len, np.array_split(np.arange(free.size), 1 + free.size // LOOPS)):
         chosen = rows
 
         def part(index: NDArray[Any], shares: Array, chosen: NDArray[Any] = chosen) -> Cut:

@@ -208,8 +208,8 @@ def test_cases_cover_phases_and_gains() -> None:
 def test_a_fine_rk4_has_the_loop_of_theory(delay: float, hand: str | None, driver_lag: float) -> None:
     loop = LoopArray(delay=delay, hand=get_hand(hand or "none"), driver_lag=driver_lag)
     stepped = _SteppedLoop(delay=delay, hand=loop.hand, driver_lag=driver_lag, integrator="rk4", step=2e-5)
-    *maps, waiting = loop.flotor()
-    *measured, waited = stepped.flotor()
+    *maps, waiting = loop.flotor
+    *measured, waited = stepped.flotor
     assert waited == waiting
     for exact, found in zip(maps, measured, strict=True):
         np.testing.assert_allclose(np.asarray(found), np.asarray(exact), atol=1e-11)

@@ -255,4 +255,4 @@ def test_wrong_values_are_refused(device: dict[str, Any], loop: dict[str, Any], 
         with pytest.raises(ParameterError, match=r"mode .* must be"):
             Mode(*values)
     with pytest.raises(ParameterError, match="a stepped loop must have neither"):
-        _SteppedLoop(own_damping=1.0).flotor()
+        _SteppedLoop(own_damping=1.0).flotor  # noqa: B018
