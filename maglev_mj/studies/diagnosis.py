@@ -25,7 +25,6 @@ from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD, RANGE
 from maglev_mj.studies.diagnosed_loops import (
     DiagnosedLoops,
     checked_arrays,
-    diagnosed_loops,
     error_gain,
     passive_damping,
 )
@@ -348,11 +347,15 @@ class Diagnosis(NoTruthValue, Result):
 
 
 @overload
-def diagnose(
+def diagnose(  # type: ignore[overload-overlap]  # a number is an array too
     scene: Any = None, *, on_axis: str | None = None, **values: float | str | LinearisedLaw | PdLaw | None
 ) -> Diagnosis: ...
+
+
 @overload
-def diagnose(**values: ArrayLike | None) -> DiagnosedLoops: ...
+def diagnose(scene: None = None, *, on_axis: None = None, **values: ArrayLike | None) -> DiagnosedLoops: ...
+
+
 @checked
 def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) -> Diagnosis | DiagnosedLoops:
     """Return verdict, margins and ranked remedies of a wall's closed loop, in contact.
@@ -386,7 +389,9 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     values = with_period(accepted, values)
     arrays = checked_arrays(DiagnosedLoop, values)
     if arrays and scene is not None:
-        raise ParameterError(f"{', '.join(arrays)} must be numbers beside a scene or recording: sweep the scene for more")
+        raise ParameterError(
+            f"{', '.join(arrays)} must be numbers beside a scene or recording: sweep the scene for more"
+        )
     values |= {name: float(array.max()) for name, array in arrays.items()}
     assumptions: list[str] = []
     of_scene: dict[str, Any] = {"valid_to": None, "scene_hand": None}
@@ -421,7 +426,12 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     loop = DiagnosedLoop(**late | {name: value for name, value in values.items() if value is not None})
     if arrays:
         arrays |= {"delay": arrays["period"]} if "period" in arrays and values.get("delay") is None else {}
-        return diagnosed_loops(loop, arrays, [] if values.get("delay") is not None else ["a delay of one period"])
+        loop.refuse({"target": "remedies are those of one loop"})
+        requested = [arrays.get(name, getattr(loop, name)) for name in ("stiffness", "device_stiffness")]
+        if not np.all(np.maximum(*requested)):
+            raise ParameterError("stiffness must be above 0 (got 0)")
+        assumed = () if values.get("delay") is not None else ("a delay of one period",)
+        return DiagnosedLoops(loop, arrays, assumed)
     if not loop.gains[0]:
         raise ParameterError(f"stiffness must be above 0 (got {loop.stiffness:g})")
     if measured is not None:

@@ -345,7 +345,9 @@ class _SteppedLoop(LoopArray):
 
         The force acts throughout the steps.
         """
-        return _steps(self.integrator, float(np.asarray(self.mass)), step, count, self.hand, float(np.asarray(self.driver_lag)))
+        return _steps(
+            self.integrator, float(np.asarray(self.mass)), step, count, self.hand, float(np.asarray(self.driver_lag))
+        )
 
 
 _PLACE = np.eye(5)[0]

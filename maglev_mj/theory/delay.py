@@ -465,11 +465,13 @@ def first_delays(cut_of: AnyCutOf, free: Mask) -> Array:
         cut_of: See `CutOf`.
         free: See `AnyDelay`, (G,).
     """
-    count = len(free)
-    shares = np.arange(FRACTIONS) / FRACTIONS
-    index = np.repeat(np.arange(count), FRACTIONS)
-    first = AnyDelay(cut_of(index, np.tile(shares, count)), free[index]).first().reshape(count, FRACTIONS)
-    high = (first + shares).min(axis=-1)
+    every, shares = np.arange(len(free)), np.arange(FRACTIONS) / FRACTIONS
+    high = AnyDelay(cut_of(every, np.zeros(len(free))), free).first()
+    some = np.flatnonzero(high)  # the others are unstable without delay
+    if some.size:
+        index = np.repeat(some, FRACTIONS)
+        first = AnyDelay(cut_of(index, np.tile(shares, len(some))), free[index]).first().reshape(-1, FRACTIONS)
+        high[some] = (first + shares).min(axis=-1)
     result: Array = high.copy()
     rows = np.flatnonzero((high > 0.0) & np.isfinite(high))
     if rows.size:

@@ -79,6 +79,7 @@ def results() -> dict[str, Result]:
         "samples": recording.samples(),
         "analysed": analysed(recorded(Drop())),
         "diagnosis": diagnose(stiffness=500.0, damping=1.0, period=0.005, mass=0.15),
+        "diagnosed loops": diagnose(stiffness=[100.0, 500.0], damping=1.0, period=0.005, mass=0.15),
         "stability map": run_stability(StabilityParameters(grid=GRID, plant="exact")),
         "drop map": run_drop_map(DropMapParameters(grid=GRID)),
         "design": evaluate_wall(wall, ContactParameters()),

@@ -323,7 +323,8 @@ HOST: dict[str, Any] = {"stiffness": 2e4, "damping": 20.0, "period": 5e-3, "dela
 
 @pytest.fixture(scope="module")
 def beside() -> Diagnosis:
-    return diagnose(**HOST, device_damping=100.0, device_rate=1000.0)
+    found: Diagnosis = diagnose(**HOST, device_damping=100.0, device_rate=1000.0)
+    return found
 
 
 def test_every_margin_is_that_of_both_rates(beside: Diagnosis) -> None:
