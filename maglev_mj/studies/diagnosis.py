@@ -17,7 +17,7 @@ from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import AXES
 from maglev_mj.keywords import checked, rate_of, with_period
-from maglev_mj.parameters import MEASURED_MOTIONS, param
+from maglev_mj.parameters import MEASURED_MOTIONS, param, transport_delay
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import body_of
 from maglev_mj.result import NoTruthValue, Result, Table, conditions_text, number_text, plain
@@ -389,9 +389,7 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     values = with_period(accepted, values)
     arrays = checked_arrays(DiagnosedLoop, values)
     if arrays and scene is not None:
-        raise ParameterError(
-            f"{', '.join(arrays)} must be numbers beside a scene or recording: sweep the scene for more"
-        )
+        raise ParameterError(f"{next(iter(arrays))} must be a number beside a scene or recording (see `sweep`)")
     values |= {name: float(array.max()) for name, array in arrays.items()}
     assumptions: list[str] = []
     of_scene: dict[str, Any] = {"valid_to": None, "scene_hand": None}
@@ -427,7 +425,9 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     if arrays:
         arrays |= {"delay": arrays["period"]} if "period" in arrays and values.get("delay") is None else {}
         loop.refuse({"target": "remedies are those of one loop"})
-        requested = [arrays.get(name, getattr(loop, name)) for name in ("stiffness", "device_stiffness")]
+        names = "stiffness", "device_stiffness", "device_delay", "device_period"
+        *requested, late, period = (arrays.get(name, getattr(loop, name)) for name in names)
+        transport_delay(late, period, "device_delay", "on a device")
         if not np.all(np.maximum(*requested)):
             raise ParameterError("stiffness must be above 0 (got 0)")
         assumed = () if values.get("delay") is not None else ("a delay of one period",)
