@@ -13,7 +13,7 @@ from maglev_mj.cli.output import write_result
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import MEASURED_MOTIONS
 from maglev_mj.scenes.names import scene_names
-from maglev_mj.studies.diagnosis import DiagnosedLoop
+from maglev_mj.studies.diagnosed_loops import DiagnosedLoop
 from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
 
 _SOURCES = {

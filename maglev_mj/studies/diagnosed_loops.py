@@ -1,26 +1,26 @@
-"""Verdict and margins of many loops at once, as columns."""
+"""One loop in numbers, and verdict and margins of many at once, as columns."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
-from maglev_mj.parameters import numbers
+from maglev_mj.keywords import rate_of
+from maglev_mj.parameters import numbers, param, transport_delay
 from maglev_mj.result import Result, Table, number_text, plain, with_unit
+from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory.boundary import boundary_of, highest_of, least_passive_damping
 from maglev_mj.theory.loop import Bound, Loop, alike, delay_bounds
-from maglev_mj.theory.loop_array import LoopArray, pd
+from maglev_mj.theory.loop_array import LinearisedLaw, LoopArray, PdLaw, pd
+from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.remedies import hidden_amplitude
-
-if TYPE_CHECKING:
-    from maglev_mj.studies.diagnosis import DiagnosedLoop
 
 _SAMPLES, _ROUNDING, _MOST_ROWS = 4096, 1e-9, 8
 _UNITS = {
@@ -29,6 +29,58 @@ _UNITS = {
     **{"passive_damping": "N s/m", "amplitude_limit": "m", "hum": "m"},
 }
 """Figures and their units on a translation."""
+
+
+class DiagnosedLoop(LoopParameters):
+    """One axis of a device that renders a wall, a spring or any stiffness with damping.
+
+    Raises:
+        ParameterError: If a value is outside its bounds, or mass and inertia are both given.
+    """
+
+    stiffness: float = param("stiffness K of wall or spring", "N/m", default=0.0, at_least=0.0, at_most=1e8)
+    damping: float = param("damping B of the law", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
+    period: float = param("sample period T", "s", default=MAX_PERIOD, at_least=MIN_PERIOD, at_most=MAX_PERIOD)
+    rate: float = rate_of("period")
+    delay: float = LoopParameters.like("delay", default=0.0, derive=None)
+    mass: float | None = LoopParameters.like("mass", derive=None, at_least=None, at_most=None, above=0.0)
+    target: float = param("wanted ratio of critical to requested stiffness", default=2.0, above=1.0, at_most=100.0)
+    law: LinearisedLaw | PdLaw | None = param(
+        "law with memory on the axis, linearised at some gains; or PD with any linear estimator",
+        default=None,
+        optional=True,
+        parse=lambda law: law,
+    )
+
+    def trial(self, **changes: Any) -> DiagnosedLoop:
+        """Return a copy with changes that the user did not state: their bounds are not checked."""
+        copy = object.__new__(type(self))
+        vars(copy).update(vars(self) | changes)
+        return copy
+
+    def value(self, word: str) -> float:
+        """Return one of these."""
+        return float(getattr(self, self.whole.name(word)))
+
+    @property
+    def gains(self) -> tuple[float, float]:
+        """Stiffness and damping of the law in question."""
+        return self.value("stiffness"), self.value("damping")
+
+    @property
+    def sampled(self) -> LoopArray:
+        """Loop without the gains of the law in question; the other law is its device law."""
+        return self.loop_in_question.array()
+
+    @property
+    def loop_in_question(self) -> Loop:
+        """Loop with gains, clock and filter of the law in question, and the other law beside it."""
+        return self.whole.in_question
+
+    @property
+    def whole(self) -> Loop:
+        """Loop with the laws on host and device where they are."""
+        return self.loop(stiffness=self.stiffness, damping=self.damping, law=self.law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,14 +263,14 @@ class DiagnosedLoops(Result):
         return {name: plain(getattr(self, name)) for name in ("loop", "values", "assumptions", "stable", *_UNITS)}
 
 
-def checked_arrays(kind: type[DiagnosedLoop], values: Mapping[str, Any]) -> dict[str, Array]:
+def checked_arrays(values: Mapping[str, Any]) -> dict[str, Array]:
     """Return the arrays among the values of a loop's parameters, checked, in one shape; none for numbers alone.
 
     Raises:
         ParameterError: If an entry is outside its bounds, or the shapes do not match.
     """
     found: dict[str, Array] = {}
-    for parameter in kind.parameters():
+    for parameter in DiagnosedLoop.parameters():
         value: Any = values.get(parameter.name)
         if parameter.kind is float and (isinstance(value, list | tuple) or np.ndim(value)):
             bounds: Any = {**parameter.bounds, "unit": parameter.unit}
@@ -233,6 +285,30 @@ def checked_arrays(kind: type[DiagnosedLoop], values: Mapping[str, Any]) -> dict
             raise ParameterError(f"arrays must not be empty (got shape {shape})")
         found = {name: np.broadcast_to(array, shape) for name, array in found.items()}
     return found
+
+
+def loops_of(loop: DiagnosedLoop, values: dict[str, Array], *, delay_is_stated: bool) -> DiagnosedLoops:
+    """Return the diagnosis of loops that differ in some values.
+
+    Args:
+        loop: The loop with the largest value of each array.
+        values: The arrays, checked, in one shape.
+        delay_is_stated: False for a delay of one period.
+
+    Raises:
+        ParameterError: If a loop has no stiffness, or values of it do not match.
+    """
+    loop.refuse({"target": "remedies are those of one loop"})
+    if not delay_is_stated and "period" in values:
+        values = values | {"delay": values["period"]}
+
+    def value(name: str) -> Array:
+        return np.asarray(values.get(name, getattr(loop, name)))
+
+    transport_delay(value("device_delay"), value("device_period"), "device_delay", "on a device")
+    if not np.maximum(value("stiffness"), value("device_stiffness")).all():
+        raise ParameterError("stiffness must be above 0 (got 0)")
+    return DiagnosedLoops(loop, values, () if delay_is_stated else ("a delay of one period",))
 
 
 def passive_damping(around: LoopArray, stiffness: Any, damping: Any) -> Array:

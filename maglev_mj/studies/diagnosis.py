@@ -16,23 +16,24 @@ from maglev_mj.control import FiniteDifference, LowPass
 from maglev_mj.device import Device
 from maglev_mj.errors import KeywordError, ParameterError, choice_message
 from maglev_mj.frames import AXES
-from maglev_mj.keywords import checked, rate_of, with_period
-from maglev_mj.parameters import MEASURED_MOTIONS, param, transport_delay
+from maglev_mj.keywords import checked, with_period
+from maglev_mj.parameters import MEASURED_MOTIONS
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import body_of
 from maglev_mj.result import NoTruthValue, Result, Table, conditions_text, number_text, plain
-from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD, RANGE
+from maglev_mj.spec import RANGE
 from maglev_mj.studies.diagnosed_loops import (
+    DiagnosedLoop,
     DiagnosedLoops,
     checked_arrays,
     error_gain,
+    loops_of,
     passive_damping,
 )
 from maglev_mj.theory.boundary import StiffestWall, rigid_note
 from maglev_mj.theory.held import Held, held_of
 from maglev_mj.theory.loop import Bound, Loop, Loops, StableDelays, StableRange, holds
-from maglev_mj.theory.loop_array import LinearisedLaw, LoopArray, PdLaw
-from maglev_mj.theory.loop_parameters import LoopParameters
+from maglev_mj.theory.loop_array import LinearisedLaw, PdLaw
 from maglev_mj.theory.remedies import MOST_DAMPING, Remedy, has_room, hidden_amplitude, short
 from maglev_mj.theory.two_rates import rates_of
 from maglev_mj.theory.verdict import Verdict, judge, margin_words, verdicts
@@ -48,58 +49,6 @@ _NAMES = (
     "leaves_after",
 )
 """Figures in the JSON."""
-
-
-class DiagnosedLoop(LoopParameters):
-    """One axis of a device that renders a wall, a spring or any stiffness with damping.
-
-    Raises:
-        ParameterError: If a value is outside its bounds, or mass and inertia are both given.
-    """
-
-    stiffness: float = param("stiffness K of wall or spring", "N/m", default=0.0, at_least=0.0, at_most=1e8)
-    damping: float = param("damping B of the law", "N s/m", default=0.0, at_least=0.0, at_most=1e6)
-    period: float = param("sample period T", "s", default=MAX_PERIOD, at_least=MIN_PERIOD, at_most=MAX_PERIOD)
-    rate: float = rate_of("period")
-    delay: float = LoopParameters.like("delay", default=0.0, derive=None)
-    mass: float | None = LoopParameters.like("mass", derive=None, at_least=None, at_most=None, above=0.0)
-    target: float = param("wanted ratio of critical to requested stiffness", default=2.0, above=1.0, at_most=100.0)
-    law: LinearisedLaw | PdLaw | None = param(
-        "law with memory on the axis, linearised at some gains; or PD with any linear estimator",
-        default=None,
-        optional=True,
-        parse=lambda law: law,
-    )
-
-    def trial(self, **changes: Any) -> DiagnosedLoop:
-        """Return a copy with changes that the user did not state: their bounds are not checked."""
-        copy = object.__new__(type(self))
-        vars(copy).update(vars(self) | changes)
-        return copy
-
-    def value(self, word: str) -> float:
-        """Return one of these."""
-        return float(getattr(self, self.whole.name(word)))
-
-    @property
-    def gains(self) -> tuple[float, float]:
-        """Stiffness and damping of the law in question."""
-        return self.value("stiffness"), self.value("damping")
-
-    @property
-    def sampled(self) -> LoopArray:
-        """Loop without the gains of the law in question; the other law is its device law."""
-        return self.loop_in_question.array()
-
-    @property
-    def loop_in_question(self) -> Loop:
-        """Loop with gains, clock and filter of the law in question, and the other law beside it."""
-        return self.whole.in_question
-
-    @property
-    def whole(self) -> Loop:
-        """Loop with the laws on host and device where they are."""
-        return self.loop(stiffness=self.stiffness, damping=self.damping, law=self.law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,7 +336,7 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     """
     accepted = [item.name for item in DiagnosedLoop.parameters()]
     values = with_period(accepted, values)
-    arrays = checked_arrays(DiagnosedLoop, values)
+    arrays = checked_arrays(values)
     if arrays and scene is not None:
         raise ParameterError(f"{next(iter(arrays))} must be a number beside a scene or recording (see `sweep`)")
     values |= {name: float(array.max()) for name, array in arrays.items()}
@@ -423,15 +372,7 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     late: dict[str, Any] = {"delay": values["period"]}
     loop = DiagnosedLoop(**late | {name: value for name, value in values.items() if value is not None})
     if arrays:
-        arrays |= {"delay": arrays["period"]} if "period" in arrays and values.get("delay") is None else {}
-        loop.refuse({"target": "remedies are those of one loop"})
-        names = "stiffness", "device_stiffness", "device_delay", "device_period"
-        *requested, late, period = (arrays.get(name, getattr(loop, name)) for name in names)
-        transport_delay(late, period, "device_delay", "on a device")
-        if not np.all(np.maximum(*requested)):
-            raise ParameterError("stiffness must be above 0 (got 0)")
-        assumed = () if values.get("delay") is not None else ("a delay of one period",)
-        return DiagnosedLoops(loop, arrays, assumed)
+        return loops_of(loop, arrays, delay_is_stated=values.get("delay") is not None)
     if not loop.gains[0]:
         raise ParameterError(f"stiffness must be above 0 (got {loop.stiffness:g})")
     if measured is not None:

@@ -17,7 +17,8 @@ from maglev_mj.plants import ExactPlant
 from maglev_mj.result import number_text, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.names import scene_names
-from maglev_mj.studies.diagnosis import DiagnosedLoop, Diagnosis
+from maglev_mj.studies.diagnosed_loops import DiagnosedLoop
+from maglev_mj.studies.diagnosis import Diagnosis
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import DeviceLaw, Mode, largest_stable_stiffness, spectral_radius, stiffest_wall
 from maglev_mj.theory.remedies import COSTS, _least, _Search, critical_of

@@ -12,7 +12,8 @@ import pytest
 
 from maglev_mj import diagnose
 from maglev_mj.errors import ParameterError
-from maglev_mj.studies.diagnosis import DiagnosedLoop, Diagnosis
+from maglev_mj.studies.diagnosed_loops import DiagnosedLoop
+from maglev_mj.studies.diagnosis import Diagnosis
 from tests.studies.exact_log import exact_log
 
 RATIOS = 0.5, 1.0, 2.0, 3.7, 10.0

@@ -14,7 +14,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.plants.hand import get_hand, get_mode
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Corner
-from maglev_mj.studies.diagnosis import DiagnosedLoop
+from maglev_mj.studies.diagnosed_loops import DiagnosedLoop
 from maglev_mj.theory import DeviceLaw
 from maglev_mj.theory.loop import Bound, Loop, StableRange
 from maglev_mj.theory.remedies import MOST_DAMPING, _nearest, critical_of

@@ -245,7 +245,7 @@ def test_laws_of_equal_rates_add_up_and_every_function_takes_arrays() -> None:
         ({"stiffness": -1.0}, {}, "device stiffness must be"),
         ({"damping": -1.0}, {}, "device damping must be"),
         ({}, {"own_damping": -1.0}, "own_damping must be"),
-        ({}, {"own_damping": [1.0, 2.0], "mass": [1.0] * 3}, "own_damping, hand, mode must share"),
+        ({}, {"own_damping": [1.0, 2.0], "mass": [1.0] * 3}, "own_damping, driver_lag, hand, mode must share"),
     ],
 )
 def test_wrong_values_are_refused(device: dict[str, Any], loop: dict[str, Any], words: str) -> None:
