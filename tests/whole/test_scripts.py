@@ -236,7 +236,9 @@ def test_a_row_of_system_counts_what_it_ran(name: str) -> None:
         check_rows(table)
     if name == "answers":
         assert tables["answers"]["devices"] == dict.fromkeys(tables["answers"]["seconds"], 1) | {
-            "map of 6 x 6 in MuJoCo": 36
+            "map of 6 x 6 in MuJoCo": 36,
+            "critical stiffness of 100 loops": 100,
+            "all columns of 100 loops": 100,
         }
     if name == "cells":
         assert tables["sweeps"]["cells"] == {"100 empty": 100, "16 drop": 16}

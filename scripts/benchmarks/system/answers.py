@@ -1,4 +1,4 @@
-"""Cost of answers: stiffest wall, boundary, designed wall, checked scene, map in the engine."""
+"""Cost of answers: stiffest wall, boundary, designed wall, checked scene, diagnosed loops, map in the engine."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import itertools
 import statistics
 from collections.abc import Sequence
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
+from maglev_mj import diagnose
 from maglev_mj.control import FiniteDifference, LowPass, VelocityEstimator, Window
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import get_hand
@@ -42,6 +44,21 @@ def loops(count: int) -> list[LoopKeywords]:
     return [keywords(*loop) for loop in (hardest, *(every[index] for index in order))]
 
 
+def arrays(count: int) -> dict[str, Any]:
+    """Return values of random loops, for `diagnose`: some 40 % are unstable."""
+    rng = np.random.default_rng(1)
+    period = 10.0 ** rng.uniform(-3.3, -2.0, count)
+    gains = {"stiffness": 10.0 ** rng.uniform(1.0, 4.0, count), "damping": 10.0 ** rng.uniform(-1.0, 2.0, count)}
+    delay, mass = period * rng.uniform(0.0, 2.0, count), 10.0 ** rng.uniform(-1.0, 0.5, count)
+    return {**gains, "period": period, "delay": delay, "mass": mass}
+
+
+def _diagnosed(count: int, figure: str) -> Any:
+    """Return a figure of random loops, which computes it, or a function of them."""
+    found = getattr(diagnose(**arrays(count)), figure)
+    return found() if callable(found) else found
+
+
 def measure(quick: bool) -> dict[str, Table]:
     """Return the time of each answer, over many loops also the median and the worst."""
     repeats, grid = (1, 6) if quick else (2, 24)
@@ -65,6 +82,12 @@ def measure(quick: bool) -> dict[str, Table]:
     mapped = f"map of {grid} x {grid} in MuJoCo"
     found = answer(mapped, partial(run_stability, StabilityParameters(plant="mujoco", grid=grid)), 1)
     devices = dict.fromkeys(seconds, 1) | {mapped: found.simulated.size}
+    if find_spec("maglev_mj.studies.diagnosed_loops"):  # not before version 0.4
+        many = 100 if quick else 10_000
+        diagnosed = {f"critical stiffness of {many} loops": "ratio", f"all columns of {many} loops": "columns"}
+        for name, figure in diagnosed.items():
+            answer(name, partial(_diagnosed, many, figure), 1)
+            devices[name] = many
     return {
         "answers": {
             **columns({name: Run(sum(some), devices[name], len(some)) for name, some in seconds.items()}, "call"),
