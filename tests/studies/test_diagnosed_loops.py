@@ -163,3 +163,10 @@ def test_a_part_of_loops_has_its_own_maps_of_the_flotor() -> None:
     assert loop.flotor[0] is both  # computed once
     part = loop.part((2,), np.array([1]))
     np.testing.assert_array_equal(part.flotor[0], both[1:])
+
+
+def test_the_delay_of_a_host_without_gains_does_not_matter() -> None:
+    on_device: dict[str, Any] = {"device_stiffness": 300.0, "device_damping": 2.0, "device_period": 7e-4}
+    found = diagnose(stiffness=0.0, damping=0.0, period=1e-3, mass=0.3, delay=[0.0, 0.1], **on_device)
+    assert found.spectral_radius[0] == found.spectral_radius[1]  # to the last bit: the same matrix
+    assert found.critical_delay[0] == found.critical_delay[1]
