@@ -17,12 +17,12 @@ from maglev_mj.parameters import numbers, param, transport_delay
 from maglev_mj.result import Result, Table, number_text, plain, with_unit
 from maglev_mj.spec import MAX_PERIOD, MIN_PERIOD
 from maglev_mj.theory.boundary import boundary_of, highest_of, least_passive_damping
-from maglev_mj.theory.loop import Bound, Loop, alike, delay_bounds
+from maglev_mj.theory.loop import RELATIVE_ROUNDING, Bound, Loop, arrays_of, delay_bounds
 from maglev_mj.theory.loop_array import LinearisedLaw, LoopArray, PdLaw, pd
 from maglev_mj.theory.loop_parameters import LoopParameters
 from maglev_mj.theory.remedies import hidden_amplitude
 
-_SAMPLES, _ROUNDING, _MOST_ROWS = 4096, 1e-9, 8
+_SAMPLES, _MOST_ROWS = 4096, 8
 _UNITS = {
     **{"spectral_radius": "", "frequency": "Hz", "doubling_time": "s", "critical_stiffness": "N/m"},
     **{"stiffness_searched": "", "ratio": "", "critical_delay": "s", "delay_searched": ""},
@@ -87,7 +87,7 @@ class DiagnosedLoop(LoopParameters):
 class DiagnosedLoops(Result):
     """Verdict and margins of many loops, (...,) each: the broadcast shape of the values.
 
-    A figure is that of the `Diagnosis` of one loop, and NaN where that has none, to a relative 1e-8: loops that are
+    A figure is that of the `Diagnosis` of one loop, and NaN where that has none, to a relative 1e-9: loops that are
     computed together share the scaling of a matrix exponential. It is computed when read. Ranges of damping and rate,
     remedies and hands are those of one loop alone.
 
@@ -122,7 +122,7 @@ class DiagnosedLoops(Result):
 
     def _of(self, figure: Callable[..., Any], loops: Sequence[Loop]) -> Array:
         """Return a figure of each loop, (...,) or (2, ...)."""
-        parts = [(index, np.asarray(figure(*some))) for index, *some in alike(loops)]
+        parts = [(index, np.asarray(figure(*some))) for index, *some in arrays_of(loops)]
         result = np.empty((*parts[0][1].shape[:-1], len(loops)))
         for index, part in parts:
             result[..., index] = part
@@ -138,7 +138,7 @@ class DiagnosedLoops(Result):
     @property
     def stable(self) -> Mask:
         """True if the loop settles."""
-        return self.spectral_radius < 1.0 - _ROUNDING
+        return self.spectral_radius < 1.0 - RELATIVE_ROUNDING
 
     @cached_property
     def frequency(self) -> Array:
@@ -155,7 +155,7 @@ class DiagnosedLoops(Result):
     def _critical(self) -> tuple[Array, Mask]:
         def critical(around: LoopArray, _: Array, damping: Array) -> tuple[Array, Mask]:
             found = boundary_of(around, damping)
-            return found, np.asarray(found >= highest_of(around) * (1.0 - _ROUNDING))
+            return found, np.asarray(found >= highest_of(around) * (1.0 - RELATIVE_ROUNDING))
 
         stiffness, searched = self._of(critical, self._owns)
         return stiffness, np.asarray(searched > 0.0)
@@ -213,7 +213,7 @@ class DiagnosedLoops(Result):
         quantum, good = self._column("quantum"), self.stable.reshape(-1)
         known = [index for index, own in enumerate(self._owns) if good[index] and quantum[index] and own.device is None]
         result = np.full(quantum.shape, np.nan)
-        for index, around, *gains in alike([self._owns[index] for index in known]):
+        for index, around, *gains in arrays_of([self._owns[index] for index in known]):
             if not around.long:
                 rows = np.array(known)[index]
                 result[rows] = 0.5 * quantum[rows] * error_gain(around, *gains)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import LinearController, LowPass, VelocityEstimator
-from maglev_mj.control.stack import computed_together
+from maglev_mj.control.stack import alike, computed_together
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.lazy import loaded
@@ -592,26 +592,28 @@ def _two_rate_poles(
     return np.asarray(worst.astype(np.complex128) ** (1.0 / rates.host))
 
 
-def alike(loops: Sequence[Loop]) -> Iterator[tuple[NDArray[np.int64], LoopArray, Array, Array]]:
-    """Yield loops of equal structure as one `LoopArray`: their indices, the loops, stiffness and damping, (N,) each.
+def arrays_of(loops: Sequence[Loop]) -> Iterator[tuple[NDArray[np.int64], LoopArray, Array, Array]]:
+    """Yield loops whose matrices have equal structure as one `LoopArray`, at most 256 at once.
 
-    Those whose matrix has the same size are equal in structure if they share estimator, hand, mode and laws. At most
-    256 come together.
+    Yields:
+        Their indices (N,), the loops, and their stiffness and damping (N,).
     """
-    groups: dict[Any, list[int]] = defaultdict(list)
-    for index, loop in enumerate(loops):
-        whole, rest = split_delay(loop.delay, loop.period)
-        waiting = int(whole) + (rest > 0.0) if whole <= LONG else math.inf
-        around = loop.velocity, loop.hand, loop.mode, loop.device, loop.driver_lag > 0.0, id(loop.law)
-        clock = loop.period if loop.device is not None else 0.0  # a multiple of the device's or not
-        groups[waiting, whole > MAX_DELAY_PERIODS, clock, *around].append(index)
-    for indices in groups.values():
+    for indices in alike(map(_matrix_kind, loops)).values():
         for rows in np.array_split(indices, math.ceil(len(indices) / LOOPS)):
             some = [loops[index] for index in rows.tolist()]
             names = "period", "delay", "inertia", "driver_lag", "own_damping", "stiffness", "damping"
             values = {name: np.array([getattr(loop, name) for loop in some]) for name in names}
             stiffness, damping = values.pop("stiffness"), values.pop("damping")
             yield rows, some[0].array(**values), stiffness, damping
+
+
+def _matrix_kind(loop: Loop) -> Any:
+    """Return what loops of one `LoopArray` must share for the figures that each has alone."""
+    whole, rest = split_delay(loop.delay, loop.period)
+    commands = int(whole) + (rest > 0.0) if whole <= LONG else math.inf
+    clock = loop.period if loop.device is not None else 0.0  # a multiple of the device's or not
+    laws = loop.velocity, loop.device, id(loop.law)
+    return commands, whole > MAX_DELAY_PERIODS, clock, loop.driver_lag > 0.0, loop.hand, loop.mode, *laws
 
 
 def stable_delays(loop: LoopArray, stiffness: float, damping: float, *, free: bool | None = None) -> StableDelays:
