@@ -27,7 +27,7 @@ CASES: dict[str, dict[str, Any]] = {
     "hand": {"hand": "arm"},
     "mode": {"mode": "180,0.05,0.4"},
     "rotary": {"inertia": True},
-    "law on the device": {"periods": [0.0005, 0.002], "count": 8},
+    "law on the device": {"periods": [0.0005, 0.002], "count": 5},
     "law on the device at another rate": {"periods": [0.0031], "count": 1},
     "long delay": {"late": 45.0},
 }
