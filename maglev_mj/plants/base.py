@@ -218,8 +218,10 @@ class SampledPlant(ABC):
             raise PlantError("the plant is closed")
         if self._walls is not None and not isinstance(self._walls, DeviceWalls):
             raise PlantError("restart() is not possible after follow(): make a new plant")
-        timing = timing or self.timing
-        self._check_timing(timing)
+        if timing is None:
+            timing = self.timing
+        else:
+            self._check_timing(timing)
         start, measure = self._checked_start(timing, pose, twist), self._started()
         self.given = {**self.given, "timing": timing, "pose": start[0], "twist": start[1]}
         self._release(timing, start, measure)
@@ -405,8 +407,8 @@ class SampledPlant(ABC):
         """True after the first sample."""
         return self._tick >= 0
 
-    def hold(self, hand_force: HandForce) -> None:
-        """Replace the hand force from the next sample on; the hand's impedance stays."""
+    def hold(self, hand_force: HandForce | None) -> None:
+        """Replace the hand force from the next sample on, by none if None; the hand's impedance stays."""
         self._hand_force = hand_force
 
     @property

@@ -176,8 +176,11 @@ class MuJoCoPlant(SampledPlant):
         self._warns_unseen = max(self._escape) > _ENGINE_BOUND or stops
         self._release(timing, start, self._started())
 
-    def _checked_start(self, timing: Timing, pose: ArrayLike, twist: ArrayLike) -> tuple[Array, Array]:
+    def _check_timing(self, timing: Timing) -> None:
         numbers("phase of one device", timing.phase, shape="()")
+        super()._check_timing(timing)
+
+    def _checked_start(self, timing: Timing, pose: ArrayLike, twist: ArrayLike) -> tuple[Array, Array]:
         return numbers("pose", pose, shape="(6,)").copy(), numbers("twist", twist, shape="(6,)").copy()
 
     def _release(self, timing: Timing, start: tuple[Array, Array], measure: Measure | None) -> None:
