@@ -7,6 +7,7 @@ import pytest
 
 from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.scenes import scene
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import figures_of, run, run_phases
 from maglev_mj.studies.sweep import sweep
@@ -18,8 +19,9 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     plants: list[Any] = []
 
     def make(*timing: Any, **options: Any) -> MuJoCoPlant:
-        plants.append(MuJoCoPlant(*timing, **options))
-        return plants[-1]
+        plant = MuJoCoPlant(*timing, **options)
+        plants.append(plant)
+        return plant
 
     monkeypatch.setattr(scene, "MuJoCoPlant", make)
     return plants
@@ -45,7 +47,7 @@ def test_phases_one_by_one(name: str, values: Any, made: list[Any]) -> None:
 
 
 def test_cells_of_a_sweep(made: list[Any]) -> None:
-    drop = find_scene("drop")(duration=0.06)
+    drop = Drop(duration=0.06)
     vary: Any = {"mass": [0.7, 0.9], "stiffness": [2000.0, 5000.0], "height": [1e-3, 2e-3]}
     found = sweep(drop, vary, plant="mujoco", workers=0).figure("penetration")
     assert len(made) == 2  # one for each mass
