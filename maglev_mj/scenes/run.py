@@ -153,8 +153,11 @@ def run_phases(
     with closing(OneDevice()) as make:
         for start in range(0, chosen.size, size):
             chunk = chosen[start : start + size]
-            phase = chunk if plant == "exact" else float(chunk[0])
-            parts.append(_run(scene, plant, phase, make=make).over_phases())
+            if plant == "exact":
+                result = run(scene, plant=plant, phase=chunk)
+            else:
+                result = _run(scene, plant, float(chunk[0]), make=make)
+            parts.append(result.over_phases())
             if progress is not None:
                 progress(start + chunk.size, chosen.size)
     together = {name: np.concatenate([part.figures[name] for part in parts]) for name in parts[0].figures}
