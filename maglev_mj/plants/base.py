@@ -35,7 +35,7 @@ from maglev_mj.keywords import checked, every_tick
 from maglev_mj.parameters import flag, number, numbers, six
 from maglev_mj.plants.device_walls import DeviceWalls, HeldWalls
 from maglev_mj.plants.hand import Hand, HandForce
-from maglev_mj.plants.sensor import PoseSensor, measuring
+from maglev_mj.plants.sensor import Measure, PoseSensor, measuring
 from maglev_mj.plants.trace import HandWork, Trace, TraceRecorder, lagging_parts
 from maglev_mj.result import conditions_text
 from maglev_mj.spec import ESCAPE
@@ -79,6 +79,7 @@ class SampledPlant(ABC):
         before: Wrench of the actuators until the first command takes effect [N, N m], (..., 6).
         given: Constructor arguments by name.
         hand: Impedance of the hand on the flotor; None without a hand.
+        start: Pose and twist at release [m, rad; m/s, rad/s], (..., 6) each.
         unanswered: Last sample until its command is written, then None; see `Plant`.
     """
 
@@ -88,6 +89,7 @@ class SampledPlant(ABC):
         "__weakref__",
         "_lag",
         "_longest_step",
+        "_release_options",
         "_walls",
         "batch",
         "before",
@@ -104,6 +106,7 @@ class SampledPlant(ABC):
     hand: Hand | None = None
     given: Mapping[str, Any]
     inertia: Any
+    start: tuple[Array, Array]
 
     def __new__(cls, *timing: Any, **options: Any) -> Self:
         """Store the constructor arguments in the new plant."""
@@ -135,31 +138,93 @@ class SampledPlant(ABC):
         metered: bool = False,
     ) -> None:
         # few attributes: lookup is slower with more than 30
-        self.timing = timing
         self.batch = batch
         self._limit = None if wrench_limit is None else components(six("wrench_limit", wrench_limit, batch))
-        self._measure = None if sensor is None else measuring(sensor)
         distance, angle = numbers("escape", escape, shape="(2,)", above=0.0).tolist()
         self._escape = distance * distance, angle * angle
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
-        self._recorder = TraceRecorder(timing.time, self._arrays) if flag("record", record) else None
-        self._total: Component | None = 0.0 if flag("metered", metered) else None
-        self._run = self._carry if self._recorder is None and longest_step is None else self._run_in_pieces
-        self._hand_force, self._effort = hand_force, _NO_EFFORT
         self.before = six("wrench", wrench, batch, at_least=-math.inf, finite=True)
+        self._closed = False
+        self._limits = self._limit is not None
+        self._release_options = sensor, hand_force, flag("record", record), flag("metered", metered)
+        self._check_timing(timing)
+
+    def _check_timing(self, timing: Timing) -> None:
+        """Raise ParameterError if a timing does not fit the devices."""
+        numbers("delay", timing.delay, shape=f"() or {self.batch}")
+
+    def _started(self) -> Measure | None:
+        """Return the measurement function of the sensor in its initial state; None for an ideal sensor."""
+        sensor = self._release_options[0]
+        return None if sensor is None else measuring(sensor)
+
+    def _release(self, timing: Timing, start: tuple[Array, Array], measure: Measure | None) -> None:
+        """Set all that changes in a run to its value at release; the constructor ends with it, and so does `restart`.
+
+        Args:
+            timing: Sample period, delay and phase.
+            start: Checked pose and twist [m, rad; m/s, rad/s], (..., 6) each.
+            measure: Result of `_started`.
+        """
+        _, hand_force, record, metered = self._release_options
+        self.timing, self.start, self._measure = timing, start, measure
+        self._recorder = TraceRecorder(timing.time, self._arrays) if record else None
+        self._total: Component | None = 0.0 if metered else None
+        self._run = self._carry if self._recorder is None and self._longest_step is None else self._run_in_pieces
+        self._hand_force, self._effort = hand_force, _NO_EFFORT
         self._tick = -1
         self._offset: Component = 0.0
-        self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
+        self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not self.batch)
         self._intervals: Iterable[Interval] = []
-        self._closed = False
         # copies, because they are used on every tick
         self._period, self._phase = timing.period, timing.phase
         self._intervals_of: Callable[..., Iterable[Interval]] = self._timeline.period
         self._answer: tuple[Any, Any, float] | None = None
         self.unanswered: Sample | None = None
-        numbers("delay", timing.delay, shape=f"() or {batch}")
-        self._limits = self._limit is not None
         self._walls: Any = None  # `DeviceWalls`, or those of a twin's firmware
+
+    @abstractmethod
+    def _checked_start(self, timing: Timing, pose: ArrayLike, twist: ArrayLike) -> tuple[Array, Array]:
+        """Return checked copies of pose and twist at release, (..., 6) each."""
+
+    def restart(self, pose: ArrayLike, twist: ArrayLike = (0.0,) * 6, *, timing: Timing | None = None) -> None:
+        """Release the device again, from another pose and twist, as a new plant with otherwise equal arguments.
+
+        Samples, trace and state are then bit for bit those of the new plant, for a fraction of its cost: with MuJoCo,
+        a new one compiles and allocates. The sensor starts anew, the first hand force is back, opened coils are
+        connected, and the trace is empty. A hand that remembers, such as a `SpringHand` with a rise time, is the same
+        object, as it would be in the new plant. Changes to `device.model` from outside stay.
+
+        Args:
+            pose: Pose at release [m, rad], of the shape of the first one.
+            twist: Velocity at release [m/s, rad/s], likewise.
+            timing: Sample period, delay and phase, in place of those so far.
+
+        Raises:
+            ParameterError: If a value is outside its bounds or of another shape; the plant is then unchanged.
+            PlantError: If the plant is closed, or another object divides its periods (`follow`).
+
+        Example:
+            >>> from maglev_mj import MuJoCoPlant
+            >>> with MuJoCoPlant(gravity=0.0) as plant:
+            ...     heights = []
+            ...     for height in (0.001, 0.002):
+            ...         plant.restart([0.0, 0.0, height, 0.0, 0.0, 0.0])
+            ...         heights.append(plant.read().position[2])
+            >>> heights
+            [0.001, 0.002]
+        """
+        if self._closed:
+            raise PlantError("the plant is closed")
+        if self._walls is not None and not isinstance(self._walls, DeviceWalls):
+            raise PlantError("restart() is not possible after follow(): make a new plant")
+        if timing is None:
+            timing = self.timing
+        else:
+            self._check_timing(timing)
+        start, measure = self._checked_start(timing, pose, twist), self._started()
+        self.given = {**self.given, "timing": timing, "pose": start[0], "twist": start[1]}
+        self._release(timing, start, measure)
 
     @abstractmethod
     def _prepare(self, force: Six) -> Any:
@@ -342,8 +407,8 @@ class SampledPlant(ABC):
         """True after the first sample."""
         return self._tick >= 0
 
-    def hold(self, hand_force: HandForce) -> None:
-        """Replace the hand force from the next sample on; the hand's impedance stays."""
+    def hold(self, hand_force: HandForce | None) -> None:
+        """Replace the hand force from the next sample on, by none if None; the hand's impedance stays."""
         self._hand_force = hand_force
 
     @property

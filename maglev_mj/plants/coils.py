@@ -226,10 +226,15 @@ class CoilDrive:
 
     def __init__(self, coils: CoilMap, limit: float | None) -> None:
         self._coils, self._limit = coils, limit
-        self.inverse_map = self._upright = coils.current_per_wrench
+        self._upright = coils.current_per_wrench
         self._wrench, self._currents = np.zeros(6), np.zeros(len(coils))
         # equivalent to self._wrench[:] = force, in half the time
         self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Set the map to that of the upright flotor."""
+        self.inverse_map = self._upright
         self._cached: tuple[Sequence[float] | None, list[float]] = None, []
 
     def follow(self, rotation: Array | None, angle: Sequence[float] | None = None) -> bool:

@@ -176,7 +176,8 @@ class DeviceWalls:
             forces = forces or [0.0] * len(AXES)
             forces[axis] = forces[axis] - inside * (stiffness * offset + damping * velocity)
         if forces is not None or self.force is not None or self._waiting:
-            self._waiting.append((self._next, forces))
+            # a tuple: `states_of` copies lists, and `_driven` compares identities
+            self._waiting.append((self._next, None if forces is None else tuple(forces)))
         self._last, self._speeds = (self._next, measured), speeds
 
     def _plan(self, now: float, held: HeldWalls) -> None:

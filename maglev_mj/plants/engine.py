@@ -243,7 +243,7 @@ class Steps:
         controls = data.xfrc_applied[device.flotor] if device.coils is None else data.ctrl[: len(device.coils)]
         # equivalent to controls[:] = values, in half the time
         self._control = partial(struct.Struct(f"{len(controls)}d").pack_into, controls.data, 0)
-        self._drive: Drive | None = None
+        self._drive: Drive | None = None  # of the last step: its controls are set
         self.stops = _DampedStops(device, data) if stop_damping else None
         step = self.stops or partial(mujoco.mj_step, device.model, data)
         self.falloff = _Falloff(device, data, falloff, step) if falloff else None
@@ -251,6 +251,12 @@ class Steps:
         self._position = data.qpos[device.position_address :][:7]
         self.look: Callable[[], Sequence[float]] = self._position.tolist
         self.settle: Callable[[], Sequence[float]] = self.look
+
+    def reset(self, actual: Sequence[float]) -> None:
+        """Start again from a reset state, with controls that only `LaggingSteps` remember."""
+        self._drive = None
+        if self.stops is not None:
+            self.stops.reset()
 
     def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
         """Advance the state by `duration` [s] under a drive, in `pieces` equal steps."""
@@ -299,6 +305,11 @@ class CorrectedSteps(Steps):
         self._options.timestep = duration
         self._step()
         self._excess.append((0.5 * duration * duration, self._acceleration()))
+
+    def reset(self, actual: Sequence[float]) -> None:
+        """Start again; see `Steps`."""
+        super().reset(actual)
+        self._excess.clear()
 
     def _look(self) -> tuple[float, float, float, float, float, float, float]:
         x, y, z, w, a, b, c = self._read()
@@ -364,16 +375,21 @@ class LaggingSteps:
     Args:
         steps: Steps under constant controls.
         factors: Those of the lag.
-        actual: Controls at release.
 
     Attributes:
         commanded: Commanded controls of the last step.
         actual: Controls at present.
     """
 
-    def __init__(self, steps: Steps, factors: LagFactors, actual: Sequence[float]) -> None:
+    def __init__(self, steps: Steps, factors: LagFactors) -> None:
         self.inner, self._factors = steps, factors
         self.stops, self.falloff, self.look, self.settle = steps.stops, steps.falloff, steps.look, steps.settle
+        self.commanded: list[float] = []
+        self.actual: list[float] = []
+
+    def reset(self, actual: Sequence[float]) -> None:
+        """Start again, with the controls at release; see `Steps`."""
+        self.inner.reset(actual)
         self.commanded = self.actual = list(actual)
 
     def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
@@ -433,6 +449,11 @@ class _DampedStops:
         device.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
         self._touching = self._free + np.append([device.mass] * 3, device.inertia) / STOP_TIME
         self._touched = False
+
+    def reset(self) -> None:
+        """Start again without contact."""
+        self._touched = False
+        self._damping[:] = self._free
 
     def __call__(self, steps: int = 1) -> None:
         """Step `steps` times."""

@@ -19,6 +19,7 @@ from maglev_mj.parameters import LAG, number, numbers, six
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.hand import Hand, motion, transition
 from maglev_mj.plants.model import Model, acceleration, drivers_lag, load_model
+from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 
 Drive: TypeAlias = tuple[Six, Six]
@@ -99,23 +100,40 @@ class ExactPlant(SampledPlant):
             fall = device.gravity
         if driver_time_constant is not None:
             lag = number("driver_time_constant", driver_time_constant, above=0.0, **LAG)
-        start, motion, body = _start(
-            timing, pose, twist, moving if mass is None else mass, moments if inertia is None else inertia
-        )
+        start = _start(timing, pose, twist)
+        batch = start[0].shape[:-1]
+        body = _body(moving if mass is None else mass, moments if inertia is None else inertia, batch)
         gx, gy, gz = self._fall = (fall if gravity is None else acceleration(gravity)).tolist()
-        self.hand, self.start = hand, (start, motion)
+        self.hand = hand
         self.inertia = join(body)
         self._body = tuple(1.0 / value for value in body[2:])
         self._weight = gx * body[0], gy * body[1], gz * body[2], 0.0, 0.0, 0.0
         self.load = join(self._weight) + 0.0
-        self._pose, self._velocity = _shared(components(start)), _shared(components(motion))
         self._lag = drivers_lag(model, driver_lag, lag)
         special = self._lag or hand is not None or dry_friction is not None
         self._uses_force = bool(special or keywords.get("record") or keywords.get("metered"))
-        super().__init__(timing, batch=start.shape[:-1], **keywords)
-        self._pull: tuple[Component, ...] | None = None
-        self._actual = components(self.before) if special else []
+        super().__init__(timing, batch=batch, **keywords)
         self._amendments = tuple(self._amended(body, hand, dry_friction)) if special else ()
+        self._release(timing, start, self._started())
+
+    def _checked_start(self, timing: Timing, pose: ArrayLike, twist: ArrayLike) -> tuple[Array, Array]:
+        start = _start(timing, pose, twist)
+        if start[0].shape[:-1] != self.batch:
+            shape = start[0].shape[:-1]
+            raise ParameterError(
+                f"pose, twist and phase must have the batch shape {self.batch} of the plant (got {shape})"
+            )
+        return start
+
+    def _release(self, timing: Timing, start: tuple[Array, Array], measure: Measure | None) -> None:
+        pose, twist = start
+        self._pose, self._velocity = _shared(components(pose)), _shared(components(twist))
+        super()._release(timing, start, measure)
+        self._pull: tuple[Component, ...] | None = None
+        self._actual = components(self.before) if self._amendments else []
+        for amendment in self._amendments:
+            if isinstance(amendment, HeldAxis):
+                amendment.release(self._pose, self._velocity, self._actual)
 
     def _amended(
         self, body: list[Component], hand: Hand | None, dry_friction: ArrayLike | None
@@ -138,8 +156,7 @@ class ExactPlant(SampledPlant):
             yield DryFriction(friction, body, self._weight, single=not self.batch)
         for index in held:
             assert hand is not None
-            start = self._pose[index], self._velocity[index], self._actual[index]
-            yield HeldAxis(index, start, body[index], self._weight[index], hand, self._lag)
+            yield HeldAxis(index, body[index], self._weight[index], hand, self._lag)
 
     def _prepare(self, force: Six) -> Drive:
         fx, fy, fz, tx, ty, tz = force
@@ -221,20 +238,22 @@ class ExactPlant(SampledPlant):
         return stacked
 
 
-def _start(
-    timing: Timing, pose: ArrayLike, twist: ArrayLike, mass: ArrayLike, inertia: ArrayLike
-) -> tuple[Array, Array, list[Any]]:
-    """Return checked pose and twist of one shape, and mass and moments of inertia of the six axes."""
-    start, motion = numbers("pose", pose, shape="(..., 6)"), numbers("twist", twist, shape="(..., 6)")
+def _start(timing: Timing, pose: ArrayLike, twist: ArrayLike) -> tuple[Array, Array]:
+    """Return checked copies of pose and twist, of one shape."""
+    start, motion = (numbers(name, part, shape="(..., 6)").copy() for name, part in (("pose", pose), ("twist", twist)))
     shapes = (start.shape, motion.shape, (*np.shape(timing.phase), 6))
     try:
         shape = np.broadcast_shapes(*shapes)
     except ValueError:
         raise ParameterError(f"pose, twist and phase must have one batch shape (got {shapes})") from None
-    masses = numbers("mass", mass, shape=f"() or {shape[:-1]}", above=0.0)
+    return np.broadcast_to(start, shape), np.broadcast_to(motion, shape)
+
+
+def _body(mass: ArrayLike, inertia: ArrayLike, batch: tuple[int, ...]) -> list[Any]:
+    """Return checked mass and moments of inertia of the six axes."""
+    masses = numbers("mass", mass, shape=f"() or {batch}", above=0.0)
     moments = numbers("inertia", inertia, shape="(3,)", above=0.0)
-    body = [masses if masses.ndim else float(masses)] * 3 + moments.tolist()
-    return np.broadcast_to(start, shape), np.broadcast_to(motion, shape), body
+    return [*[masses if masses.ndim else float(masses)] * 3, *moments.tolist()]
 
 
 def _shared(parts: list[Component]) -> list[Component]:
@@ -327,20 +346,23 @@ class HeldAxis:
 
     Args:
         index: Index of the axis into AXES.
-        start: Position [m], velocity [m/s] and actuator force [N] at release.
         inertia: Mass of the flotor [kg].
         weight: Its weight along the axis [N].
         hand: Hand.
         lag: Time constant of the drivers [s]; 0 for no lag.
     """
 
-    def __init__(self, index: int, start: Six, inertia: Component, weight: Component, hand: Hand, lag: float) -> None:
-        self._index, self._weight = index, weight
-        place, velocity, actual = start
-        # states of `motion` after position and velocity
-        self._others = [*([hand.position_at_rest(place), velocity] if hand.soft else []), *([actual] if lag else [])]
+    def __init__(self, index: int, inertia: Component, weight: Component, hand: Hand, lag: float) -> None:
+        self._index, self._weight, self._hand, self._lag = index, weight, hand, lag
+        self._others: list[Component] = []  # states of `motion` after position and velocity
         self._a, self._b = motion(inertia, hand, lag)
         self._cache: dict[float | bytes, list[list[Component]]] = {}
+
+    def release(self, pose: Six, velocity: Six, actual: Six) -> None:
+        """Start at a pose [m, rad] and velocity [m/s, rad/s] under actuator forces [N, N m], six components each."""
+        index, hand = self._index, self._hand
+        own = [hand.position_at_rest(pose[index]), velocity[index]] if hand.soft else []
+        self._others = [*own, *([actual[index]] if self._lag else [])]
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """Correct the motion `after` in place; see `Lag`."""

@@ -16,6 +16,7 @@ from maglev_mj.plants.engine import STOP_TIME
 from maglev_mj.plants.exact import ExactPlant
 from maglev_mj.plants.hand import HandForce
 from maglev_mj.plants.model import acceleration
+from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import RANGE
 
 
@@ -38,6 +39,7 @@ class ExactCoilPlant(ExactPlant):
         inertia: Moments of inertia about x, y, z [kg m²], (3,).
         gravity: Gravitational acceleration along -z, or in stator axes (3,) [m/s²].
         pose: Pose at release [m, rad], (6,).
+        twist: Velocity at release [m/s, rad/s], (6,).
         hand_force: Force of a hand on the flotor; see `SampledPlant`.
         reach: Range of motion to either side [m, rad], (6,).
         lag: Time constant of the drivers [s]; 0 for none.
@@ -58,16 +60,22 @@ class ExactCoilPlant(ExactPlant):
         inertia: ArrayLike,
         gravity: ArrayLike,
         pose: ArrayLike,
+        twist: ArrayLike = (0.0,) * 6,
         hand_force: HandForce | None = None,
         reach: ArrayLike = RANGE,
         lag: float = 0.0,
     ) -> None:
-        self._reach = np.array(reach)
-        self._coils, self._constants = coils, coils.force_constants.copy()
+        self._reach, self._coils = np.array(reach), coils
+        self._loaded = np.append(mass * acceleration(gravity), np.zeros(3))
         lags: Any = {"driver_lag": True, "driver_time_constant": lag} if lag else {}
-        super().__init__(timing, mass=mass, inertia=inertia, gravity=0.0, pose=pose, hand_force=hand_force, **lags)
-        self.load, self.stop_wrench = np.append(mass * acceleration(gravity), np.zeros(3)), np.zeros(6)
-        if lag:  # the weight does not lag
+        start: Any = {"pose": pose, "twist": twist, "hand_force": hand_force}
+        super().__init__(timing, mass=mass, inertia=inertia, gravity=0.0, **start, **lags)
+
+    def _release(self, timing: Timing, start: tuple[Array, Array], measure: Measure | None) -> None:
+        self._constants = self._coils.force_constants.copy()
+        super()._release(timing, start, measure)
+        self.load, self.stop_wrench = self._loaded, np.zeros(6)
+        if self._lag:  # the weight does not lag
             self._actual = self.load.tolist()
         self._timeline.compares = False  # drives are currents: one equal entry does not make them equal
 

@@ -94,6 +94,7 @@ class MuJoCoPlant(SampledPlant):
         "_coils",
         "_data",
         "_effort_addresses",
+        "_gains",
         "_look",
         "_model",
         "_push_on",
@@ -134,9 +135,8 @@ class MuJoCoPlant(SampledPlant):
         **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
-        start, motion = numbers("pose", pose, shape="(6,)"), numbers("twist", twist, shape="(6,)")
-        numbers("phase of one device", timing.phase, shape="()")
-        self.hand, self.start = hand, (start, motion)
+        start = self._checked_start(timing, pose, twist)
+        self.hand = hand
         self.device = engine.prepared(
             model,
             gravity=gravity,
@@ -153,7 +153,7 @@ class MuJoCoPlant(SampledPlant):
         )
         if not coils and force_falloff:
             raise ParameterError("force_falloff needs coils=True")
-        self._lag = lag = drivers_lag(model, driver_lag, self.device.driver_time_constant)
+        self._lag = drivers_lag(model, driver_lag, self.device.driver_time_constant)
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
         self._coils = self.device.coils
         limiting = self._coils
@@ -161,7 +161,6 @@ class MuJoCoPlant(SampledPlant):
             limiting = load_model(model, coil_map=coil_map).coils
         self._coil_drive = None if limiting is None else CoilDrive(limiting, self.current_limit)
         self._open(integrator, force_falloff, flag("stop_damping", stop_damping), hand)
-        self._data.qpos[:], self._data.qvel[:] = engine.start_state(self.device, start, motion, hand)
         free = False
         if keywords.get("longest_step") is None:
             free = not (hand is not None or force_falloff or flexible)
@@ -169,32 +168,48 @@ class MuJoCoPlant(SampledPlant):
         super().__init__(timing, batch=(), **keywords)
         # if only the stops need short steps, take them only near a stop
         self._reach = None
-        if stops and free and self._recorder is None:
+        if stops and free and not keywords.get("record"):
             self._reach = float(self.device.range[:3].min()), float(self.device.range[3])
-        if lag:
-            factors = engine.LagFactors(lag, integrator)
-            assert isinstance(self._steps, engine.Steps)
-            self._steps = engine.LaggingSteps(self._steps, factors, self._timeline.acting[1])
-            if self._run != self._run_in_pieces:
-                self._run = self._carry
         self._limits |= current_limit is not None
-        self._sensor = self._measure
-        if self._measure is not None and self._coils is not None:
-            self._upright = math.inf
-            self._measure = self._measured
         # MuJoCo warns of positions and velocities that are not finite or above 1e10, which the escape check catches too
         # unless its bounds are wider; and of controls, which it then ignores
         self._warns_unseen = max(self._escape) > _ENGINE_BOUND or stops
+        self._release(timing, start, self._started())
+
+    def _check_timing(self, timing: Timing) -> None:
+        numbers("phase of one device", timing.phase, shape="()")
+        super()._check_timing(timing)
+
+    def _checked_start(self, timing: Timing, pose: ArrayLike, twist: ArrayLike) -> tuple[Array, Array]:
+        return numbers("pose", pose, shape="(6,)").copy(), numbers("twist", twist, shape="(6,)").copy()
+
+    def _release(self, timing: Timing, start: tuple[Array, Array], measure: Measure | None) -> None:
+        mujoco.mj_resetData(self._model, self._data)
+        self._model.actuator_gainprm[:, 0] = self._gains
+        self._data.qpos[:], self._data.qvel[:] = engine.start_state(self.device, *start, self.hand)
+        if self._coil_drive is not None:
+            self._coil_drive.reset()
+        self._last: engine.Drive = (), (), None
+        # whether the coil map is outdated (updated for the next wrench); measured angle, with a sensor
+        self._stale = self._turned = False
+        self._angle: Sequence[float] | None = None
+        super()._release(timing, start, measure)
+        self._steps.reset(self._timeline.acting[1])
+        self._sensor = measure
+        self._upright = math.inf if self._coils is None else UPRIGHT * UPRIGHT
+        if measure is not None and self._coils is not None:
+            self._upright = math.inf
+            self._measure = self._measured
 
     def _open(self, integrator: str, falloff: float, stop_damping: bool, hand: Hand | None) -> None:
         """Create the engine's state and views of it, which are too expensive to look up on each tick."""
         model, device = self.device.model, self.device
         self._data = mujoco.MjData(model)
         mujoco.mj_step(model, self._data)  # allocates memory, which would delay the first tick
-        mujoco.mj_resetData(model, self._data)
-        self._model = model
-        steps = engine.CorrectedSteps if integrator == "corrected" else engine.Steps
-        self._steps = steps(device, self._data, falloff, stop_damping)
+        self._model, self._gains = model, model.actuator_gainprm[:, 0].copy()
+        kind = engine.CorrectedSteps if integrator == "corrected" else engine.Steps
+        steps = kind(device, self._data, falloff, stop_damping)
+        self._steps = engine.LaggingSteps(steps, engine.LagFactors(self._lag, integrator)) if self._lag else steps
         self._look, self._settle = self._steps.look, self._steps.settle
         self._qpos = self._data.qpos[device.position_address :][:7]
         self._qvel = self._data.qvel[device.velocity_address :][:6]
@@ -202,11 +217,6 @@ class MuJoCoPlant(SampledPlant):
         self._effort_addresses = engine.hand_addresses(device, hand)
         self._turning = slice(device.velocity_address + 3, device.velocity_address + 6)
         self._rotation = np.zeros(9)
-        self._last: engine.Drive = (), (), None
-        # whether the coil map is outdated (updated for the next wrench); measured angle, with a sensor
-        self._stale = self._turned = False
-        self._angle: Sequence[float] | None = None
-        self._upright = math.inf if self._coils is None else UPRIGHT * UPRIGHT
         self._warnings = self._data.warning.number
         self._refused = memoryview(self._warnings)[int(mujoco.mjtWarning.mjWARN_BADCTRL) :]
 
@@ -293,11 +303,11 @@ class MuJoCoPlant(SampledPlant):
         parts = (self, self._timeline, steps, inner, steps.stops, self._coil_drive, self._walls)
         states = states_of(*(part for part in parts if part is not None))
         own = None if self._walls is None else _copy_of(self._walls.measure)
-        return states, state, self._angle, _copy_of(self._sensor), self._walls, own
+        return states, state, (self.given, self.start), self._angle, _copy_of(self._sensor), self._walls, own
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Restore a state of `saved`, from which the motion repeats exactly."""
-        states, state, self._angle, sensor, self._walls, own = saved
+        states, state, (self.given, self.start), self._angle, sensor, self._walls, own = saved
         restore(states)
         if self._walls is not None:
             self._walls.measure = _copy_of(own)
@@ -507,9 +517,8 @@ class MuJoCoBatchPlant(SampledPlant):
         **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
-        start = numbers("pose", pose, shape="(N, 6)")
-        motion = numbers("twist", twist, shape=f"(6,) or {start.shape}")
-        numbers("phase", timing.phase, shape=f"() or {start.shape[:1]}")
+        start = _batch_start(timing, pose, twist)
+        devices, self.hand = len(start[0]), hand
         count = int(number("threads", threads, at_least=0))
         self.device = engine.prepared(
             model,
@@ -525,26 +534,39 @@ class MuJoCoBatchPlant(SampledPlant):
         self._lag = lag = drivers_lag(model, driver_lag, self.device.driver_time_constant)
         from mujoco.batch import Batch  # imported late, to load MuJoCo on demand
 
-        self._engine = Batch(self.device.model, len(start), count)
-        for row, (at, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
-            self._engine.qpos[row], self._engine.qvel[row] = engine.start_state(self.device, at, speed, hand)
+        self._engine = Batch(self.device.model, devices, count)
         self._qpos = self._engine.bind("qpos")[:, self.device.position_address :][:, :7]
         self._qvel = self._engine.bind("qvel")[:, self.device.velocity_address :][:, :6]
         self._controls = (
             self._engine.bind("ctrl")[:, : len(self.device.coils)]
             if self.device.coils is not None
-            else self._engine.bind("xfrc_applied").reshape(len(start), -1, 6)[:, self.device.flotor]
+            else self._engine.bind("xfrc_applied").reshape(devices, -1, 6)[:, self.device.flotor]
         )
         self._timestep = self._engine.expand("opt.timestep")
         self._efforts = self._engine.bind("qfrc_applied")
         self._effort_addresses = engine.hand_addresses(self.device, hand)
-        # inverse coil maps, one each while any flotor is rotated; None without coils
-        self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
             keywords["longest_step"] = engine.longest_step(hand)
-        self._corrects, self._excess = integrator == "corrected", np.zeros((len(start), 6))
-        super().__init__(timing, batch=start.shape[:1], **keywords)
-        self._factors, self._actual = engine.LagFactors(lag, integrator) if lag else None, self._timeline.acting[1]
+        self._corrects = integrator == "corrected"
+        super().__init__(timing, batch=(devices,), **keywords)
+        self._factors = engine.LagFactors(lag, integrator) if lag else None
+        self._release(timing, start, self._started())
+
+    def _checked_start(self, timing: Timing, pose: ArrayLike, twist: ArrayLike) -> tuple[Array, Array]:
+        start = _batch_start(timing, pose, twist)
+        if start[0].shape[:1] != self.batch:
+            raise ParameterError(f"pose must have shape {(*self.batch, 6)}, as at first (got {start[0].shape})")
+        return start
+
+    def _release(self, timing: Timing, start: tuple[Array, Array], measure: Measure | None) -> None:
+        self._engine.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        for row, (at, speed) in enumerate(zip(*start, strict=True)):
+            self._engine.qpos[row], self._engine.qvel[row] = engine.start_state(self.device, at, speed, self.hand)
+        # inverse coil maps, one each while any flotor is rotated; None without coils
+        self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
+        self._excess = np.zeros((len(start[0]), 6))
+        super()._release(timing, start, measure)
+        self._actual = self._timeline.acting[1]
 
     inertia = MuJoCoPlant.inertia
 
@@ -632,6 +654,14 @@ class MuJoCoBatchPlant(SampledPlant):
         if currents is not None:
             wrench = wrench_of(np.asarray(inverse_map), currents)
         return join(_pose(position)), np.column_stack([velocity[:, :3], spin]), wrench
+
+
+def _batch_start(timing: Timing, pose: ArrayLike, twist: ArrayLike) -> tuple[Array, Array]:
+    """Return checked copies of pose and twist of a batch, (N, 6) each."""
+    start = numbers("pose", pose, shape="(N, 6)").copy()
+    motion = numbers("twist", twist, shape=f"(6,) or {start.shape}")
+    numbers("phase", timing.phase, shape=f"() or {start.shape[:1]}")
+    return start, np.broadcast_to(motion, start.shape).copy()
 
 
 def _pose(position: Sequence[Component]) -> list[Component]:

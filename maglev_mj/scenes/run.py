@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
 from functools import partial
 from numbers import Integral
@@ -23,7 +23,7 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.trace import BLOCK, Trace
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.results import Phases, RunResult, Variants, scene_conditions
-from maglev_mj.scenes.scene import PLANTS, Scene
+from maglev_mj.scenes.scene import PLANTS, OneDevice, Scene
 from maglev_mj.scenes.stack import SceneStack, stacked_scenes
 
 _MOST_PHASES = 10_000
@@ -68,7 +68,18 @@ def run(
         >>> round(float(result.figures["penetration"]), 5)  # [m]
         0.0019
     """
-    scene = get_scene(scene)
+    return _run(get_scene(scene), plant, phase, observe, begin)
+
+
+def _run(
+    scene: Scene,
+    plant: str | None,
+    phase: ArrayLike,
+    observe: Observe | None = None,
+    begin: Begin | None = None,
+    make: OneDevice | None = None,
+) -> RunResult:
+    """Run a scene; see `run`. With `make`, on its plant, which stays open."""
     plant = checked_plant(scene, plant)
     check_one_of("plant", PLANTS, plant, f" to run {scene.name}")
     single = np.ndim(phase) == 0
@@ -78,7 +89,11 @@ def run(
     controller, timing = scene.controller(), scene.timing(at)
     whole = single or isinstance(scene, SceneStack)
     source: Any = scene if whole else stacked_scenes([(scene, each) for each in np.asarray(at).tolist()])
-    with source.plant(plant, phase=at, timing=timing, record=True) as device, engine_warnings_silenced():
+    own: dict[str, Any] = {}
+    if make is not None and plant == "mujoco" and type(scene).plant is Scene.plant:  # a user's may have no `make`
+        own["make"] = make
+    made = source.plant(plant, phase=at, timing=timing, record=True, **own)
+    with nullcontext(made) if own else made as device, engine_warnings_silenced():
         signals = _SignalLog(controller, observe, () if single else (np.size(at),))
         ticks = scene.ticks(timing)
         record = None if begin is None else begin(scene, device, controller, ticks)
@@ -93,10 +108,13 @@ def run(
         return signals.result(scene, plant, at, _trace(device, scene, plant).until(scene.end))
 
 
-def figures_of(scene: Scene, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
-    """Return the figures of one run by name, from the scene's `run_figures` if defined; and any `warnings`."""
+def figures_of(scene: Scene, plant: str, phase: float = 0.0, make: OneDevice | None = None) -> Mapping[str, Any]:
+    """Return the figures of one run by name, from the scene's `run_figures` if defined; and any `warnings`.
+
+    A run in MuJoCo is on the plant of `make`, if any.
+    """
     if scene.run_figures is None:
-        result = run(scene, plant=plant, phase=phase)
+        result = _run(scene, plant, phase, make=make)
         return {**result.figures, **({"warnings": text} if (text := result.verdicts()[0]) else {})}
     figures: Mapping[str, Any] = scene.run_figures(plant, phase)
     return figures
@@ -132,11 +150,16 @@ def run_phases(
     chosen, plant = _phases(phases), checked_plant(scene, plant)
     size = _CHUNK if plant == "exact" else 1
     parts: list[Phases] = []  # figures only: traces are large
-    for start in range(0, chosen.size, size):
-        chunk = chosen[start : start + size]
-        parts.append(run(scene, plant=plant, phase=chunk if plant == "exact" else float(chunk[0])).over_phases())
-        if progress is not None:
-            progress(start + chunk.size, chosen.size)
+    with closing(OneDevice()) as make:
+        for start in range(0, chosen.size, size):
+            chunk = chosen[start : start + size]
+            if plant == "exact":
+                result = run(scene, plant=plant, phase=chunk)
+            else:
+                result = _run(scene, plant, float(chunk[0]), make=make)
+            parts.append(result.over_phases())
+            if progress is not None:
+                progress(start + chunk.size, chosen.size)
     together = {name: np.concatenate([part.figures[name] for part in parts]) for name in parts[0].figures}
     return Phases(scene, plant, chosen, together, np.concatenate([part.peaks for part in parts]))
 

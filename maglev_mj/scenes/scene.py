@@ -12,6 +12,7 @@ import numpy as np
 
 from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
+from maglev_mj.control.stack import content
 from maglev_mj.device import OnDevice, command_delay, sample_period
 from maglev_mj.errors import ParameterError, check_instance, named, one_line
 from maglev_mj.frames import AXES, ZERO, Array, Component
@@ -40,6 +41,36 @@ PlantMaker = Callable[..., SampledPlant]
 
 PLANTS: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoPlant}
 """Plants by name."""
+
+
+class OneDevice:
+    """Function that makes MuJoCo plants, and starts its last one again where only start, timing and hand force differ.
+
+    The plant is bit for bit a new one, for a fraction of its cost; the plant before it has then ended.
+    """
+
+    def __init__(self) -> None:
+        self._plant: SampledPlant | None = None
+        self._options: bytes | None = None
+
+    def __call__(self, timing: Timing, *, hand_force: HandForce | None = None, **options: Any) -> SampledPlant:
+        """Return the plant at release; see `MuJoCoPlant`."""
+        start = {name: options.pop(name) for name in ("pose", "twist") if name in options}
+        alike, self._options = self._options, content(options)
+        if self._plant is None or self._options is None or self._options != alike:
+            self.close()
+            self._plant = MuJoCoPlant(timing, hand_force=hand_force, **start, **options)
+        else:
+            self._plant.restart(**start, timing=timing)
+            self._plant.hold(hand_force)
+        return self._plant
+
+    def close(self) -> None:
+        """Close the last plant."""
+        if self._plant is not None:
+            self._plant.close()
+            self._plant = None
+
 
 RESERVED = frozenset(
     "version plant phase phases json out format record seconds size fps workers scheduler vary set scene plots".split()
@@ -278,6 +309,7 @@ class Scene(OnDevice):
         phase: float = 0.0,
         hand_force: HandForce | None = None,
         timing: Timing | None = None,
+        make: PlantMaker | None = None,
         **keywords: Any,
     ) -> SampledPlant:
         """Return the plant at release, with the scripted hand or another.
@@ -287,6 +319,7 @@ class Scene(OnDevice):
             phase: Sampling phase, in [0, 1).
             hand_force: Hand in place of the scripted one; `hand`, among the keywords, is an impedance.
             timing: Timing in place of the scene's own.
+            make: Function that makes the plant of that name, such as a `OneDevice`.
             keywords: Keywords of the plant; they override the scene's.
 
         Raises:
@@ -295,7 +328,7 @@ class Scene(OnDevice):
         scripted = self.scripted_hand(phase)
         options = self.plant_keywords(plant, scripted) | keywords
         if isinstance(plant, str):
-            plant = PLANTS[plant]
+            plant = make or PLANTS[plant]
         return plant(timing or self.timing(phase), hand_force=hand_force or scripted, **options)
 
     def plant_keywords(self, plant: str | PlantMaker, hand_force: HandForce | None) -> dict[str, Any]:

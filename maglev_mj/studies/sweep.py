@@ -10,7 +10,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib.util import find_spec
@@ -33,7 +33,7 @@ from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, referenc
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.results import Figure, RunResult, figure_head, parameters_json, prefixed, scene_conditions
 from maglev_mj.scenes.run import chaos_warning, checked_phase, checked_plant, figures_of, run, sensitivity
-from maglev_mj.scenes.scene import PLANTS, Scene
+from maglev_mj.scenes.scene import PLANTS, OneDevice, Scene
 from maglev_mj.scenes.stability_check import UNKNOWN, marks
 from maglev_mj.studies.cells import Study, Workers, chosen_workers, grid_columns
 from maglev_mj.studies.record import Cell, Record
@@ -440,10 +440,11 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
     """
     runs = [_run_of(dict(cell), text) for cell in cells]
     results = computed_together(runs, [(type(scene), plant) for scene, plant, _ in runs], _run_batch)
-    done = [
-        _run_single(run, text is not None) if figures is None else plain(figures)
-        for run, figures in zip(runs, results, strict=True)
-    ]
+    with closing(OneDevice()) as make:
+        done = [
+            _run_single(run, text is not None, make) if figures is None else plain(figures)
+            for run, figures in zip(runs, results, strict=True)
+        ]
     for result, mark in zip(done, marks([scene for scene, _, _ in runs]), strict=True):
         judged = not mark.startswith(UNKNOWN)
         if mark and (judged or "error" not in result):
@@ -485,11 +486,11 @@ def _same(figures: Mapping[str, Any] | None, single: Mapping[str, Any]) -> bool:
     return all(a.shape == b.shape and np.allclose(a, b, 1e-6, 1e-12, equal_nan=True) for a, b in pairs)
 
 
-def _run_single(run: _Run, catches: bool) -> dict[str, Any]:
+def _run_single(run: _Run, catches: bool, make: OneDevice | None = None) -> dict[str, Any]:
     """Return the figures of one run, or its error; `catches` catches any error, as of user code."""
     scene, plant, phase = run
     try:
-        figures: dict[str, Any] = plain(figures_of(scene, plant, phase))
+        figures: dict[str, Any] = plain(figures_of(scene, plant, phase, make))
         return figures
     except MaglevError as error:
         return {"error": str(error)}

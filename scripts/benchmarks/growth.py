@@ -6,6 +6,7 @@ assumptions stand in `ASSUMED`.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import wait
@@ -13,8 +14,11 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+import mujoco
 import numpy as np
+from mujoco import rollout
 
 from maglev_mj import Controller, Hold, Timing, Wall
 from maglev_mj.pictures import ChartPanel, PictureFolder, small_multiples
@@ -24,7 +28,7 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.studies.cells import Workers, dask_workers, local_workers
 from maglev_mj.studies.sweep import sweep
-from timing import Run, columns, driven, timed
+from timing import Run, columns, driven, in_turns, ratio, timed
 
 MANY = 100
 CELLS = 100_000
@@ -41,6 +45,7 @@ ASSUMED = (
 
 _POSE = [0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0]
 _TICKS = 60  # of a run: the flotor falls, hits the wall and rests in it
+_CELLS = 24  # of a sweep beside the rollout
 _SPENT = 1.5  # on the repeats of a run [s]
 
 
@@ -113,6 +118,81 @@ def _rate_run(make: Callable[..., SampledPlant], period: float, ticks: int) -> R
     )
     plant = make(Timing(period=period, delay=delay), pose=[1e-4, 0.0, 0.0, 0.0, 0.0, 0.0])
     return driven(plant, Controller(list(laws), period=period), ticks)
+
+
+def against_rollout(quick: bool) -> dict[str, dict[str, float]]:
+    """Return costs of a MuJoCo batch relative to `mujoco.rollout` with as many steps of the same model.
+
+    The rollout has no controller: it is the bound of what a batch on these cores can reach.
+    """
+    devices, turns = (50, 2) if quick else (2000, 9)
+    found: dict[str, dict[str, float]] = {}
+    least: dict[str, dict[str, float]] = {}
+    for integrator in ("corrected", "rk4"):
+        for threads in (1, os.cpu_count() or 1):
+            name = f"{integrator}, {threads} thread{'s' * (threads > 1)}"
+            times = in_turns(_rollout_runs(integrator, devices, threads), turns)
+            least[name] = {work: min(values) for work, values in times.items()}
+            for work in times.keys() - {"rollout"}:
+                found.setdefault(f"{work}, over rollout", {})[name] = ratio(times[work], times["rollout"])
+            each = 1e6 * least[name]["rollout"] / devices / _TICKS
+            found.setdefault("rollout, µs a tick and device", {})[name] = each
+    for integrator in ("corrected", "rk4"):
+        one, *more = (some for name, some in least.items() if name.startswith(integrator))
+        for all_cores in more:
+            for work, value in all_cores.items():
+                found.setdefault("one thread over all cores", {})[f"{integrator}, {work}"] = one[work] / value
+    return found
+
+
+def against_new_plants(quick: bool) -> dict[str, dict[str, float]]:
+    """Return the cost of a new plant relative to a restart of one, by plant."""
+    found = {}
+    for name, (make, _, _) in plants().items():
+        plant = make(Timing(), pose=_POSE)
+        work: dict[str, Callable[[], float]] = {
+            "new": partial(timed, partial(make, Timing(), pose=_POSE)),
+            "restart": partial(timed, partial(plant.restart, _POSE)),
+        }
+        times = in_turns(work, 5 if quick else 300)
+        found[name] = ratio(times["new"], times["restart"])
+    return {"new plant over restart": found}
+
+
+def _rollout_runs(integrator: str, devices: int, threads: int) -> dict[str, Callable[[], float]]:
+    """Return runs of the drop by name; each returns its time [s]."""
+    pose = np.tile(_POSE, (devices, 1))
+    plant = MuJoCoBatchPlant(Timing(), pose=pose, coils=False, integrator=integrator, threads=threads)
+    steps = [0]
+    advance = plant._engine.step
+
+    def counted(nstep: int) -> None:
+        steps[0] += nstep
+        advance(nstep=nstep)
+
+    with patch.object(plant._engine, "step", counted):
+        driven(plant, Drop().controller(), _TICKS)
+    model = plant.device.model
+    model.opt.timestep = _TICKS * plant.period / steps[0]
+    workers, kind = [mujoco.MjData(model) for _ in range(threads)], mujoco.mjtState.mjSTATE_FULLPHYSICS
+    start = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, workers[0], start, kind)
+    starts = np.tile(start, (devices, 1))
+    roll = rollout.Rollout(nthread=threads if threads > 1 else 0)
+
+    def closed() -> float:
+        plant.restart(pose)
+        return driven(plant, Drop().controller(), _TICKS).seconds
+
+    runs = {
+        "rollout": lambda: timed(lambda: roll.rollout(model, workers, starts, nstep=steps[0])),
+        "batch, steps alone": lambda: timed(lambda: [advance(nstep=1) for _ in range(steps[0])]),
+        "batch, closed loop": closed,
+    }
+    if integrator == "rk4" and threads == 1:
+        each = devices * _TICKS / (_CELLS * Drop().ticks(Timing()))  # scaled to as many ticks as the batch
+        runs["sweep in one process"] = lambda: each * sweep_time(local_workers(0), _CELLS)
+    return runs
 
 
 def sweep_time(workers: Workers, cells: int) -> float:
@@ -200,6 +280,8 @@ def measure(quick: bool) -> dict[str, Any]:
     rates = against_rate(quick)
     return {
         **devices,
+        **against_rollout(quick),
+        **against_new_plants(quick),
         "simulated seconds a second": rates.pop("simulated seconds a second"),
         "over rate": rates,
         "workers": workers,
