@@ -467,6 +467,9 @@ class _Falloff:
     """Engine step with a coil force that decreases with stroke s: 1 - falloff (s / range)².
 
     Force constants are evaluated at midstep, for an error of second order in the step.
+
+    Attributes:
+        central: Force constants at the centre of the range [N/A], (N,); 0 for an open coil.
     """
 
     def __init__(self, device: CompiledModel, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
@@ -474,7 +477,7 @@ class _Falloff:
         assert device.coils is not None  # required by the plant
         self._coils = slice(len(device.coils))
         self._centre = reference_state(device.model).actuator_length[self._coils].copy()
-        self._flat = device.model.actuator_gainprm[self._coils, 0].copy()
+        self.central = device.model.actuator_gainprm[self._coils, 0].copy()
         self._range = float(device.range[:3].max())
 
     def __call__(self, steps: int = 1) -> None:
@@ -486,7 +489,7 @@ class _Falloff:
         for _ in range(steps):
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
-            gains[:] = self._flat * self._share(length + half * speed)
+            gains[:] = self.central * self._share(length + half * speed)
             self._step()
 
     def share(self) -> Array:

@@ -186,6 +186,8 @@ class MuJoCoPlant(SampledPlant):
     def _release(self, timing: Timing, start: tuple[Array, Array], measure: Measure | None) -> None:
         mujoco.mj_resetData(self._model, self._data)
         self._model.actuator_gainprm[:, 0] = self._gains
+        if self._steps.falloff is not None:
+            self._steps.falloff.central[:] = self._gains[: len(self._steps.falloff.central)]
         self._data.qpos[:], self._data.qvel[:] = engine.start_state(self.device, *start, self.hand)
         if self._coil_drive is not None:
             self._coil_drive.reset()
@@ -253,6 +255,8 @@ class MuJoCoPlant(SampledPlant):
     def open_coil(self, coil: int) -> None:
         """Disconnect a coil, counted from 0, as by a broken wire."""
         self._model.actuator_gainprm[whole("coil", coil, at_most=len(self.currents) - 1), 0] = 0.0
+        if self._steps.falloff is not None:
+            self._steps.falloff.central[coil] = 0.0
 
     @cached_property
     def inertia(self) -> Array:

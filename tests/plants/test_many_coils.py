@@ -135,8 +135,9 @@ def test_the_force_limit_is_where_the_first_coil_reaches_its_limit() -> None:
     assert Drop(device=EIGHT.toml()).body.force_limit == limit[2]
 
 
-def test_an_open_coil_is_missing_in_the_wrench() -> None:
-    with MuJoCoPlant(TIMING, model=EIGHT, gravity=0.0) as plant:
+@pytest.mark.parametrize("falloff", [0.0, 0.3])
+def test_an_open_coil_is_missing_in_the_wrench(falloff: float) -> None:
+    with MuJoCoPlant(TIMING, model=EIGHT, gravity=0.0, force_falloff=falloff) as plant:
         plant.open_coil(7)
         with pytest.raises(ParameterError, match="coil must be"):
             plant.open_coil(8)
@@ -144,6 +145,11 @@ def test_an_open_coil_is_missing_in_the_wrench() -> None:
             plant.read()
             plant.drive([0.0] * 7 + [1.0])
         assert not np.any(plant.state()[1])
+        plant.restart([0.0] * 6)  # as new: the coil is whole
+        for _ in range(2):
+            plant.read()
+            plant.drive([0.0] * 7 + [1.0])
+        assert np.any(plant.state()[1])
 
 
 @pytest.mark.parametrize("coil", [4, 7])
