@@ -51,9 +51,14 @@ def averaging_time(snapshot: Snapshot) -> float:
     return period if snapshot.state == "paused" else max(_MEAN_SPAN * min(snapshot.time_scale, 1.0), period)
 
 
+def is_halted(snapshot: Snapshot) -> bool:
+    """Return True if the time of a simulation stands still; that of a device goes on, also in a fault."""
+    return snapshot.state == "stopped" and snapshot.device is None
+
+
 def forces(snapshot: Snapshot) -> Mapping[str, ForceRange]:
-    """Return the forces of "hand" and "device" over `averaging_time`, up to the newest sample; none while stopped."""
-    if snapshot.state == "stopped":  # what acted before is in the charts
+    """Return the forces of "hand" and "device" over `averaging_time`, up to the newest sample; none while halted."""
+    if is_halted(snapshot):  # what acted before is in the charts
         return dict.fromkeys(("hand", "device"), ForceRange(np.zeros(6), 0.0, 0.0))
     rows = snapshot.history
     if not len(rows):

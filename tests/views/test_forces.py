@@ -148,6 +148,10 @@ def test_no_force_acts_once_a_scene_has_stopped() -> None:
     stopped = replace(shown, state="stopped")
     assert [force_text(force) for force in forces(stopped).values()] == ["0.0 N, peak 0.0 N"] * 2
     assert not force_arrows(stopped) and "no force" in panel._gauge(stopped)
+    # a device goes on in a fault, perhaps with amplifiers that stick: nothing says that its force is gone
+    device = replace(stopped, device=DeviceStatus("udp://twin", "fault", simulated=True))
+    assert forces(device)["device"].size == forces(shown)["device"].size > 1.0
+    assert force_arrows(device).keys() == force_arrows(shown).keys() and "no force" not in panel._gauge(device)
 
 
 def truth(timing: Timing, controller: Controller, hand: float, ticks: int) -> tuple[Array, Any]:

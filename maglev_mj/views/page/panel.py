@@ -21,7 +21,7 @@ from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, MAX_REWIND, REWIND_ACTIONS, SCENE_PREFIX, Snapshot
 from maglev_mj.session.snapshot import TourLine
-from maglev_mj.views.forces import averaging_time, force_text, forces, state_words
+from maglev_mj.views.forces import averaging_time, force_text, forces, is_halted, state_words
 from maglev_mj.views.page.stage import VIEWS, look, rgb, update
 from maglev_mj.views.readings import (
     GROUPS,
@@ -350,7 +350,7 @@ def _gauge(snapshot: Snapshot) -> str:
         )
     if bars:
         words = f"mean and range over {averaging_time(snapshot):.2g} s; arrows: mean"
-        words = "no force; plots and strip show the last one" if snapshot.state == "stopped" else words
+        words = "no force; plots and strip show the last one" if is_halted(snapshot) else words
         bars += f'<div style="font-size:.78em;opacity:.7">{words}</div>'
     state = f'<b style="color:{on_page(STUCK)}">{escape(state_words(snapshot))}</b>'
     return f'<div class="gauge" style="padding:.2em .75em 0">{bars}<div style="min-height:1.5em">{state}</div></div>'
