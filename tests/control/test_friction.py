@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -286,6 +287,49 @@ def test_lugre_slides_at_its_stribeck_curve_and_damps_its_bristle() -> None:
     (_, one), (_, other) = drive(damped, step)[0], drive(plain, step)[0]
     z = -other / K
     assert one - other == pytest.approx(-30.0 * z / T)
+
+
+_DC_MOTOR = """
+<mujoco>
+  <option timestep="{period}" gravity="0 0 0"/>
+  <worldbody><body><joint name="x" type="slide" axis="1 0 0"/><geom size="0.05" mass="1"/></body></worldbody>
+  <actuator>
+    <dcmotor joint="x" input="none" motorconst="0" resistance="1"
+      lugre="{stiffness} {bristle_damping} {coulomb} {breakaway} {stribeck}"/>
+  </actuator>
+</mujoco>
+"""
+"""Passive motor on a slide: nothing but MuJoCo's own LuGre friction."""
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_lugre_is_that_of_mujoco_s_dc_motor(seed: int) -> None:
+    # Both solve the bristle exactly over a step at its speed. MuJoCo damps it by its rate at the sample, this law by the
+    # mean rate since the sample before.
+    random = np.random.default_rng(seed)
+    stiffness, breakaway = 10.0 ** random.uniform(3, 5), random.uniform(0.5, 5.0)
+    share, stribeck, period = random.uniform(0.4, 1.0), 10.0 ** random.uniform(-3, -1), float(random.choice([T, 1e-3]))
+    damping = random.uniform(0.0, 2.0) * math.sqrt(stiffness)
+    values = {"stiffness": stiffness, "breakaway": breakaway, "stribeck": stribeck, "period": period}
+    text = _DC_MOTOR.format(**values, coulomb=share * breakaway, bristle_damping=damping)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    speeds = 10.0 ** random.uniform(-1.5, 1.0, 200) * stribeck * np.sign(np.sin(np.arange(200) / 9.0 + 0.1))
+    bristle, drags = [0.0], []
+    for speed in speeds:
+        data.qvel[0] = speed
+        mujoco.mj_step(model, data)
+        rate = float(data.act_dot[0])  # at the beginning of the step
+        drags.append(float(data.qfrc_actuator[0]) + stiffness * bristle[-1] + damping * rate)
+        bristle.append(float(data.act[0]))
+    np.testing.assert_allclose(drags, 0.0, atol=1e-9 * (breakaway + damping))  # f = -(s0 z + s1 dz/dt)
+
+    law = LuGre(axes="x", coulomb=share, bristle_damping=damping, **values)
+    positions, z = np.concatenate([[0.0], np.cumsum(speeds * period)]), np.array(bristle)
+    force, anchor = drive(law, positions, period)
+    np.testing.assert_allclose(positions - anchor, z, atol=1e-9 * breakaway / stiffness)
+    mean = np.concatenate([[0.0], np.diff(z) / period])
+    np.testing.assert_allclose(force, -(stiffness * z + damping * mean), atol=1e-8 * (breakaway + damping))
 
 
 def test_elasto_plastic_is_a_spring_up_to_its_share_and_coulomb_beyond() -> None:
