@@ -86,6 +86,8 @@ class Series:
         measured = self.points[:, 1]
         low, high = np.zeros(len(measured)), np.full(len(measured), top)
         enough = self.critical(own_damping=low) >= measured
+        if enough.all():
+            return low
         never = self.critical(own_damping=high) < measured
         for _ in range(_STEPS):
             middle = 0.5 * (low + high)

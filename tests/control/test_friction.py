@@ -304,8 +304,8 @@ _DC_MOTOR = """
 
 @pytest.mark.parametrize("seed", range(12))
 def test_lugre_is_that_of_mujoco_s_dc_motor(seed: int) -> None:
-    # Both solve the bristle exactly over a step at its speed. MuJoCo damps it by its rate at the sample, this law by the
-    # mean rate since the sample before.
+    # Both solve the bristle exactly over a step at its speed. MuJoCo damps it by its rate at the sample, this law by
+    # the mean rate since the sample before.
     random = np.random.default_rng(seed)
     stiffness, breakaway = 10.0 ** random.uniform(3, 5), random.uniform(0.5, 5.0)
     share, stribeck, period = random.uniform(0.4, 1.0), 10.0 ** random.uniform(-3, -1), float(random.choice([T, 1e-3]))
