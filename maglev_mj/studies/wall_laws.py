@@ -38,7 +38,8 @@ class WallLaw(NamedTuple):
         make: See `LawMaker`.
         equation: Force f on the flotor at depth x < 0 and velocity v; k counts samples.
         status: "as published", "changed", "own" or "user-defined".
-        source: Source of the equation, and "not verified" if it was not read; then what differs from it.
+        source: Source of the equation, "as in" an implementation that was read for it, "not opened" for a text that was
+            not, and what differs from it.
         velocity: Velocity estimator; None for the scene's.
         gains: Function of scene and plant that returns parameters in place of the scene's; None for the scene's own.
     """
@@ -96,39 +97,39 @@ LAWS: Mapping[str, WallLaw] = {
     "half-sample": WallLaw(
         HalfSampleWall,
         "f = -K (x + v T/2) - B v, and the crossing time of the edge within the hold",
-        "as published",
-        "Gillespie & Cutkosky 1996 (recalled, not verified)",
+        "changed",
+        "after Gillespie & Cutkosky 1996 (not opened): as quoted, theirs predicts by a model of hand and device",
     ),
     "virtual-coupling": WallLaw(
         VirtualCoupling,
         "f = -K (x - y) - B (v - w), M w' = -f, y >= 0; M = mass of the flotor",
-        "as published",
-        "Colgate, Stanley & Brown 1995; Adams & Hannaford 1999 (recalled, not verified)",
+        "changed",
+        "f as in OpenSurgSim, VirtualToolCoupler; mass and stop are own; Adams & Hannaford 1999 (abstract, not opened)",
     ),
     "filtered": WallLaw(
         _unpulsed,
         "pd with v += (1 - exp(-2 pi f T)) ((x[k] - x[k-1])/T - v), f = 40 Hz",
         "changed",
-        "Brown 1995, appendix A (read in part): a backward difference; Chawda et al. 2014 (abstract, not verified)",
+        "Brown 1995, appendix A (read in part): a backward difference; Chawda et al. 2014 (abstract, not opened)",
         velocity=LowPass(cutoff=40.0),
     ),
     "passivity-2002": WallLaw(
         partial(_watched, paired=False),
         "pd; E += -T f v + T b v²; if E < 0: b = -E/(T v²), f -= b v, b at most 0.4 m/T",
         "as published",
-        "Hannaford & Ryu 2002 (recalled, not verified); the limit of b is own",
+        "recursion as in haptic-toolbox, tdpa.rs; the limit of b is own; Hannaford & Ryu 2002 (not opened)",
     ),
     "passivity": WallLaw(
         partial(_watched, paired=True),
         "pd; E -= (force in effect over the hold) (x[k] - x[k-1]); damper of passivity-2002",
         "own",
-        "after Hannaford & Ryu 2002 (recalled, not verified); balances the energy within three samples, not at each",
+        "after Hannaford & Ryu 2002 (not opened); balances the energy within three samples, not at each",
     ),
     "colgate": WallLaw(
         _unpulsed,
         "f = -K x, K = 2 b/T without delay, b the device's own damping",
         "changed",
-        "Colgate & Schenkel 1997 (as quoted by others, not verified); with a delay K = b/least_passive_damping(1)",
+        "Colgate & Schenkel 1997 (as quoted by others, not opened); with a delay K = b/least_passive_damping(1)",
         gains=_passive,
     ),
 }

@@ -342,6 +342,27 @@ def test_elasto_plastic_is_a_spring_up_to_its_share_and_coulomb_beyond() -> None
     assert (np.abs(sliding) <= F * (1 + 1e-12)).all()
 
 
+def test_elasto_plastic_moves_by_the_rate_of_its_source() -> None:
+    # dz = dx (1 - alpha z / z_ss), with a signed z_ss; alpha = 0 against the motion and below the breakaway deflection,
+    # 1 above z_ss, and (1 + sin(pi (|z| - (z_ss + z_ba)/2)/(z_ss - z_ba)))/2 between
+    random, elastic = np.random.default_rng(3), 0.6
+    steady, breaks = F / K, 0.6 * F / K
+    path = np.cumsum(random.normal(scale=4e-5, size=400) + 4e-5 * np.sin(np.arange(400) / 9.0))
+    _, anchor = drive(ElastoPlastic(axes="x", stiffness=K, breakaway=F, elastic=elastic), path)
+    z, between = 0.0, 0
+    for place, before, here in zip(path[1:], path, anchor[1:]):
+        travel, alpha = place - before, 0.0
+        if z * travel > 0.0 and abs(z) > breaks:
+            inside = abs(z) < steady
+            between += inside
+            turn = math.pi * (abs(z) - 0.5 * (steady + breaks)) / (steady - breaks)
+            alpha = 0.5 * (1.0 + math.sin(turn)) if inside else 1.0
+        z += travel * (1.0 - alpha * z / math.copysign(steady, travel))
+        z = min(max(z, -steady), steady)  # the step is explicit
+        assert place - here == pytest.approx(z, abs=1e-15)
+    assert between > 50
+
+
 def test_hayward_armstrong_slides_at_breakaway_and_hardly_moves_when_stuck() -> None:
     law = HaywardArmstrong(axes="x", stiffness=K, breakaway=F)
     sliding, _ = drive(law, np.linspace(0.0, 5e-3, 1000))
@@ -423,3 +444,22 @@ def test_adaptive_window_reaches_back_while_samples_lie_within_its_band(noise: f
         places[[4, 11]] = bump * noise, 11e-9
         speed = estimates(AdaptiveWindow(noise=(noise,) * 6, longest=11), places, 1e-3)[-1]
         assert speed == pytest.approx((11e-9 - end * noise) / (length * 1e-3))
+
+
+def test_adaptive_window_is_the_end_fit_of_its_source() -> None:
+    # The chord from the newest sample to the i-th before it, for i = 1, 2, ... until one sample between is further from
+    # it than the noise; the last chord that passed counts.
+    random, noise, period = np.random.default_rng(8), 5.317e-6, 1e-3  # no tie with the sensor's step
+    places = np.round(np.cumsum(random.normal(scale=4e-6, size=300)) / 5e-6) * 5e-6
+    seen, windows = estimates(AdaptiveWindow(noise=(noise,) * 6, longest=15), places, period), set()
+    for k in range(1, 300):
+        speed = 0.0
+        for i in range(1, min(15, k) + 1):
+            chord = (places[k] - places[k - i]) / (i * period)
+            line = places[k] - chord * period * np.arange(1, i)
+            if (np.abs(line - places[k - np.arange(1, i)]) > noise).any():
+                break
+            speed, window = chord, i
+        windows.add(window)
+        assert seen[k] == pytest.approx(speed, rel=1e-9, abs=1e-12)
+    assert len(windows) > 8

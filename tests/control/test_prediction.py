@@ -79,6 +79,28 @@ def test_passivity_control_of_2002_sees_no_energy_made_by_the_hold() -> None:
     assert pushing.signals["energy"] == pytest.approx([0.0], abs=1e-12)
 
 
+def test_passivity_control_of_2002_is_the_recursion_of_its_source() -> None:
+    # In the source's order, with the force on the environment: E += T f v + T alpha[k-1] v[k-1]², alpha = -E/(T v²)
+    # where E < 0, and f + alpha v.
+    random = np.random.default_rng(6)
+    places = np.cumsum(random.normal(scale=1e-3, size=200))
+    given = random.normal(size=200) + 10.0 * np.diff(places, prepend=places[0]) / T  # pushes along
+    watch = PassivityController(axes="z", period=T, most=1e9, slow=1e-9, paired=False)
+    rendered = iter(given)
+    controller = Controller([lambda x, v: [0.0, 0.0, next(rendered), 0.0, 0.0, 0.0], watch], period=T)
+    energy = alpha = before = 0.0
+    acted = 0
+    for tick, place in enumerate(places.tolist()):
+        command = controller.step(Sample(tick, tick * T, [0.0, 0.0, place, 0.0, 0.0, 0.0])).force[2]
+        speed = (place - places[tick - 1]) / T if tick else 0.0
+        energy += T * -given[tick] * speed + T * alpha * before * before
+        alpha = -energy / (T * speed * speed) if energy < 0.0 and speed else 0.0
+        before = speed
+        acted += alpha > 0.0
+        assert command == pytest.approx(given[tick] - alpha * speed, rel=1e-6, abs=1e-6)
+    assert acted > 20
+
+
 @pytest.mark.parametrize(
     ("stiffness", "most", "after"),
     [(500.0, 1.11, 1.002), (2000.0, 1.33, 1.002), (4000.0, 1.58, 1.002), (20000.0, 3.41, 1.15)],

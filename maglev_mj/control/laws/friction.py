@@ -182,7 +182,7 @@ class SpringReset(Friction):
     The law uses no velocity, so it jumps instead of sliding. While the flotor moves, its force is a sawtooth with mean
     breakaway / 2; it vanishes if the travel per sample stretches the spring past the limit.
 
-    Source: after the stick-slip effect of CHAI3D 3 (www.chai3d.org), which has no damping.
+    Source: `cEffectStickSlip` of CHAI3D (github.com/chai3d/chai3d), which has no damping.
     """
 
     called: ClassVar = "spring-reset"
@@ -204,7 +204,9 @@ class ImplicitCoulomb(Friction):
         period: Sample period T [s].
         element_damping: Damping B of the series element [N s/m, N m s/rad].
 
-    Source: Kikuuwe, Takesue, Sano, Mochiyama & Fujimoto 2006; rederived, not checked against the original.
+    Source: implicit Euler step of a Coulomb element in series with a spring-damper, as the abstracts of Kikuuwe,
+    Takesue, Sano, Mochiyama & Fujimoto 2005 and 2006 state it; the closed form is derived here, their equations were
+    not opened.
 
     Example:
         >>> from maglev_mj import Controller, ImplicitCoulomb, Sample
@@ -279,7 +281,7 @@ class Dahl(_Bristle):
 
     Solved exactly for the travel of each sample.
 
-    Source: Dahl 1968, in the form of Olsson et al. 1998; rederived, not checked against the original.
+    Source: LuGre with constant g and no bristle damping, as MuJoCo's `dcmotor` computes it; Dahl 1968 was not opened.
     """
 
     called: ClassVar = "dahl"
@@ -297,7 +299,8 @@ class LuGre(_Bristle):
         stribeck: Stribeck velocity v_s [m/s, rad/s], above 0.
         bristle_damping: Bristle damping s1 [N s/m, N m s/rad].
 
-    Source: Canudas de Wit, Olsson, Astrom & Lischinsky 1995; not checked against the original.
+    Source: Canudas de Wit, Olsson, Astrom & Lischinsky 1995 (not opened), as in github.com/auralius/LuGre, which
+    rebuilds its figures; the deflection is that of MuJoCo's `dcmotor`, damped by its mean rate over a sample.
     """
 
     called: ClassVar = "lugre"
@@ -338,7 +341,8 @@ class ElastoPlastic(_Bristle):
     Args:
         elastic: Largest purely elastic deflection, as a fraction of z_ss, in (0, 1).
 
-    Source: Dupont, Hayward, Armstrong & Altpeter 2002; not checked against the original.
+    Source: Dupont, Hayward, Armstrong & Altpeter 2002 (not opened), as in github.com/SilvinWillemsen/ElastoPlastic,
+    without Stribeck effect and bristle damping, by one explicit step over the travel.
     """
 
     called: ClassVar = "elasto-plastic"
@@ -357,7 +361,7 @@ class ElastoPlastic(_Bristle):
 
 
 class HaywardArmstrong(_Bristle):
-    """Hayward-Armstrong displacement-based friction, nearly free of drift.
+    """Displacement-based friction, nearly free of drift: a variant after Hayward & Armstrong.
 
     dw = alpha(z) abs(dx) z for the anchor w = x - z, abs(z) <= z_max = breakaway / k, f = -k z, with
     alpha(z) = z^8 / (z_stick^8 + z^8) / z_max: almost 0 while stuck, so small load cycles hardly creep.
@@ -365,7 +369,8 @@ class HaywardArmstrong(_Bristle):
     Args:
         stick: z_stick as a fraction of z_max, in (0, 1).
 
-    Source: Hayward & Armstrong 2000; not checked against the original.
+    Source: a variant of ours, after Hayward & Armstrong 2000 (not opened): a displacement-based law that is nearly
+    free of drift, whose alpha(z) could not be verified.
     """
 
     called: ClassVar = "hayward-armstrong"

@@ -175,7 +175,8 @@ class AdaptiveWindow(Estimator):
     Raises:
         ParameterError: If a value is outside its bounds.
 
-    Source: Janabi-Sharifi, Hayward & Chen 2000, end-fit variant; not checked against the original.
+    Source: end-fit FOAW of Janabi-Sharifi, Hayward & Chen 2000 (not opened), as in `foaw.c` of
+    github.com/radarsat1/FOAW.
     """
 
     called: ClassVar = "adaptive"

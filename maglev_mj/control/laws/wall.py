@@ -227,7 +227,8 @@ class HalfSampleWall(_LowerWall):
     Raises:
         ParameterError: If a value is outside its bounds or shapes do not match.
 
-    Source: Gillespie & Cutkosky 1996 (recalled, not verified).
+    Source: a variant of ours, after Gillespie & Cutkosky 1996 (not opened): as quoted by others, theirs predicts by a
+    model of hand and device, and drives the edge deadbeat.
 
     Example:
         >>> from maglev_mj import Controller, HalfSampleWall, Sample
@@ -275,7 +276,9 @@ class VirtualCoupling(_LowerWall):
     Raises:
         ParameterError: If a value is outside its bounds or shapes do not match.
 
-    Source: Colgate, Stanley & Brown 1995; Adams & Hannaford 1999 (recalled, not verified).
+    Source: a variant of ours. The coupling's force is that of `VirtualToolCoupler` in github.com/simquest/opensurgsim;
+    the virtual mass, its step and its stop are ours. Colgate, Stanley & Brown 1995 and Adams & Hannaford 1999: not
+    opened.
 
     Example:
         >>> from maglev_mj import Controller, Sample, VirtualCoupling
@@ -330,7 +333,8 @@ class PassivityController(AxisLaw):
     Raises:
         ParameterError: If a value is outside its bounds or shapes do not match.
 
-    Source: Hannaford & Ryu 2002 (recalled, not verified); `paired` is this project's form.
+    Source: without `paired` the recursion of `tdpa.rs` in github.com/spebern/haptic-toolbox, with the period, but for
+    `most` and `slow`; Hannaford & Ryu 2002 was not opened. `paired` is a variant of ours.
     """
 
     period: float = setting(at_least=MIN_PERIOD, at_most=MAX_PERIOD, unit="s")
