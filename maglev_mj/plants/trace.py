@@ -339,7 +339,7 @@ class PassivityObserver:
     Raises:
         ParameterError: If an inertia is not above 0.
 
-    Source: Hannaford & Ryu 2002, with each force paired with the displacement during its action.
+    Source: after Hannaford & Ryu 2002 (not opened), with each force paired with the displacement during its action.
     """
 
     def __init__(

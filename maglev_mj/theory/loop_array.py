@@ -102,8 +102,7 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
 
     Args:
         velocity: Linear velocity estimator; the finite difference by default.
-        prediction: Prediction time of the position along that velocity [s]: half a period for the half-sample
-            prediction of Gillespie & Cutkosky 1996.
+        prediction: Prediction time of the position along that velocity [s]: half a period for `HalfSampleWall`.
 
     Raises:
         ParameterError: If the estimator is not linear.
