@@ -279,6 +279,7 @@ _LAWS = "--law pd --law pulse --law half-sample --law mine.py".split()
 _STUDIES = {
     "stability_steps": "stability_steps",
     "nonlinear_walls": "stability_nonlinear",
+    "measured_walls": "measured_walls",
     "two_walls": "two_walls",
     "friction_laws": "friction_laws",
     "where_methods_fail": " ".join(f"where_methods_fail_{name}" for name in ("timing", "pulse", "limits", "hands")),

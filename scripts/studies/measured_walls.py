@@ -4,18 +4,21 @@ The points are those of `measured_walls.toml` beside this file, or of your own f
 """
 
 import math
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.cli.declare import Parser
+from maglev_mj.cli.output import script_options
 from maglev_mj.control import LowPass
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
+from maglev_mj.pictures import TITLE, line_style, name_curves, new_figure, save
 from maglev_mj.theory import critical_delay, largest_stable_stiffness, spectral_radius, stiffest_wall
 
 FILE = Path(__file__).with_suffix(".toml")
@@ -26,6 +29,8 @@ _KINDS = "limit", "stable", "unstable"
 _STATED = {"device": str, "sensor": str, "source": str, "reading": str, "kind": str, "rotary": bool, "opened": bool}
 _NUMBERS = "mass", "own_damping", "period", "delay", "cutoff"
 _STEPS = 30
+_CURVE = 3
+"""Least number of points with damping that make a curve."""
 
 
 @dataclass(frozen=True)
@@ -228,8 +233,8 @@ def lines(series: Series) -> Iterator[str]:
 
 def _one_delay(series: Series, found: Comparison) -> Iterator[str]:
     """Yield what one delay for all points with damping would make of them."""
-    damped = np.flatnonzero((series.points[:, 0] > 0.0) & np.isfinite(found.delay))
-    if damped.size < 3:
+    damped = _damped(series)
+    if damped.size < _CURVE:
         return
     delays, measured = found.delay[damped], series.points[damped, 1]
     middle = float(np.median(delays))
@@ -242,19 +247,69 @@ def _one_delay(series: Series, found: Comparison) -> Iterator[str]:
     )
 
 
-def main(path: Path = FILE) -> None:
-    """Print all tables of a file."""
-    for number, series in enumerate(load(path)):
+def _damped(series: Series) -> Any:
+    """Return the indices of the points with virtual damping."""
+    return np.flatnonzero(series.points[:, 0] > 0.0)
+
+
+def draw(every: Sequence[Series], path: Path) -> Path | None:
+    """Draw each curve of at least three points with damping beside theory; None without one.
+
+    Args:
+        every: Series of a file.
+        path: File to write.
+    """
+    chosen = [one for one in every if not one.missing and one.text["kind"] == "limit" and _damped(one).size >= _CURVE]
+    if not chosen:
+        return None
+    columns = min(2, len(chosen))
+    rows = -(-len(chosen) // columns)
+    delays = [float(np.median(one.meeting_delay()[_damped(one)])) for one in chosen]
+    shown = [f"{1e3 * delay:.2g} ms" for delay in (min(delays), max(delays))]
+    head = [f"Theory meets measured walls at a median delay of {' to '.join(dict.fromkeys(shown))}"]
+    figure, panels = new_figure(
+        [*head, "critical stiffness over damping; panel: that delay"], rows, columns, 2.6 * rows
+    )
+    for panel, series, delay in zip(panels, chosen, delays):
+        unit = ("N m s/rad", "N m/rad") if series.text["rotary"] else ("N s/m", "N/m")
+        damping = np.linspace(0.0, float(np.nanmax(series.points[:, 0])), 60)
+        grid = Series(series.text, series.loop, series.assumed, np.column_stack([damping, np.ones_like(damping)]))
+        curves: dict[str, dict[str, float]] = {"theory, delay of the file": {}, "theory, that delay": {"delay": delay}}
+        for index, (label, changes) in enumerate(curves.items()):
+            panel.plot(damping, grid.critical(**changes), label=label, **line_style(index))
+        panel.plot(*series.points.T, "o", color="black", markersize=4.0, label="measured")
+        panel.set_ylim(0.0, 2.0 * series.points[:, 1].max())
+        device = shorten(series.text["device"].rpartition("paddle, ")[2], 32, placeholder=" ...")
+        panel.set_title(f"{device}: {1e3 * delay:.2g} ms", **TITLE)
+        panel.set_xlabel(f"damping ({unit[0]})")
+        panel.set_ylabel(f"stiffness ({unit[1]})")
+    for panel in panels[len(chosen) :]:
+        panel.axis("off")
+    name_curves(figure, panels[:1])
+    return Path(save(figure, path))
+
+
+def main(path: Path = FILE) -> list[Series]:
+    """Print all tables of a file, and return its series."""
+    every = load(path)
+    for number, series in enumerate(every):
         if number:
             print()
         print("\n".join(lines(series)))
         print(f"  source: {series.text['source']}")
+    return every
 
 
 if __name__ == "__main__":
-    parser = Parser(description=__doc__)
-    parser.add_argument("file", nargs="?", type=Path, default=FILE, help="points (default: those of this folder)")
+
+    def add_file(parser: Any) -> None:
+        """Add the option of the script."""
+        parser.add_argument("file", nargs="?", type=Path, default=FILE, help="points (default: those of this folder)")
+
+    options = script_options(__doc__, more=add_file)
     try:
-        main(parser.parse_args().file)
+        picture = draw(main(options.file), options.pictures.path("measured_walls"))
     except ParameterError as error:
-        parser.error(str(error))
+        sys.exit(f"measured_walls.py: error: {error}")
+    if picture:
+        print("\nwrote", picture)
