@@ -28,7 +28,7 @@ DELAY, MASS = 0.0005, 0.2
 _KINDS = "limit", "stable", "unstable"
 _STATED = {"device": str, "sensor": str, "source": str, "reading": str, "kind": str, "rotary": bool, "opened": bool}
 _NUMBERS = "mass", "own_damping", "period", "delay", "cutoff"
-_STEPS = 30
+_STEPS = 24
 _CURVE = 3
 """Least number of points with damping that make a curve."""
 
@@ -266,10 +266,9 @@ def draw(every: Sequence[Series], path: Path) -> Path | None:
     rows = -(-len(chosen) // columns)
     delays = [float(np.median(one.meeting_delay()[_damped(one)])) for one in chosen]
     shown = [f"{1e3 * delay:.2g} ms" for delay in (min(delays), max(delays))]
-    head = [f"Theory meets measured walls at a median delay of {' to '.join(dict.fromkeys(shown))}"]
-    figure, panels = new_figure(
-        [*head, "critical stiffness over damping; panel: that delay"], rows, columns, 2.6 * rows
-    )
+    finding = f"Theory meets measured walls at a median delay of {' to '.join(dict.fromkeys(shown))}"
+    head = [finding, "critical stiffness over damping of the wall; above each panel that delay"]
+    figure, panels = new_figure(head, rows, columns, 2.6 * rows)
     for panel, series, delay in zip(panels, chosen, delays):
         unit = ("N m s/rad", "N m/rad") if series.text["rotary"] else ("N s/m", "N/m")
         damping = np.linspace(0.0, float(np.nanmax(series.points[:, 0])), 60)

@@ -14,7 +14,8 @@ import pytest
 import measured_walls
 from maglev_mj.errors import ParameterError
 from maglev_mj.theory import spectral_radius
-from measured_walls import FILE, Series, compare, lines, load
+from measured_walls import FILE, Series, compare, draw, lines, load
+from tests.studies.test_charts import complaints
 
 SERIES = load(FILE)
 COMPUTED = [series for series in SERIES if not series.missing]
@@ -126,6 +127,19 @@ def test_your_own_file_is_read_by_the_same_study(tmp_path: Path, capsys: pytest.
     assert out.startswith("mine (limit; N/m, N s/m)") and "theory meets the points with damping at" in out
     measured_walls.main(written(tmp_path / "mine.toml", mass=None))
     assert "not computed: mass not stated" in capsys.readouterr().out
+
+
+def test_a_curve_is_drawn_and_fewer_points_are_not(tmp_path: Path) -> None:
+    drawn: list[Any] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measured_walls, "save", lambda figure, path: drawn.append(figure) or path)
+        assert draw([by_name("50 Hz"), by_name("UBC")], tmp_path / "walls.png") == tmp_path / "walls.png"
+        assert draw([by_name("UBC"), by_name("ETH ")], tmp_path / "walls.png") is None
+    (figure,) = drawn
+    assert complaints(figure) == []
+    curves = {line.get_label(): line for line in figure.axes[0].get_lines()}
+    assert curves.keys() == {"theory, delay of the file", "theory, that delay", "measured"}
+    np.testing.assert_array_equal(curves["measured"].get_xydata(), by_name("50 Hz").points)
 
 
 @pytest.mark.parametrize(
