@@ -131,8 +131,13 @@ def test_your_own_file_is_read_by_the_same_study(tmp_path: Path, capsys: pytest.
 
 def test_a_curve_is_drawn_and_fewer_points_are_not(tmp_path: Path) -> None:
     drawn: list[Any] = []
+
+    def keep(figure: Any, path: Path) -> Path:
+        drawn.append(figure)
+        return path
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(measured_walls, "save", lambda figure, path: drawn.append(figure) or path)
+        patch.setattr(measured_walls, "save", keep)
         assert draw([by_name("50 Hz"), by_name("UBC")], tmp_path / "walls.png") == tmp_path / "walls.png"
         assert draw([by_name("UBC"), by_name("ETH ")], tmp_path / "walls.png") is None
     (figure,) = drawn
