@@ -7,14 +7,15 @@ from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any, TypeAlias
 
-from maglev_mj.cli.declare import Parser, Shared, option
-from maglev_mj.cli.options import Json, Picture, add_device, add_parameters, chosen, scene_word, stated
+from maglev_mj.cli.declare import Parser, Shared, count, number_option, option
+from maglev_mj.cli.options import Json, Picture, add_device, add_parameters, chosen, range_of, scene_word, stated
 from maglev_mj.cli.output import write_result
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import MEASURED_MOTIONS
 from maglev_mj.scenes.names import scene_names
 from maglev_mj.studies.diagnosed_loops import DiagnosedLoop
 from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
+from maglev_mj.theory.line import Line
 
 _SOURCES = {
     "stiffness": "from the scene or recording, else required",
@@ -58,6 +59,24 @@ def _stated_values(options: argparse.Namespace) -> dict[str, Any]:
 _StatedLoop: TypeAlias = Annotated[dict[str, Any], Shared(_add_loop, _stated_values)]
 
 
+def _add_line(parser: Parser) -> None:
+    group = parser.group("line")
+    text = "least and largest delay, if it varies from sample to sample [s]"
+    group.add_argument("--jitter", metavar="LOW,HIGH", help=text)
+    text = "probability that a sample or its command is lost (default 0)"
+    group.add_argument("--loss", type=number_option, metavar="P", help=text)
+    text = "largest number of samples lost in a row, for the worst case (default: not limited)"
+    group.add_argument("--lost-in-a-row", type=count, metavar="N", help=text)
+
+
+def _stated_line(options: argparse.Namespace) -> Line | None:
+    """Return the line if one of its options is set."""
+    jitter = None if options.jitter is None else range_of("jitter", [options.jitter.replace(",", ":")])
+    if jitter is None and options.loss is None and options.lost_in_a_row is None:
+        return None
+    return Line(jitter=jitter, loss=options.loss or 0.0, lost_in_a_row=options.lost_in_a_row)
+
+
 def diagnose(
     what: Annotated[
         str | None,
@@ -67,6 +86,7 @@ def diagnose(
     on_axis: Annotated[
         str | None, option("axis of the scene to diagnose (default: that of its worst loop)", "loop", "AXIS")
     ] = None,
+    line: Annotated[Line | None, Shared(_add_line, _stated_line)] = None,
     loop: _StatedLoop,
     json: Json = None,
     pictures: Picture,
@@ -76,5 +96,5 @@ def diagnose(
     For a wall, a spring or a controller with stiffness and damping on one axis, of any mass or inertia. The exit status
     is 0 for an unstable wall too; `stable` in the JSON is the verdict.
     """
-    write_result(json, diagnose_loop(what, on_axis=on_axis, **loop), pictures)
+    write_result(json, diagnose_loop(what, on_axis=on_axis, line=line, **loop), pictures)
     return 0

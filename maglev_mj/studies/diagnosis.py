@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,7 @@ from maglev_mj.studies.diagnosed_loops import (
 )
 from maglev_mj.theory.boundary import StiffestWall, rigid_note
 from maglev_mj.theory.held import Held, held_of
+from maglev_mj.theory.line import Line, LineVerdict
 from maglev_mj.theory.loop import Bound, Loop, Loops, StableDelays, StableRange, holds
 from maglev_mj.theory.loop_array import LinearisedLaw, PdLaw
 from maglev_mj.theory.remedies import MOST_DAMPING, Remedy, has_room, hidden_amplitude, short
@@ -46,7 +47,7 @@ _NAMES = (
     *("loop", "stable", "spectral_radius", "frequency", "doubling_time", "critical_stiffness", "damping_range"),
     *("critical_delay", "stable_delays", "rate_range", "rate_in_periods", "best", "remedies", "ineffective"),
     *("passive_damping", "amplitude_limit", "hum", "assumptions", "measured", "remarks", "valid_to", "held"),
-    "leaves_after",
+    *("leaves_after", "line"),
 )
 """Figures in the JSON."""
 
@@ -65,6 +66,7 @@ class Diagnosis(NoTruthValue, Result):
         scene_hand: Hand of the scene, whose worst of free and held is `loop`; None without one.
         reach: Range of motion of the axis [m, rad].
         subject: Name of the scene or recording, for charts.
+        line: Verdict over a line whose delay varies or that loses samples; None without one.
     """
 
     loop: DiagnosedLoop
@@ -76,7 +78,13 @@ class Diagnosis(NoTruthValue, Result):
     scene_hand: Hand | None = None
     reach: float = RANGE[2]
     subject: str = field(default="loop", repr=False)
-    pictures: ClassVar = {"diagnosis": "maglev_mj.studies.diagnosis_picture:diagnosis"}
+    line: LineVerdict | None = None
+
+    @property
+    def pictures(self) -> Mapping[str, str]:
+        """See `Result`."""
+        shown = ["diagnosis", *["jitter"] * (self.line is not None and not self.line.reason)]
+        return {name: f"maglev_mj.studies.diagnosis_picture:{name}" for name in shown}
 
     @property
     def stable(self) -> bool:
@@ -229,6 +237,11 @@ class Diagnosis(NoTruthValue, Result):
         first = f". {goal}: {self.remedies[0].words}" if self.remedies else ""
         return f"{word}: {present} {unit}, critical stiffness {critical}{first}"
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """See `Result`."""
+        return tuple(filter(None, [self.line.warning if self.line else ""]))
+
     def unit(self, unit: str) -> str:
         """Return a unit of a translation, or that of a rotation for a rotary axis."""
         return self.loop.unit(unit)
@@ -274,7 +287,9 @@ class Diagnosis(NoTruthValue, Result):
         if has_room(self.loop.whole, self.stable, self.critical_stiffness, self.loop.target):
             title = f"No change needed: critical over requested stiffness is at least {self.loop.target:g}"
         found = Table(title, head, remedies, "\n".join(notes))
-        return Table(f"{self.setting}: {self.motion}", ("stable for", ""), rows, str(self.held), below=[found])
+        over = [Table(f"Line: {self.line.setting}", ("verdict", ""), self.line.rows)] if self.line else []
+        title, below = f"{self.setting}: {self.motion}", [*over, found]
+        return Table(title, ("stable for", ""), rows, str(self.held), below=below, warnings=self.warnings)
 
     def _notes(self) -> Iterable[str]:
         if math.isfinite(self.amplitude_limit):
@@ -297,7 +312,11 @@ class Diagnosis(NoTruthValue, Result):
 
 @overload
 def diagnose(  # type: ignore[overload-overlap]  # a number is an array too
-    scene: Any = None, *, on_axis: str | None = None, **values: float | str | LinearisedLaw | PdLaw | None
+    scene: Any = None,
+    *,
+    on_axis: str | None = None,
+    line: Line | None = None,
+    **values: float | str | LinearisedLaw | PdLaw | None,
 ) -> Diagnosis: ...
 
 
@@ -306,7 +325,9 @@ def diagnose(scene: None = None, *, on_axis: None = None, **values: ArrayLike | 
 
 
 @checked
-def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) -> Diagnosis | DiagnosedLoops:
+def diagnose(
+    scene: Any = None, *, on_axis: str | None = None, line: Line | None = None, **values: Any
+) -> Diagnosis | DiagnosedLoops:
     """Return verdict, margins and ranked remedies of a wall's closed loop, in contact.
 
     Of arrays of values it returns verdict and margins of every loop as columns, see `DiagnosedLoops`. Loops are
@@ -319,6 +340,7 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
         scene: Scene, or name of one, for its worst loop: the one with the largest spectral radius if it is unstable,
             else with the smallest margin; or path of a recording or CSV file; None for the values.
         on_axis: Axis of a scene whose worst loop is diagnosed; None for all.
+        line: Delays that vary, and losses; the delay of the loop, unless stated, is the middle of its jitter.
         values: Parameters of `DiagnosedLoop` or of the scene; `rate` [Hz] for `period`. They replace those of scene or
             recording. Without either, each number may be an array; all broadcast.
 
@@ -341,6 +363,8 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
         raise ParameterError(f"{next(iter(arrays))} must be a number beside a scene or recording (see `sweep`)")
     values |= {name: float(array.max()) for name, array in arrays.items()}
     assumptions: list[str] = []
+    if line is not None and line.jitter is not None:
+        values = _within(line.jitter, values, assumptions)
     of_scene: dict[str, Any] = {"valid_to": None, "scene_hand": None}
     recorded = isinstance(scene, str | Path) and str(scene).endswith(MEASURED_MOTIONS)
     if scene is not None and not recorded:
@@ -348,7 +372,7 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
     elif on_axis is not None:
         raise ParameterError(f"on_axis must be of a scene (got {on_axis!r} without one)")
     if wrong := [name for name in values if name not in accepted]:
-        raise KeywordError(choice_message("argument of diagnose", ("scene", "on_axis", *accepted), wrong[0]))
+        raise KeywordError(choice_message("argument of diagnose", ("scene", "on_axis", "line", *accepted), wrong[0]))
     measured: Oscillation | None = None
     remarks, stated, taken = tuple[str, ...](), values, tuple[str, ...]()
     if recorded:
@@ -399,7 +423,23 @@ def diagnose(scene: Any = None, *, on_axis: str | None = None, **values: Any) ->
             f"the loop must have the measured frequency, within {_APART:.0%} (got {verdict.frequency:.4g} Hz, measured "
             f"{measured.frequency:.4g} Hz): correct or leave out what is uncertain"
         )
-    return Diagnosis(loop, verdict, tuple(assumptions), measured, remarks, **of_scene)
+    over = None if line is None else LineVerdict(loop.whole, line)
+    return Diagnosis(loop, verdict, tuple(assumptions), measured, remarks, **of_scene, line=over)
+
+
+def _within(jitter: Sequence[float], values: Mapping[str, Any], assumptions: list[str]) -> dict[str, Any]:
+    """Return values with a delay in the range of a jitter: the middle, unless stated.
+
+    Raises:
+        ParameterError: If it is stated outside.
+    """
+    low, high = jitter
+    if (delay := values.get("delay")) is None:
+        delay = 0.5 * (low + high)
+        assumptions.append(f"a delay of {1e3 * delay:.4g} ms, the middle of the jitter, where it does not vary")
+    elif not low <= delay <= high:
+        raise ParameterError(f"delay must be within the jitter, {low:g} to {high:g} s (got {delay:g})")
+    return {**values, "delay": delay}
 
 
 def _of_scene(

@@ -1,4 +1,4 @@
-"""Picture of a diagnosis: stability region with the remedies, free response, and bars of what each buys."""
+"""Pictures of a diagnosis: stability region with the remedies, free response, bars of what each buys; and jitter."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, Colour, on_white
+from maglev_mj.colours import BAD, GOOD, REFERENCE, SERIES, STOP, TOUCHED, Colour, on_white
 from maglev_mj.pictures import TITLE, drawn, fitting, name_curves, new_figure, wide_share
+from maglev_mj.spec import MAX_DELAY_PERIODS
 from maglev_mj.studies.diagnosis import Diagnosis
 from maglev_mj.theory.boundary import boundary_of
 from maglev_mj.theory.remedies import short
 
 _POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS = 160, 8.0, 600, 30.0, 8
+_COLUMNS, _HALVES, _BEYOND, _TINT = 29, 14, 1.3, 0.5
+"""Middles and half-widths in the picture of jitter; end over the critical delay; share of a colour in its ground."""
 _TOP, _ROW = 3.4, 0.165  # heights of the panels above, and of a line of names [inch]
 _GROUND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 _NAMES, _LETTERS = 0.45, 50
@@ -47,6 +50,50 @@ def diagnosis(result: Diagnosis) -> Any:
     bars.set_subplotspec(bars.get_gridspec()[-1, :])
     _bars(bars, result, names)
     return figure
+
+
+@drawn
+def jitter(result: Diagnosis) -> Any:
+    """Draw the verdicts over the middle and the half-width of a delay that varies.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    found = result.line
+    assert found is not None
+    loop, (low, high) = result.loop, found.delays
+    critical, period = float(result.critical_delay), loop.period
+    last = min(max(_BEYOND * min(critical, 2.0 * period), _BEYOND * high, period), MAX_DELAY_PERIODS * period)
+    middles, halves = np.linspace(0.0, last, _COLUMNS), np.linspace(0.0, 0.5 * min(period, last), _HALVES)
+    worst, growth = found.regions(middles, halves)
+    setting = found.setting
+    head = f"{setting[:1].upper()}{setting[1:]}: {'; '.join(text for _, text in found.rows[:2])}"
+    figure, (panel,) = new_figure((head, result.conditions, result.summary), 1, 1, 4.4)
+    x, y, random = 1e3 * middles, 1e3 * halves, growth < 1.0
+    for name, cells, colour in (
+        ("stable for every sequence", worst == 1.0, GOOD),
+        ("not decided, stable if random", (worst == 0.0) & random, REFERENCE),
+        ("destabilised by a sequence, stable if random", (worst == -1.0) & random, TOUCHED),
+        ("unstable even if random", (worst <= 0.0) & ~random, BAD),
+    ):
+        tint = tuple(1.0 - _TINT * (1.0 - part) for part in colour)
+        shown = np.where(cells, 1.0, np.nan)
+        panel.pcolormesh(x, y, shown, cmap=_flat(tint), vmin=0.0, vmax=2.0, shading="nearest", rasterized=True)
+        if cells.any():
+            panel.plot([], [], "s", color=tint, markersize=9, label=name)
+    panel.plot(5e2 * (low + high), 5e2 * (high - low), "o", color=SERIES[0], markersize=8, label="this line")
+    panel.set(xlabel="middle of the delays (ms)", ylabel="half-width of the jitter (ms)")
+    panel.set(xlim=(0.0, x[-1]), ylim=(-0.5 * y[1], y[-1] + 0.5 * y[1]))
+    panel.grid(visible=False)
+    name_curves(panel)
+    return figure
+
+
+def _flat(colour: Sequence[float]) -> Any:
+    """Return a colour map of one colour."""
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap([colour])
 
 
 def _region(panel: Any, result: Diagnosis) -> None:

@@ -8,9 +8,9 @@ project.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import groupby, product
 from typing import Any, NamedTuple
 
@@ -75,11 +75,6 @@ class Line:
         number("loss", self.loss, at_least=0.0, below=1.0)
         if self.lost_in_a_row is not None:
             whole("lost_in_a_row", self.lost_in_a_row, at_most=MOST_IN_A_ROW)
-
-    @property
-    def varies(self) -> bool:
-        """True if delays vary, or commands are lost."""
-        return self.jitter is not None or self.loss > 0.0 or bool(self.lost_in_a_row)
 
 
 class Event(NamedTuple):
@@ -544,27 +539,29 @@ class LongestLoss(NamedTuple):
 
 
 def longest_loss(maps: Maps) -> LongestLoss:
-    """Return how many lost samples in a row are stable: sequences of more contain those of fewer, so by bisection."""
-    verdicts: dict[int, bool | None] = {}
-
-    def verdict(count: int) -> bool | None:
-        if count not in verdicts:
-            verdicts[count] = worst_case(maps, count, quick=True).stable
-        return verdicts[count]
-
-    def last(accepted: tuple[bool | None, ...]) -> int:
-        low, high = -1, 0
-        while verdict(high) in accepted:
-            if high == MOST_IN_A_ROW:
-                return high
-            low, high = high, min(2 * high + 1, MOST_IN_A_ROW)
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if verdict(middle) in accepted else (low, middle)
-        return low
-
-    stable, not_unstable = last((True,)), last((True, None))
+    """Return how many lost samples in a row are stable: sequences of more contain those of fewer."""
+    stable, not_unstable = _last(lambda count: worst_case(maps, count, quick=True).stable, MOST_IN_A_ROW)
     return LongestLoss(stable, None if not_unstable == MOST_IN_A_ROW else not_unstable + 1)
+
+
+def _last(verdict: Callable[[int], bool | None], most: int) -> tuple[int, int]:
+    """Return the last of 0 to `most` that is stable, and the last that is not unstable, by bisection; -1 for none."""
+    verdicts, ends = dict[int, bool | None](), list[int]()
+    for accepted in ((True,), (True, None)):
+        low, high, width = -1, most + 1, 1
+        while high - low > 1:
+            middle = min(low + width, (low + high) // 2)  # small ones cost less
+            if middle not in verdicts:
+                verdicts[middle] = verdict(middle)
+            low, high = (middle, high) if verdicts[middle] in accepted else (low, middle)
+            width *= 2
+        ends.append(low)
+    return ends[0], ends[1]
+
+
+def _quick(verdicts: Sequence[LineVerdict], index: int) -> bool | None:
+    chosen = verdicts[index]
+    return worst_case(chosen._maps, chosen.line.lost_in_a_row or 0, quick=True).stable
 
 
 @dataclass(frozen=True, eq=False)
@@ -590,7 +587,19 @@ class LineVerdict:
     @cached_property
     def reason(self) -> str:
         """Why the loop is not judged; empty if it is."""
-        return reason_not_judged(self.loop, *self.delays)
+        loop, (low, high) = self.loop, self.delays
+        period, longest = loop.period, MAX_DELAY_PERIODS * loop.period
+        if loop.reason:
+            return loop.reason
+        if loop.device is not None:
+            return "a law on the device has a rate of its own"
+        if len(loop.axes) > 1 or loop.linear is not None:
+            return "its axes are coupled"
+        if high - low > period * (1.0 + ROUNDING):
+            return f"delays are more than a period, {1e3 * period:.4g} ms, apart"
+        if high > longest * (1.0 + ROUNDING):
+            return f"delays are above {MAX_DELAY_PERIODS} periods, {1e3 * longest:.4g} ms"
+        return ""
 
     @property
     def delays(self) -> tuple[float, float]:
@@ -628,6 +637,31 @@ class LineVerdict:
         """Lost samples in a row that are stable in every sequence; None if not judged."""
         return None if self.reason else longest_loss(self._maps)
 
+    def regions(self, middles: Array, halves: Array) -> tuple[Array, Array]:
+        """Return the verdicts on other delays, middle ± half [s], with the losses of the line, (H, M) each.
+
+        A wider range contains the sequences of a narrower one, so the worst case is found by bisection.
+
+        Args:
+            middles: Middles of the ranges, (M,).
+            halves: Half-widths, ascending, (H,).
+
+        Returns:
+            Worst case: 1 for stable, 0 for not decided, -1 for unstable; and growth of the mean square. NaN for delays
+            below 0, and where the loop is not judged.
+        """
+        worst, growth = np.full((2, len(halves), len(middles)), math.nan)
+        for column, middle in enumerate(middles.tolist()):
+            ends = [(max(middle - half, 0.0), middle + half) for half in halves.tolist() if half <= middle]
+            found = [LineVerdict(self.loop, replace(self.line, jitter=one)) for one in ends]
+            judged = [one for one in found if not one.reason]
+            if judged:
+                growth[: len(judged), column] = [one.mean_square for one in judged]
+                stable, undecided = _last(partial(_quick, judged), len(judged) - 1)
+                rows = np.arange(len(judged))
+                worst[: len(judged), column] = np.where(rows <= stable, 1, np.where(rows <= undecided, 0, -1))
+        return worst, growth
+
     @property
     def setting(self) -> str:
         """Delays and losses in words."""
@@ -644,14 +678,24 @@ class LineVerdict:
             return (("over this line", f"not judged: {self.reason}"),)
         worst, runs = self.worst_case, self.longest_loss
         assert runs is not None
-        limit = (
-            f"up to {100.0 * self.critical_loss:.4g} % lost at random" if self.critical_loss else "no loss at random"
-        )
+        loss = f"up to {100.0 * self.critical_loss:.4g} %" if self.critical_loss else "none"
+        mean = f"{_WORDS[self.is_stable]} in the mean square (uniform, independent: x {self.mean_square:.4f} a sample)"
         return (
             ("worst case", "not judged: state the most samples lost in a row" if worst is None else worst.words),
-            ("mean square", f"{_STABLE[self.is_stable]} at random, x {self.mean_square:.4f} a sample"),
-            ("limits", f"{limit}; in a row {runs.words}"),
+            ("random delay and loss", mean),
+            ("stable random loss", loss),
+            ("lost samples in a row", runs.words),
         )
+
+    @property
+    def warning(self) -> str:
+        """What destabilises the loop over the line, in words; empty for nothing."""
+        if self.reason:
+            return ""
+        worst = self.worst_case
+        causes = [] if worst is None or worst.stable is not False else [worst.cycle]
+        causes += ["random delays and losses"] * (not self.is_stable)
+        return f"unstable over this line: {' and '.join(causes)}" if causes else ""
 
     @property
     def is_stable(self) -> bool:
@@ -664,19 +708,4 @@ class LineVerdict:
         return {name: plain(getattr(self, name)) for name in names}
 
 
-_STABLE = {True: "stable", False: "unstable"}
-
-
-def reason_not_judged(loop: Loop, low: float, high: float) -> str:
-    """Return why a loop is not judged over a line with delays between two [s]; empty if it is."""
-    if loop.reason:
-        return loop.reason
-    if loop.device is not None:
-        return "a law on the device has a rate of its own"
-    if len(loop.axes) > 1 or loop.linear is not None:
-        return "its axes are coupled"
-    if high - low > loop.period * (1.0 + ROUNDING):
-        return f"delays are more than a period, {1e3 * loop.period:.4g} ms, apart"
-    if high > MAX_DELAY_PERIODS * loop.period * (1.0 + ROUNDING):
-        return f"delays are above {MAX_DELAY_PERIODS} periods, {1e3 * MAX_DELAY_PERIODS * loop.period:.4g} ms"
-    return ""
+_WORDS = {True: "stable", False: "unstable"}

@@ -367,3 +367,18 @@ def test_a_norm_of_maps_is_one_of_all_of_them() -> None:
     changed = coordinates @ maps @ np.linalg.inv(coordinates)
     assert np.linalg.norm(changed, 2, axis=(1, 2)).max() == pytest.approx(norm, abs=1e-9)
     assert longest_loss(Maps(PAPER, 3.5e-3, 3.5e-3)) == (-1, 0)
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "counts"),
+    [(8, 5, (9, 0, 21)), *further((29, 17, (109, 3, 262)))],
+)
+def test_regions_over_middle_and_half_width(columns: int, rows: int, counts: tuple[int, int, int]) -> None:
+    """Proved, not decided, destabilised; of another program with delays within a period 109, 3 and 143."""
+    middles, halves = np.linspace(2e-4, 4.8e-3, columns), np.linspace(0.0, 2.5e-3, rows)
+    worst, growth = LineVerdict(PAPER, Line()).regions(middles, halves)
+    assert tuple(int((worst == kind).sum()) for kind in (1, 0, -1)) == counts
+    assert (growth[worst == 1] < 1.0).all() and (np.isnan(worst) == (halves[:, None] > middles)).all()
+    if columns > 8:
+        within = (middles + halves[:, None] <= PAPER.period) & (worst == -1)
+        assert int(within.sum()) == 143
