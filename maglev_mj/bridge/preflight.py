@@ -23,6 +23,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller, user_errors_rejected
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.held import Held
+from maglev_mj.theory.line import Line, mean_square_line
 from maglev_mj.theory.loop import Bound, Loop
 from maglev_mj.theory.read import scene_lag, stated_gains
 from maglev_mj.theory.verdict import judge, stability
@@ -46,6 +47,9 @@ _ANSWERED = 0.5
 
 _PATIENCE = 10.0
 """Timeout of the assessment in a process of its own [s]."""
+
+_ALL = 1.0 - 1e-9
+"""Largest share of lost samples: a line that loses all of them has no loop."""
 
 _HALVINGS, _HAND_MARGIN = 7, 1.1
 """Bisections of the stiffness factor; delay factor that covers the least stable hand."""
@@ -156,6 +160,12 @@ class LinkReport(Result):
         """Critical delay assumed for a scene that is flown although the check failed [s]."""
         return 2.0 * self.required_delay
 
+    def line(self, period: float) -> Line:
+        """Return the line with these delays, at a sample period [s]; samples lost, skipped or late count as lost."""
+        delays = np.sort(self.delay)[: max(self.delay.size - self.late, 0)]
+        lost = (self.lost + self.skipped + self.late) / max(self.samples, 1)
+        return Line.of_delays(delays if delays.size else [self.device_delay], period, min(lost, _ALL))
+
     @property
     def success(self) -> float:
         """Share of the samples answered in time."""
@@ -264,6 +274,7 @@ class Preflight(NamedTuple):
         reduction: Message about reduced wall stiffness; "" without.
         requested: Wall stiffness of the scene before a reduction [N/m]; None without walls of one stiffness.
         held: Verdict at the measured delay free and in each hand, in one or two lines; see `Held`.
+        line: Mean-square verdict at random delays as measured, in one line; "" without a wall.
     """
 
     scene: Scene
@@ -273,6 +284,7 @@ class Preflight(NamedTuple):
     reduction: str
     requested: float | None = None
     held: tuple[str, ...] = ()
+    line: str = ""
 
     @property
     def rendered(self) -> str:
@@ -367,7 +379,8 @@ def assess(scene: Scene, inertia: Array, report: LinkReport, as_written: bool) -
             f"up to {original * 1e3:.2f} ms before and {critical_delay * 1e3:.2f} ms now"
         )
     problem = _problem(scene, report, critical_delay)
-    return Preflight(scene, report, critical_delay, problem, reduction, requested, _held(scene, inertia, report))
+    verdicts = _at_measured_delays(scene, inertia, report)
+    return Preflight(scene, report, critical_delay, problem, reduction, requested, *verdicts)
 
 
 def check_change(
@@ -406,12 +419,13 @@ def _critical_delay(scene: Scene, inertia: Array) -> Bound:
     return Bound.least(bounds)
 
 
-def _held(scene: Scene, inertia: Array, report: LinkReport) -> tuple[str, ...]:
-    """Return the verdict at the measured delay free and in each hand, in words."""
+def _at_measured_delays(scene: Scene, inertia: Array, report: LinkReport) -> tuple[tuple[str, ...], str]:
+    """Return the verdicts at the 95th percentile free and in each hand, and on random delays as measured, in words."""
     try:
-        return stability(scene, inertia=inertia, delay=report.delay_95).held.lines
+        verdict = stability(scene, inertia=inertia, delay=report.delay_95)
+        return verdict.held.lines, mean_square_line(verdict.loops, report.line(float(scene.period)))
     except (ParameterError, TooManyCallsError):  # a delay longer than the theory's, a law that is not judged
-        return Held((), judged=False).lines
+        return Held((), judged=False).lines, ""
 
 
 def _problem(scene: Scene, report: LinkReport, critical_delay: float) -> str:

@@ -226,8 +226,8 @@ def _print_check(result: Preflight, period: float, mass: float) -> int:
 
 
 def _print_held(result: Preflight) -> None:
-    """Print the verdict free and in each hand: a scene may have been tested in one hand only."""
-    for line in result.held:
+    """Print the verdict free and in each hand, as a scene may have been tested in one only; and that on the line."""
+    for line in (*result.held, *filter(None, [result.line])):
         print("\n".join(wrapped(line, further="    ")), flush=True)
 
 

@@ -8,8 +8,8 @@ project.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import groupby, product
 from typing import Any, NamedTuple
@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control.timeline import split_delay
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.keywords import checked
-from maglev_mj.parameters import interval, number, store, whole
+from maglev_mj.parameters import interval, number, numbers, store, whole
 from maglev_mj.plants.hand import transition
 from maglev_mj.result import plain
 from maglev_mj.spec import MAX_DELAY, MAX_DELAY_PERIODS
@@ -47,6 +48,8 @@ _PART, _MOST_PARTS, _TERMS = 2.0, 32, 60
 """Width of a part of a range of delays times the flotor's fastest rate, most parts, and terms of a Taylor series."""
 _UNIFORM = 24
 """Gauss points of a uniform delay: three are exact for a free mass."""
+_MOST_STATES = 32
+"""Largest order of a map: its mean square has 528 rows, whose eigenvalues take 0.2 s."""
 _REAL = 1e-7
 """Relative imaginary part of a real root."""
 
@@ -60,6 +63,7 @@ class Line:
         jitter: Least and largest delay [s], at each sample any in between; None for the constant delay of a loop.
         loss: Probability that a command is lost, independent of others; its predecessor stays in effect.
         lost_in_a_row: Largest number of lost commands in a row in the worst case; None if it is not limited.
+        measured: Measured delays within the jitter [s], (N,), for the mean square; None for uniform ones.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -68,6 +72,7 @@ class Line:
     jitter: Sequence[float] | None = None
     loss: float = 0.0
     lost_in_a_row: int | None = None
+    measured: Array | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.jitter is not None:
@@ -75,6 +80,25 @@ class Line:
         number("loss", self.loss, at_least=0.0, below=1.0)
         if self.lost_in_a_row is not None:
             whole("lost_in_a_row", self.lost_in_a_row, at_most=MOST_IN_A_ROW)
+
+    @classmethod
+    def of_delays(cls, delays: ArrayLike, period: float, loss: float = 0.0) -> Line:
+        """Return the line of measured delays; one more than a period above the least counts as lost, as newer ones act.
+
+        Args:
+            delays: Delays of commands that took effect [s], (N,).
+            period: Sample period [s].
+            loss: Share of samples without such a delay.
+
+        Raises:
+            ParameterError: If there is no delay.
+        """
+        every = np.sort(numbers("delays", delays, shape="(N,)", at_least=0.0))
+        if not every.size:
+            raise ParameterError("delays must not be empty")
+        kept = every[every <= every[0] + period]
+        lost = 1.0 - (1.0 - loss) * len(kept) / len(every)
+        return cls(jitter=(float(kept[0]), float(kept[-1])), loss=lost, measured=kept)
 
 
 class Event(NamedTuple):
@@ -101,6 +125,7 @@ class Maps:
     """
 
     def __init__(self, loop: Loop, low: float, high: float) -> None:
+        loop = loop.in_question if loop.linear is not None else loop  # on one axis
         array, zero = loop.array(), np.asarray
         self.period = loop.period
         self.whole = int(split_delay(low, loop.period)[0])
@@ -593,13 +618,13 @@ class LineVerdict:
             return loop.reason
         if loop.device is not None:
             return "a law on the device has a rate of its own"
-        if len(loop.axes) > 1 or loop.linear is not None:
+        if len(loop.axes) > 1:
             return "its axes are coupled"
         if high - low > period * (1.0 + ROUNDING):
             return f"delays are more than a period, {1e3 * period:.4g} ms, apart"
         if high > longest * (1.0 + ROUNDING):
             return f"delays are above {MAX_DELAY_PERIODS} periods, {1e3 * longest:.4g} ms"
-        return ""
+        return f"its law has a memory of more than {_MOST_STATES} states" if self._maps.order > _MOST_STATES else ""
 
     @property
     def delays(self) -> tuple[float, float]:
@@ -613,7 +638,12 @@ class LineVerdict:
 
     @cached_property
     def _mean_square(self) -> MeanSquare:
-        return MeanSquare.uniform(self._maps)
+        maps, measured = self._maps, self.line.measured
+        if measured is None:
+            return MeanSquare.uniform(maps)
+        after = np.clip(measured - maps.whole * maps.period, maps.first, maps.last + maps.latest)
+        later = after > maps.last
+        return MeanSquare(maps, *((part, np.ones(len(part))) for part in (after[~later], after[later] - maps.last)))
 
     @cached_property
     def worst_case(self) -> WorstCase | None:
@@ -624,7 +654,7 @@ class LineVerdict:
 
     @cached_property
     def mean_square(self) -> float:
-        """Growth of the mean square per sample if delays are uniform and all draws independent; NaN if not judged."""
+        """Growth of the mean square per sample if all draws are independent; NaN if not judged."""
         return math.nan if self.reason else self._mean_square.growth(self.line.loss)
 
     @cached_property
@@ -679,13 +709,19 @@ class LineVerdict:
         worst, runs = self.worst_case, self.longest_loss
         assert runs is not None
         loss = f"up to {100.0 * self.critical_loss:.4g} %" if self.critical_loss else "none"
-        mean = f"{_WORDS[self.is_stable]} in the mean square (uniform, independent: x {self.mean_square:.4f} a sample)"
         return (
             ("worst case", "not judged: state the most samples lost in a row" if worst is None else worst.words),
-            ("random delay and loss", mean),
+            ("random delay and loss", self.mean_square_words),
             ("stable random loss", loss),
             ("lost samples in a row", runs.words),
         )
+
+    @property
+    def mean_square_words(self) -> str:
+        """Verdict on the mean square, in words."""
+        kind = "uniform" if self.line.measured is None else "as measured"
+        verdict = f"{_WORDS[self.is_stable]} in the mean square"
+        return f"{verdict} ({kind}, independent: x {self.mean_square:.4f} a sample)"
 
     @property
     def warning(self) -> str:
@@ -704,8 +740,24 @@ class LineVerdict:
 
     def as_json(self) -> dict[str, Any]:
         """Return line, verdicts and limits, ready for JSON."""
-        names = "delays", "line", "reason", "worst_case", "mean_square", "critical_loss", "longest_loss"
-        return {name: plain(getattr(self, name)) for name in names}
+        names = "delays", "reason", "worst_case", "mean_square", "critical_loss", "longest_loss"
+        stated = {name: getattr(self.line, name) for name in ("loss", "lost_in_a_row")}
+        return stated | {name: plain(getattr(self, name)) for name in names}
+
+
+def mean_square_line(loops: Iterable[Loop], line: Line) -> str:
+    """Return the verdict on the mean square of the worst of some loops over a line, in words; empty without a loop.
+
+    Loops without stiffness are left out: in the free motion of a mass nothing decays.
+    """
+    held = [one for one in loops if one.acts and not one.free and not (one.linear is not None and one.linear.still)]
+    every = [LineVerdict(one, line) for one in held]
+    judged = [one for one in every if not one.reason]
+    reasons = dict.fromkeys(one.reason for one in every if one.reason)
+    worst = max(judged, key=lambda one: one.mean_square, default=None)
+    if worst is not None and (not reasons or not worst.is_stable):
+        return f"line    {worst.setting}: {worst.mean_square_words}"
+    return f"line    {every[0].setting}: not judged: {'; '.join(reasons)}" if every else ""
 
 
 _WORDS = {True: "stable", False: "unstable"}

@@ -21,6 +21,7 @@ from maglev_mj.bridge.preflight import (
     Preflight,
     _clock,
     _problem,
+    assess,
     measure_link,
     preflight,
 )
@@ -30,6 +31,7 @@ from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.plants.hand import HANDS
 from maglev_mj.process import SideAnswers
 from maglev_mj.session import device_controller
+from maglev_mj.spec import INERTIA as _INERTIA
 from maglev_mj.theory.verdict import judge
 from tests.bridge.conftest import InProcess
 from tests.bridge.impaired import ImpairedLine, Impairment
@@ -226,6 +228,7 @@ def test_rate_and_stalls_of_a_clock_are_told_apart_over_a_jittery_line(rate: int
 
 
 JOYSTICK = find_scene("joystick")()
+INERTIA = np.array(_INERTIA)
 GOOD = LinkReport(
     device_delay=0.0015,
     delay=np.full(100, 0.002),
@@ -259,6 +262,42 @@ GOOD = LinkReport(
 def test_the_reason_not_to_fly_is_one_line(changes: dict[str, Any], critical_delay: float, says: str) -> None:
     problem = _problem(JOYSTICK, replace(GOOD, **changes), critical_delay)
     assert says in problem and bool(says) == bool(problem) and "\n" not in problem
+
+
+@pytest.mark.parametrize(
+    ("delays", "changes", "says"),
+    [
+        (
+            [0.002] * 99 + [0.0015],
+            {},
+            "line    delay 1.5 to 2 ms: stable in the mean square (as measured, independent: x 0.",
+        ),
+        (
+            [0.004] * 99 + [0.0035],
+            {},
+            "line    delay 3.5 to 4 ms: unstable in the mean square (as measured, independent: x 1.",
+        ),
+        ([0.002] * 100, {"lost": 20, "skipped": 10}, "line    delay 2 ms, 30 % lost: unstable in the mean square"),
+        ([0.002] * 90 + [0.03] * 10, {"late": 10}, "line    delay 2 ms, 10 % lost: stable in the mean square"),
+        ([0.002] * 90 + [0.008] * 10, {}, "line    delay 2 ms, 10 % lost: stable in the mean square"),
+        ([], {"lost": 99}, "line    delay 1.5 ms, 99 % lost: unstable in the mean square"),
+    ],
+)
+def test_the_measured_delays_and_losses_have_a_mean_square_verdict(
+    delays: list[float], changes: dict[str, Any], says: str
+) -> None:
+    scene = find_scene("drop")(period=0.005, delay=0.0015)
+    report = replace(GOOD, delay=np.array(delays), **changes)
+    found = assess(scene, INERTIA, report, True)
+    assert found.line.startswith(says)
+
+
+def test_a_wall_on_the_device_has_no_mean_square_verdict() -> None:
+    scene = find_scene("drop")(period=0.005, delay=0.0015, wall_on="device")
+    assert (
+        assess(scene, INERTIA, GOOD, True).line
+        == "line    delay 2 ms: not judged: a law on the device has a rate of its own"
+    )
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import ParameterError, Timing
-from maglev_mj.control import LowPass
+from maglev_mj.control import LinearController, LowPass
 from maglev_mj.frames import Array
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.hand import Hand, get_hand
@@ -28,9 +28,11 @@ from maglev_mj.theory.line import (
     _blocks,
     least_norm,
     longest_loss,
+    mean_square_line,
     worst_case,
 )
 from maglev_mj.theory.loop import Loop
+from maglev_mj.theory.loop_array import LinearisedLaw
 from maglev_mj.theory.two_rates import DeviceLaw
 from tests.sweeps import further
 
@@ -382,3 +384,38 @@ def test_regions_over_middle_and_half_width(columns: int, rows: int, counts: tup
     if columns > 8:
         within = (middles + halves[:, None] <= PAPER.period) & (worst == -1)
         assert int(within.sum()) == 143
+
+
+def test_measured_delays_have_the_mean_square_of_their_distribution() -> None:
+    loop = replace(KINDS["across a sample"][0], stiffness=1500.0, damping=40.0)
+    for low, high in ((1.0e-3, 2.0e-3), (3.0e-3, 7.5e-3)):
+        delays = low + (high - low) * (np.arange(20_000) + 0.5) / 20_000
+        found = LineVerdict(loop, Line.of_delays(delays, loop.period))
+        assert found.mean_square == pytest.approx(LineVerdict(loop, Line(jitter=(low, high))).mean_square, abs=1e-7)
+        assert found.line.jitter == (delays[0], delays[-1]) and "as measured" in found.mean_square_words
+
+
+def test_a_measured_delay_of_more_than_a_period_above_the_least_counts_as_lost() -> None:
+    line = Line.of_delays([2e-3, 1e-3, 6.1e-3, 1.5e-3], 5e-3, 0.1)
+    assert line.jitter == (1e-3, 2e-3) and line.loss == pytest.approx(1.0 - 0.9 * 0.75)
+    with pytest.raises(ParameterError, match="delays must not be empty"):
+        Line.of_delays([], 5e-3)
+
+
+def test_the_line_of_several_loops_is_that_of_the_worst_and_unstable_outranks_not_judged() -> None:
+    free, odd = replace(PAPER, stiffness=0.0), replace(PAPER, reason="friction is not linear")
+    worse = replace(PAPER, stiffness=12_000.0)
+    good, bad = Line(jitter=(1e-3, 2e-3)), Line(jitter=(3e-3, 5e-3), loss=0.3)
+    assert mean_square_line([free], good) == ""
+    line = mean_square_line([PAPER, free], good)
+    assert line == "line    delay 1 to 2 ms: stable in the mean square (uniform, independent: x 0.7703 a sample)"
+    assert mean_square_line([PAPER, odd], good) == "line    delay 1 to 2 ms: not judged: friction is not linear"
+    unstable = mean_square_line([PAPER, odd, worse], bad)
+    assert unstable.startswith("line    delay 3 to 5 ms, 30 % lost: unstable in the mean square")
+
+
+def test_a_law_with_a_long_memory_is_not_judged() -> None:
+    states = np.diag(np.ones(40), -1)
+    law = LinearisedLaw(LinearController(states, np.eye(41)[0], -np.ones(41), np.asarray(-6000.0)), 6000.0, 80.0)
+    found = LineVerdict(replace(PAPER, law=law), Line(loss=0.1))
+    assert found.reason == "its law has a memory of more than 32 states" and found.worst_case is None
