@@ -268,10 +268,11 @@ class WorstCase(NamedTuple):
     def words(self) -> str:
         """The verdict in words."""
         if self.stable is None:
-            return f"not decided (between the bounds: growth x {self.growth:.6f} a sample seen, norm {self.norm:.4f})"
+            return f"not decided (between the bounds: growth x {self.growth:.6f} a sample seen, norm {self.norm:.2f})"
         if self.stable:
-            proof = f"{self.products} products of up to {self.length} maps" * bool(self.products)
-            return f"stable for every sequence (proved: {proof or f'common norm {self.norm:.4f}'})"
+            bound = f"common norm below {math.ceil(100.0 * self.norm) / 100.0:g}"
+            proof = f"all products of up to {self.length} maps decay" if self.products else bound
+            return f"stable for every sequence (proved: {proof})"
         return f"destabilised by {self.cycle}, repeated: grows x {self.growth:.4f} a sample"
 
     @property
@@ -709,19 +710,15 @@ class LineVerdict:
         worst, runs = self.worst_case, self.longest_loss
         assert runs is not None
         loss = f"up to {100.0 * self.critical_loss:.4g} %" if self.critical_loss else "none"
+        kind = "uniform" if self.line.measured is None else "as measured"
+        growth = f"{kind}, independent: x {self.mean_square:.4f} a sample"
+        mean = f"{_WORDS[self.is_stable]} in the mean square ({growth})"
         return (
             ("worst case", "not judged: state the most samples lost in a row" if worst is None else worst.words),
-            ("random delay and loss", self.mean_square_words),
+            ("random delay and loss", mean),
             ("stable random loss", loss),
             ("lost samples in a row", runs.words),
         )
-
-    @property
-    def mean_square_words(self) -> str:
-        """Verdict on the mean square, in words."""
-        kind = "uniform" if self.line.measured is None else "as measured"
-        verdict = f"{_WORDS[self.is_stable]} in the mean square"
-        return f"{verdict} ({kind}, independent: x {self.mean_square:.4f} a sample)"
 
     @property
     def warning(self) -> str:
@@ -756,7 +753,8 @@ def mean_square_line(loops: Iterable[Loop], line: Line) -> str:
     reasons = dict.fromkeys(one.reason for one in every if one.reason)
     worst = max(judged, key=lambda one: one.mean_square, default=None)
     if worst is not None and (not reasons or not worst.is_stable):
-        return f"line    {worst.setting}: {worst.mean_square_words}"
+        verdict = f"{_WORDS[worst.is_stable]} in the mean square (x {worst.mean_square:.3f} a sample)"
+        return f"line    {worst.setting}: {verdict}"
     return f"line    {every[0].setting}: not judged: {'; '.join(reasons)}" if every else ""
 
 

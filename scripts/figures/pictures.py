@@ -315,6 +315,9 @@ PICTURES: Mapping[str, Picture] = {
         *"map --rate 1000 --delay 0.0005 --mass 0.15 --own-damping 20 --friction 0.6 --quantum 1e-5".split()
     ),
     "diagnosis.png": _chart(*"diagnose --stiffness 500 --damping 1 --rate 200 --delay 0.005 --mass 0.15".split()),
+    "jitter.png": _chart(
+        *"diagnose --stiffness 6000 --damping 80 --rate 200 --mass 0.7 --jitter 0.0005,0.0025".split()
+    ),
     "compare_drop.png": _chart("compare", "drop", *_LAWS),
     "compare_drop_phases.png": _chart(*"compare drop --pulse 0 --law pd --law device.py".split()),
     "device_walls.png": Picture(device_walls, shows=""),

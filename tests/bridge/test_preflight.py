@@ -270,12 +270,12 @@ def test_the_reason_not_to_fly_is_one_line(changes: dict[str, Any], critical_del
         (
             [0.002] * 99 + [0.0015],
             {},
-            "line    delay 1.5 to 2 ms: stable in the mean square (as measured, independent: x 0.",
+            "line    delay 1.5 to 2 ms: stable in the mean square (x 0.",
         ),
         (
             [0.004] * 99 + [0.0035],
             {},
-            "line    delay 3.5 to 4 ms: unstable in the mean square (as measured, independent: x 1.",
+            "line    delay 3.5 to 4 ms: unstable in the mean square (x 1.",
         ),
         ([0.002] * 100, {"lost": 20, "skipped": 10}, "line    delay 2 ms, 30 % lost: unstable in the mean square"),
         ([0.002] * 90 + [0.03] * 10, {"late": 10}, "line    delay 2 ms, 10 % lost: stable in the mean square"),
