@@ -363,10 +363,10 @@ def diagnose(
         raise ParameterError(f"{next(iter(arrays))} must be a number beside a scene or recording (see `sweep`)")
     values |= {name: float(array.max()) for name, array in arrays.items()}
     assumptions: list[str] = []
-    if line is not None and line.jitter is not None:
-        values = _within(line.jitter, values, assumptions)
     of_scene: dict[str, Any] = {"valid_to": None, "scene_hand": None}
     recorded = isinstance(scene, str | Path) and str(scene).endswith(MEASURED_MOTIONS)
+    if line is not None and line.jitter is not None and not recorded:
+        values = _within(line.jitter, values, assumptions)
     if scene is not None and not recorded:
         values, of_scene = _of_scene(scene, on_axis, values, assumptions)
     elif on_axis is not None:

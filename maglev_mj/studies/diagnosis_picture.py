@@ -20,6 +20,8 @@ from maglev_mj.theory.remedies import short
 _POINTS, _CYCLES, _MOST_SAMPLES, _MOST_GROWTH, _BARS = 160, 8.0, 600, 30.0, 8
 _COLUMNS, _HALVES, _BEYOND, _TINT = 29, 14, 1.3, 0.5
 """Middles and half-widths in the picture of jitter; end over the critical delay; share of a colour in its ground."""
+_HISTOGRAM, _REGIONS, _BINS = 1.4, 4.4, 60
+"""Heights of the histogram of measured delays and of the regions below it [inch]; number of bins."""
 _TOP, _ROW = 3.4, 0.165  # heights of the panels above, and of a line of names [inch]
 _GROUND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 _NAMES, _LETTERS = 0.45, 50
@@ -54,7 +56,7 @@ def diagnosis(result: Diagnosis) -> Any:
 
 @drawn
 def jitter(result: Diagnosis) -> Any:
-    """Draw the verdicts over the middle and the half-width of a delay that varies.
+    """Draw the verdicts over the middle and the half-width of a delay that varies, below the measured delays, if any.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -67,14 +69,21 @@ def jitter(result: Diagnosis) -> Any:
     middles, halves = np.linspace(0.0, last, _COLUMNS), np.linspace(0.0, 0.5 * min(period, last), _HALVES)
     worst, growth = found.regions(middles, halves)
     setting = found.setting
-    head = f"{setting[:1].upper()}{setting[1:]}: {'; '.join(text for _, text in found.rows[:2])}"
-    figure, (panel,) = new_figure((head, result.conditions, result.summary), 1, 1, 4.4)
+    head = f"{setting[:1].upper()}{setting[1:]}: {'; '.join(map(' '.join, found.rows[:2]))}"
+    heights = (*[_HISTOGRAM] * (found.line.measured is not None), _REGIONS)
+    lines = head, result.conditions, result.summary
+    figure, (*above, panel) = new_figure(lines, len(heights), 1, sum(heights), height_ratios=heights, least=_HISTOGRAM)
+    for histogram in above:
+        histogram.hist(1e3 * np.asarray(found.line.measured), _BINS, range=(0.0, 1e3 * last), color=SERIES[0])
+        histogram.set(xlim=(0.0, 1e3 * last), ylabel="samples")
+        histogram.set_title("measured delays", **TITLE)
+    lossless = " without loss" * bool(found.line.loss and found.line.lost_in_a_row is None)
     x, y, random = 1e3 * middles, 1e3 * halves, growth < 1.0
     for name, cells, colour in (
-        ("stable for every sequence", worst == 1.0, GOOD),
+        (f"stable for every sequence{lossless}", (worst == 1.0) & random, GOOD),
         ("not decided, stable if random", (worst == 0.0) & random, REFERENCE),
         ("destabilised by a sequence, stable if random", (worst == -1.0) & random, TOUCHED),
-        ("unstable even if random", (worst <= 0.0) & ~random, BAD),
+        ("unstable even if random", growth >= 1.0, BAD),
     ):
         tint = tuple(1.0 - _TINT * (1.0 - part) for part in colour)
         shown = np.where(cells, 1.0, np.nan)

@@ -669,7 +669,7 @@ class LineVerdict:
         return None if self.reason else longest_loss(self._maps)
 
     def regions(self, middles: Array, halves: Array) -> tuple[Array, Array]:
-        """Return the verdicts on other delays, middle ± half [s], with the losses of the line, (H, M) each.
+        """Return the verdicts on other, uniform delays, middle ± half [s], with the losses of the line, (H, M) each.
 
         A wider range contains the sequences of a narrower one, so the worst case is found by bisection.
 
@@ -678,13 +678,13 @@ class LineVerdict:
             halves: Half-widths, ascending, (H,).
 
         Returns:
-            Worst case: 1 for stable, 0 for not decided, -1 for unstable; and growth of the mean square. NaN for delays
-            below 0, and where the loop is not judged.
+            Worst case, without loss unless limited in a row: 1 for stable, 0 for not decided, -1 for unstable; and
+            growth of the mean square. NaN for delays below 0, and where the loop is not judged.
         """
         worst, growth = np.full((2, len(halves), len(middles)), math.nan)
         for column, middle in enumerate(middles.tolist()):
             ends = [(max(middle - half, 0.0), middle + half) for half in halves.tolist() if half <= middle]
-            found = [LineVerdict(self.loop, replace(self.line, jitter=one)) for one in ends]
+            found = [LineVerdict(self.loop, replace(self.line, jitter=one, measured=None)) for one in ends]
             judged = [one for one in found if not one.reason]
             if judged:
                 growth[: len(judged), column] = [one.mean_square for one in judged]

@@ -293,7 +293,7 @@ def test_the_measured_delays_and_losses_have_a_mean_square_verdict(
 
 
 def test_a_wall_on_the_device_has_no_mean_square_verdict() -> None:
-    scene = find_scene("drop")(period=0.005, delay=0.0015, wall_on="device")
+    scene = find_scene("drop")().replace(period=0.005, delay=0.0015, wall_on="device")
     assert (
         assess(scene, INERTIA, GOOD, True).line
         == "line    delay 2 ms: not judged: a law on the device has a rate of its own"

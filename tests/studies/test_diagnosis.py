@@ -428,6 +428,10 @@ def test_the_picture_of_a_line_has_its_verdict_and_its_regions(tmp_path: Path, m
     assert {"destabilised by a sequence, stable if random", "unstable even if random"} <= {*names}
     (point,) = [line for line in figure.axes[0].lines if line.get_label() == "this line"]
     assert (*point.get_xdata(), *point.get_ydata()) == pytest.approx((1.5, 1.0))
+    measured = Line.of_delays(np.repeat([1e-3, 2e-3], [30, 10]), 5e-3)
+    figure = diagnose(stiffness=6e3, damping=80.0, period=5e-3, mass=0.7, line=measured).plot(picture="jitter")
+    heights = [bar.get_height() for bar in figure.axes[0].patches]
+    assert len(figure.axes) == 2 and sum(heights) == 40 and max(heights) == 30
 
 
 def test_a_law_on_the_device_is_not_judged_over_a_line() -> None:
