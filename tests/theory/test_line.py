@@ -427,3 +427,41 @@ def test_a_law_with_a_long_memory_is_not_judged() -> None:
     law = LinearisedLaw(LinearController(states, np.eye(41)[0], -np.ones(41), np.asarray(-6000.0)), 6000.0, 80.0)
     found = LineVerdict(replace(PAPER, law=law), Line(loss=0.1))
     assert found.reason == "its law has a memory of more than 32 states" and found.worst_case is None
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_norm_of_a_verdict_bounds_the_map_of_every_delay(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of delays in between, and with losses after them, in the coordinates of the proof."""
+    kind, (low, high) = KINDS[name]
+    coordinates: list[Array] = []
+
+    def spied(maps: Array, enough: float = 0.0) -> tuple[float, Array]:
+        norm, change = least_norm(maps, enough)
+        coordinates.append(change)
+        return norm, change
+
+    monkeypatch.setattr("maglev_mj.theory.line.least_norm", spied)
+    loop = replace(kind, stiffness=0.15 * kind.stiffness, damping=0.4 * kind.damping)
+    maps, generator = Maps(loop, low, high), np.random.default_rng(7)
+    found = worst_case(maps, 1)
+    assert found.stable is not False
+    change, worst = coordinates[-1], 0.0
+    end = maps.whole * maps.period + (maps.period + maps.latest if maps.crosses else maps.last)
+    for _ in range(300):
+        before, delay = generator.uniform(low, end, 2).tolist()
+        block = maps.of(event_of(maps, before, delay))
+        if generator.random() < 0.5:
+            block = maps.of(event_of(maps, delay, None)) @ block
+        worst = max(worst, float(np.linalg.norm(change @ block @ np.linalg.inv(change), 2)))
+    assert worst <= found.norm + 1e-9
+
+
+@pytest.mark.parametrize(("low", "high", "most"), [(2.5e-3, 3.5e-3, 0), (3.2e-3, 3.26e-3, 0), (1.5e-3, 1.5e-3, 1)])
+def test_nothing_unstable_is_proved_stable_where_the_search_finds_no_sequence(
+    low: float, high: float, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    maps = Maps(PAPER, low, high)
+    assert worst_case(maps, most).stable is False
+    monkeypatch.setattr("maglev_mj.theory.line._search", lambda *_: (0.99, (low,)))
+    found = worst_case(maps, most, quick=True)
+    assert found.stable is None and found.norm > 1.0 and found.words.startswith("not decided (between the bounds: ")
