@@ -71,7 +71,8 @@ def _add_line(parser: Parser) -> None:
 
 def _stated_line(options: argparse.Namespace) -> Line | None:
     """Return the line if one of its options is set."""
-    jitter = None if options.jitter is None else range_of("jitter", [options.jitter.replace(",", ":")])
+    text, forms = options.jitter, "LOW,HIGH, LOW:HIGH or one value"
+    jitter = None if text is None else range_of("jitter", text.replace(",", ":"), forms)
     if jitter is None and options.loss is None and options.lost_in_a_row is None:
         return None
     return Line(jitter=jitter, loss=options.loss or 0.0, lost_in_a_row=options.lost_in_a_row)

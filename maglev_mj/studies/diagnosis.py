@@ -321,7 +321,9 @@ def diagnose(  # type: ignore[overload-overlap]  # a number is an array too
 
 
 @overload
-def diagnose(scene: None = None, *, on_axis: None = None, **values: ArrayLike | None) -> DiagnosedLoops: ...
+def diagnose(
+    scene: None = None, *, on_axis: None = None, line: None = None, **values: ArrayLike | None
+) -> DiagnosedLoops: ...
 
 
 @checked
@@ -361,6 +363,8 @@ def diagnose(
     arrays = checked_arrays(values)
     if arrays and scene is not None:
         raise ParameterError(f"{next(iter(arrays))} must be a number beside a scene or recording (see `sweep`)")
+    if arrays and line is not None:
+        raise ParameterError(f"{next(iter(arrays))} must be a number beside a line")
     values |= {name: float(array.max()) for name, array in arrays.items()}
     assumptions: list[str] = []
     of_scene: dict[str, Any] = {"valid_to": None, "scene_hand": None}

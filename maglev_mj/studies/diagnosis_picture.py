@@ -77,6 +77,7 @@ def jitter(result: Diagnosis) -> Any:
         histogram.hist(1e3 * np.asarray(found.line.measured), _BINS, range=(0.0, 1e3 * last), color=SERIES[0])
         histogram.set(xlim=(0.0, 1e3 * last), ylabel="samples")
         histogram.set_title("measured delays", **TITLE)
+    ground = np.ones((*worst.shape, 3))
     lossless = " without loss" * bool(found.line.loss and found.line.lost_in_a_row is None)
     x, y, random = 1e3 * middles, 1e3 * halves, growth < 1.0
     for name, cells, colour in (
@@ -86,23 +87,17 @@ def jitter(result: Diagnosis) -> Any:
         ("unstable even if random", growth >= 1.0, BAD),
     ):
         tint = tuple(1.0 - _TINT * (1.0 - part) for part in colour)
-        shown = np.where(cells, 1.0, np.nan)
-        panel.pcolormesh(x, y, shown, cmap=_flat(tint), vmin=0.0, vmax=2.0, shading="nearest", rasterized=True)
+        ground[cells] = tint
         if cells.any():
             panel.plot([], [], "s", color=tint, markersize=9, label=name)
+    edges = -0.5 * x[1], x[-1] + 0.5 * x[1], -0.5 * y[1], y[-1] + 0.5 * y[1]
+    panel.imshow(ground, origin="lower", extent=edges, aspect="auto", interpolation="nearest")
     panel.plot(5e2 * (low + high), 5e2 * (high - low), "o", color=SERIES[0], markersize=8, label="this line")
     panel.set(xlabel="middle of the delays (ms)", ylabel="half-width of the jitter (ms)")
-    panel.set(xlim=(0.0, x[-1]), ylim=(-0.5 * y[1], y[-1] + 0.5 * y[1]))
+    panel.set(xlim=(0.0, x[-1]), ylim=edges[2:])
     panel.grid(visible=False)
     name_curves(panel)
     return figure
-
-
-def _flat(colour: Sequence[float]) -> Any:
-    """Return a colour map of one colour."""
-    from matplotlib.colors import ListedColormap
-
-    return ListedColormap([colour])
 
 
 def _region(panel: Any, result: Diagnosis) -> None:

@@ -61,7 +61,7 @@ map --grid 3 --height 0                             | height requires --of drops
 map --grid 3 --of exact --pulse 1                   | pulse requires --of drops (got --of exact)
 map --grid 3 --record a                             | record requires --of exact, mujoco or drops
 map --of drops --grid 3 --pulse 220 --damping 50 --out . | damping must be a range for a chart (got 50)
-diagnose drop --jitter soon                         | jitter must be LOW HIGH, LOW:HIGH or one value (got 'soon')
+diagnose drop --jitter soon                         | jitter must be LOW,HIGH, LOW:HIGH or one value (got 'soon')
 diagnose drop --jitter 0.003,0.001                  | jitter must be in ascending order, low to high
 diagnose drop --jitter 0,0.002 --delay 0.003        | delay must be within the jitter, 0 to 0.002 s (got 0.003)
 diagnose drop --loss 1                              | loss must be at least 0 and below 1 (got 1.0)

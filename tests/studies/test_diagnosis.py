@@ -434,6 +434,21 @@ def test_the_picture_of_a_line_has_its_verdict_and_its_regions(tmp_path: Path, m
     assert len(figure.axes) == 2 and sum(heights) == 40 and max(heights) == 30
 
 
+def test_arrays_have_no_line() -> None:
+    with pytest.raises(ParameterError, match="stiffness must be a number beside a line"):
+        diagnose(stiffness=[100.0, 200.0], damping=1.0, period=5e-3, mass=0.15, line=Line(loss=0.1))  # type: ignore[call-overload]
+
+
+def test_a_recording_over_a_line_keeps_the_delay_that_is_fitted(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    time = np.arange(300) * 5e-3
+    wave = np.exp(-0.9 * time) * np.cos(2.0 * np.pi * 9.0 * time)
+    log.write_text("time,position\n" + "\n".join(f"{t:.6f},{1e-3 * x:.9f}" for t, x in zip(time, wave)))
+    values: Any = {"stiffness": 2000.0, "damping": 15.0, "period": 5e-3}
+    alone, found = (diagnose(log, **values, line=line) for line in (None, Line(jitter=(1e-3, 2e-3))))
+    assert found.loop.delay == alone.loop.delay and found.line is not None and found.line.delays == (1e-3, 2e-3)
+
+
 def test_a_law_on_the_device_is_not_judged_over_a_line() -> None:
     found = diagnose("drop", wall_on="device", on_axis="z", line=Line(loss=0.1))
     assert "over this line not judged: a law on the device has a rate of its own" in " ".join(str(found).split())
