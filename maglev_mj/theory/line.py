@@ -111,6 +111,10 @@ class Event(NamedTuple):
     delay: float
 
 
+_LOST = Event(0.0, math.nan)
+"""Loss after which no command is late."""
+
+
 class Maps:
     """Maps from sample to sample of a loop whose delay varies by at most a period.
 
@@ -322,16 +326,16 @@ class _Blocks(NamedTuple):
 
 def _blocks(maps: Maps, most: int) -> _Blocks:
     late, new = maps.hull(0.0, maps.latest), maps.hull(maps.first, maps.last)
-    first = maps.received(late, new)
+    heads = [(maps.received(late, new), maps.lost(late[:1]))]
     if maps.crosses:
-        first = np.concatenate([first, maps.pending(late)])
-    lost, still = maps.lost(late), maps.lost(late[:1])[0]
-    parts, one = [], np.eye(maps.order)
+        heads.append((maps.pending(late), maps.lost(late)))  # the command may be late when the next one is lost
+    still, one, parts = heads[0][1][0], np.eye(maps.order), []
     for number_lost in range(most + 1):
-        afters = one[None] if not number_lost else one @ lost
-        rest = np.broadcast_to(one, (len(afters) * len(first), *one.shape))
-        after, before = np.repeat(afters, len(first), axis=0), np.tile(first, (len(afters), 1, 1))
-        parts.append((after @ before, after, rest, before, np.full(len(after), number_lost)))
+        for first, lost in heads:
+            afters = one @ lost if number_lost else one[None]
+            rest = np.broadcast_to(one, (len(afters) * len(first), *one.shape))
+            after, before = np.repeat(afters, len(first), axis=0), np.tile(first, (len(afters), 1, 1))
+            parts.append((after @ before, after, rest, before, np.full(len(after), number_lost)))
         one = still @ one if number_lost else one
     return _Blocks(*map(np.concatenate, zip(*parts, strict=True)))
 
@@ -395,19 +399,17 @@ def _search(maps: Maps, most: int) -> tuple[float, tuple[float | None, ...]]:
     lates = [0.0, 0.5 * maps.latest, maps.latest] if maps.crosses else [0.0]
     delays = [*np.unique([maps.first, 0.5 * (maps.first + maps.last), maps.last]).tolist()]
     delays += [math.inf] * maps.crosses
-    heads = [Event(late, delay) for late, delay in product(lates, delays)]
-    lost = maps.of(Event(0.0, math.nan))
-    events: list[tuple[Event, ...]] = []
-    for count in range(most + 1):
-        tails = [(Event(late, math.nan),) for late in (lates if maps.crosses else lates[:1])] if count else [()]
-        events += [(head, *tail, *[Event(0.0, math.nan)] * (count - 1)) for head in heads for tail in tails]
-    blocks = []
-    for block in events:
-        one = np.eye(maps.order)
-        for event in block[:2]:
-            one = maps.of(event) @ one
-        blocks.append(np.linalg.matrix_power(lost, max(len(block) - 2, 0)) @ one)
-    alphabet, lengths = np.array(blocks), np.array([len(block) for block in events])
+    heads = {Event(late, delay): maps.of(Event(late, delay)) for late, delay in product(lates, delays)}
+    tails = {Event(late, math.nan): maps.of(Event(late, math.nan)) for late in lates}
+    events, blocks, rest = [(head,) for head in heads], [*heads.values()], np.eye(maps.order)
+    for count in range(most):
+        for head, last in product(heads, tails):
+            if last.late and not math.isinf(head.delay):
+                continue  # no command is late
+            events.append((head, last, *[_LOST] * count))
+            blocks.append(rest @ tails[last] @ heads[head])
+        rest = tails[_LOST] @ rest
+    alphabet, lengths = np.array(blocks), np.array([*map(len, events)])
     scales = _balance(alphabet)
     alphabet = alphabet * scales / scales[:, None]
     words, spans, level = np.arange(len(events))[:, None], lengths, alphabet
