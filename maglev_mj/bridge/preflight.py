@@ -23,7 +23,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller, user_errors_rejected
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.held import Held
-from maglev_mj.theory.line import Line, mean_square_line
+from maglev_mj.theory.line import LossyLine, mean_square_line
 from maglev_mj.theory.loop import Bound, Loop
 from maglev_mj.theory.read import scene_lag, stated_gains
 from maglev_mj.theory.verdict import judge, stability
@@ -160,11 +160,11 @@ class LinkReport(Result):
         """Critical delay assumed for a scene that is flown although the check failed [s]."""
         return 2.0 * self.required_delay
 
-    def line(self, period: float) -> Line:
+    def line(self, period: float) -> LossyLine:
         """Return the line with these delays, at a sample period [s]; samples lost, skipped or late count as lost."""
         delays = np.sort(self.delay)[: max(self.delay.size - self.late, 0)]
         lost = (self.lost + self.skipped + self.late) / max(self.samples, 1)
-        return Line.of_delays(delays if delays.size else [self.device_delay], period, min(lost, _ALL))
+        return LossyLine.of_delays(delays if delays.size else [self.device_delay], period, min(lost, _ALL))
 
     @property
     def success(self) -> float:

@@ -15,7 +15,7 @@ from maglev_mj.parameters import MEASURED_MOTIONS
 from maglev_mj.scenes.names import scene_names
 from maglev_mj.studies.diagnosed_loops import DiagnosedLoop
 from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
-from maglev_mj.theory.line import Line
+from maglev_mj.theory.line import LossyLine
 
 _SOURCES = {
     "stiffness": "from the scene or recording, else required",
@@ -69,13 +69,13 @@ def _add_line(parser: Parser) -> None:
     group.add_argument("--lost-in-a-row", type=count, metavar="N", help=text)
 
 
-def _stated_line(options: argparse.Namespace) -> Line | None:
+def _stated_line(options: argparse.Namespace) -> LossyLine | None:
     """Return the line if one of its options is set."""
     text, forms = options.jitter, "LOW,HIGH, LOW:HIGH or one value"
     jitter = None if text is None else range_of("jitter", text.replace(",", ":"), forms)
     if jitter is None and options.loss is None and options.lost_in_a_row is None:
         return None
-    return Line(jitter=jitter, loss=options.loss or 0.0, lost_in_a_row=options.lost_in_a_row)
+    return LossyLine(jitter=jitter, loss=options.loss or 0.0, lost_in_a_row=options.lost_in_a_row)
 
 
 def diagnose(
@@ -87,7 +87,7 @@ def diagnose(
     on_axis: Annotated[
         str | None, option("axis of the scene to diagnose (default: that of its worst loop)", "loop", "AXIS")
     ] = None,
-    line: Annotated[Line | None, Shared(_add_line, _stated_line)] = None,
+    line: Annotated[LossyLine | None, Shared(_add_line, _stated_line)] = None,
     loop: _StatedLoop,
     json: Json = None,
     pictures: Picture,

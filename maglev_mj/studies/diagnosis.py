@@ -32,7 +32,7 @@ from maglev_mj.studies.diagnosed_loops import (
 )
 from maglev_mj.theory.boundary import StiffestWall, rigid_note
 from maglev_mj.theory.held import Held, held_of
-from maglev_mj.theory.line import Line, LineVerdict
+from maglev_mj.theory.line import LineVerdict, LossyLine
 from maglev_mj.theory.loop import Bound, Loop, Loops, StableDelays, StableRange, holds
 from maglev_mj.theory.loop_array import LinearisedLaw, PdLaw
 from maglev_mj.theory.remedies import MOST_DAMPING, Remedy, has_room, hidden_amplitude, short
@@ -315,7 +315,7 @@ def diagnose(  # type: ignore[overload-overlap]  # a number is an array too
     scene: Any = None,
     *,
     on_axis: str | None = None,
-    line: Line | None = None,
+    line: LossyLine | None = None,
     **values: float | str | LinearisedLaw | PdLaw | None,
 ) -> Diagnosis: ...
 
@@ -328,7 +328,7 @@ def diagnose(
 
 @checked
 def diagnose(
-    scene: Any = None, *, on_axis: str | None = None, line: Line | None = None, **values: Any
+    scene: Any = None, *, on_axis: str | None = None, line: LossyLine | None = None, **values: Any
 ) -> Diagnosis | DiagnosedLoops:
     """Return verdict, margins and ranked remedies of a wall's closed loop, in contact.
 

@@ -10,8 +10,8 @@ from maglev_mj.theory.design import design_wall as design_wall
 from maglev_mj.theory.design import worst_case as worst_case
 from maglev_mj.theory.ideal import analog_wall as analog_wall
 from maglev_mj.theory.ideal import karnopp as karnopp
-from maglev_mj.theory.line import Line as Line
 from maglev_mj.theory.line import LineVerdict as LineVerdict
+from maglev_mj.theory.line import LossyLine as LossyLine
 from maglev_mj.theory.linearise import ClosedLoop as ClosedLoop
 from maglev_mj.theory.linearise import Linearised as Linearised
 from maglev_mj.theory.loop_array import critical_delay as critical_delay

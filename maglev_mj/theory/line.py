@@ -56,8 +56,8 @@ _REAL = 1e-7
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Line:
-    """Line between a sample and the effect of its command.
+class LossyLine:
+    """Line between a sample and the effect of its command, whose delay may vary, and which may lose commands.
 
     Args:
         jitter: Least and largest delay [s], at each sample any in between; None for the constant delay of a loop.
@@ -82,7 +82,7 @@ class Line:
             whole("lost_in_a_row", self.lost_in_a_row, at_most=MOST_IN_A_ROW)
 
     @classmethod
-    def of_delays(cls, delays: ArrayLike, period: float, loss: float = 0.0) -> Line:
+    def of_delays(cls, delays: ArrayLike, period: float, loss: float = 0.0) -> LossyLine:
         """Return the line of measured delays; one more than a period above the least counts as lost, as newer ones act.
 
         Args:
@@ -401,7 +401,8 @@ def _search(maps: Maps, most: int) -> tuple[float, tuple[float | None, ...]]:
     delays += [math.inf] * maps.crosses
     heads = {Event(late, delay): maps.of(Event(late, delay)) for late, delay in product(lates, delays)}
     tails = {Event(late, math.nan): maps.of(Event(late, math.nan)) for late in lates}
-    events, blocks, rest = [(head,) for head in heads], [*heads.values()], np.eye(maps.order)
+    events: list[tuple[Event, ...]] = [(head,) for head in heads]
+    blocks, rest = [*heads.values()], np.eye(maps.order)
     for count in range(most):
         for head, last in product(heads, tails):
             if last.late and not math.isinf(head.delay):
@@ -601,16 +602,16 @@ class LineVerdict:
         line: The line.
 
     Example:
-        >>> from maglev_mj.theory.line import Line, LineVerdict
+        >>> from maglev_mj.theory.line import LineVerdict, LossyLine
         >>> from maglev_mj.theory.loop import Loop
         >>> loop = Loop(stiffness=6000.0, damping=80.0, period=0.005, delay=0.0015, inertia=0.7)
-        >>> found = LineVerdict(loop, Line(jitter=(0.0, 0.003)))
+        >>> found = LineVerdict(loop, LossyLine(jitter=(0.0, 0.003)))
         >>> found.worst_case.stable, round(found.mean_square, 4), round(found.critical_loss, 4)
         (True, 0.7785, 0.2106)
     """
 
     loop: Loop
-    line: Line
+    line: LossyLine
 
     @cached_property
     def reason(self) -> str:
@@ -744,7 +745,7 @@ class LineVerdict:
         return stated | {name: plain(getattr(self, name)) for name in names}
 
 
-def mean_square_line(loops: Iterable[Loop], line: Line) -> str:
+def mean_square_line(loops: Iterable[Loop], line: LossyLine) -> str:
     """Return the verdict on the mean square of the worst of some loops over a line, in words; empty without a loop.
 
     Loops without stiffness are left out: in the free motion of a mass nothing decays.

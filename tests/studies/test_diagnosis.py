@@ -20,7 +20,7 @@ from maglev_mj.scenes.names import scene_names
 from maglev_mj.studies.diagnosed_loops import DiagnosedLoop
 from maglev_mj.studies.diagnosis import Diagnosis
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
-from maglev_mj.theory import DeviceLaw, Line, Mode, largest_stable_stiffness, spectral_radius, stiffest_wall
+from maglev_mj.theory import DeviceLaw, LossyLine, Mode, largest_stable_stiffness, spectral_radius, stiffest_wall
 from maglev_mj.theory.remedies import COSTS, _least, _Search, critical_of
 
 T60 = 1.0 / 60.0
@@ -391,7 +391,7 @@ def test_a_law_with_memory_is_linearised_exactly() -> None:
 def test_a_line_whose_delay_varies_is_judged_in_rows_of_its_own() -> None:
     values: Any = {"stiffness": 6000.0, "damping": 80.0, "period": 5e-3, "mass": 0.7}
     alone = diagnose(**values, delay=1.5e-3)
-    found = diagnose(**values, line=Line(jitter=(0.0, 3e-3), loss=0.1))
+    found = diagnose(**values, line=LossyLine(jitter=(0.0, 3e-3), loss=0.1))
     assert alone.line is None and alone.as_json()["line"] is None and list(alone.pictures) == ["diagnosis"]
     assert found.loop.delay == 1.5e-3 and found.spectral_radius == alone.spectral_radius
     assert "a delay of 1.5 ms, the middle of the jitter, where it does not vary" in found.assumptions
@@ -405,22 +405,22 @@ def test_a_line_whose_delay_varies_is_judged_in_rows_of_its_own() -> None:
 
 def test_a_line_that_destabilises_a_stable_loop_is_a_warning() -> None:
     values: Any = {"stiffness": 6000.0, "damping": 80.0, "period": 5e-3, "mass": 0.7}
-    found = diagnose(**values, line=Line(jitter=(1e-3, 4e-3)))
+    found = diagnose(**values, line=LossyLine(jitter=(1e-3, 4e-3)))
     assert found.stable and found.warnings == ("unstable over this line: a constant delay of 4 ms",)
     assert "Warning: unstable over this line: a constant delay of 4 ms" in " ".join(str(found.table()).split())
-    both = diagnose(**values, line=Line(jitter=(3e-3, 5e-3), loss=0.2, lost_in_a_row=1))
+    both = diagnose(**values, line=LossyLine(jitter=(3e-3, 5e-3), loss=0.2, lost_in_a_row=1))
     assert both.warnings[0].endswith(" lost and random delays and losses")
     assert both.line is not None and not both.line.is_stable
     with pytest.raises(
         ParameterError, match=re.escape("delay must be within the jitter, 0.001 to 0.004 s (got 0.005)")
     ):
-        diagnose(**values, delay=5e-3, line=Line(jitter=(1e-3, 4e-3)))
+        diagnose(**values, delay=5e-3, line=LossyLine(jitter=(1e-3, 4e-3)))
 
 
 def test_the_picture_of_a_line_has_its_verdict_and_its_regions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.studies.diagnosis_picture._COLUMNS", 9)
     monkeypatch.setattr("maglev_mj.studies.diagnosis_picture._HALVES", 5)
-    found = diagnose(stiffness=6e3, damping=80.0, period=5e-3, mass=0.7, line=Line(jitter=(5e-4, 2.5e-3)))
+    found = diagnose(stiffness=6e3, damping=80.0, period=5e-3, mass=0.7, line=LossyLine(jitter=(5e-4, 2.5e-3)))
     assert list(found.pictures) == ["diagnosis", "jitter"]
     figure = found.plot(picture="jitter")
     _, names = figure.axes[0].get_legend_handles_labels()
@@ -428,7 +428,7 @@ def test_the_picture_of_a_line_has_its_verdict_and_its_regions(tmp_path: Path, m
     assert {"destabilised by a sequence, stable if random", "unstable even if random"} <= {*names}
     (point,) = [line for line in figure.axes[0].lines if line.get_label() == "this line"]
     assert (*point.get_xdata(), *point.get_ydata()) == pytest.approx((1.5, 1.0))
-    measured = Line.of_delays(np.repeat([1e-3, 2e-3], [30, 10]), 5e-3)
+    measured = LossyLine.of_delays(np.repeat([1e-3, 2e-3], [30, 10]), 5e-3)
     figure = diagnose(stiffness=6e3, damping=80.0, period=5e-3, mass=0.7, line=measured).plot(picture="jitter")
     heights = [bar.get_height() for bar in figure.axes[0].patches]
     assert len(figure.axes) == 2 and sum(heights) == 40 and max(heights) == 30
@@ -436,7 +436,7 @@ def test_the_picture_of_a_line_has_its_verdict_and_its_regions(tmp_path: Path, m
 
 def test_arrays_have_no_line() -> None:
     with pytest.raises(ParameterError, match="stiffness must be a number beside a line"):
-        diagnose(stiffness=[100.0, 200.0], damping=1.0, period=5e-3, mass=0.15, line=Line(loss=0.1))  # type: ignore[call-overload]
+        diagnose(stiffness=[100.0, 200.0], damping=1.0, period=5e-3, mass=0.15, line=LossyLine(loss=0.1))  # type: ignore[call-overload]
 
 
 def test_a_recording_over_a_line_keeps_the_delay_that_is_fitted(tmp_path: Path) -> None:
@@ -445,11 +445,11 @@ def test_a_recording_over_a_line_keeps_the_delay_that_is_fitted(tmp_path: Path) 
     wave = np.exp(-0.9 * time) * np.cos(2.0 * np.pi * 9.0 * time)
     log.write_text("time,position\n" + "\n".join(f"{t:.6f},{1e-3 * x:.9f}" for t, x in zip(time, wave)))
     values: Any = {"stiffness": 2000.0, "damping": 15.0, "period": 5e-3}
-    alone, found = (diagnose(log, **values, line=line) for line in (None, Line(jitter=(1e-3, 2e-3))))
+    alone, found = (diagnose(log, **values, line=line) for line in (None, LossyLine(jitter=(1e-3, 2e-3))))
     assert found.loop.delay == alone.loop.delay and found.line is not None and found.line.delays == (1e-3, 2e-3)
 
 
 def test_a_law_on_the_device_is_not_judged_over_a_line() -> None:
-    found = diagnose("drop", wall_on="device", on_axis="z", line=Line(loss=0.1))
+    found = diagnose("drop", wall_on="device", on_axis="z", line=LossyLine(loss=0.1))
     assert "over this line not judged: a law on the device has a rate of its own" in " ".join(str(found).split())
     assert list(found.pictures) == ["diagnosis"] and not found.warnings

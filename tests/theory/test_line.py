@@ -20,8 +20,8 @@ from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.theory.line import (
     MOST_IN_A_ROW,
     Event,
-    Line,
     LineVerdict,
+    LossyLine,
     Maps,
     MeanSquare,
     WorstCase,
@@ -212,7 +212,7 @@ SQUARES = [
 def test_mean_squares_of_the_paper_s_wall(
     delays: tuple[float, float], loss: float, growth: float, events: tuple[float, float]
 ) -> None:
-    line = Line(jitter=[1e-3 * delay for delay in delays], loss=loss)
+    line = LossyLine(jitter=[1e-3 * delay for delay in delays], loss=loss)
     found = LineVerdict(PAPER, line)
     assert found.mean_square == pytest.approx(growth, abs=6e-6)
     assert min(events) - 0.003 < found.mean_square < max(events) + 0.003
@@ -223,7 +223,7 @@ def test_the_mean_delay_matters_less_a_loss_by_the_square_of_the_jitter() -> Non
     for half, critical in ((0.0, 3.25722), (0.5, 3.25373), (1.0, 3.24330), (1.5, 3.22597)):
         for side, stable in ((-2e-5, True), (2e-5, False)):
             middle = critical + side
-            line = Line(jitter=(1e-3 * (middle - half), 1e-3 * (middle + half)))
+            line = LossyLine(jitter=(1e-3 * (middle - half), 1e-3 * (middle + half)))
             assert LineVerdict(PAPER, line).is_stable is stable
 
 
@@ -279,10 +279,10 @@ LOSSES = [
 @pytest.mark.parametrize(("values", "loss", "runs"), [*LOSSES[:3], *further(*LOSSES[3:])])
 def test_limits_of_lost_samples(values: Any, loss: float, runs: tuple[int, int | None]) -> None:
     loop = loop_of(*values)
-    found = LineVerdict(loop, Line())
+    found = LineVerdict(loop, LossyLine())
     assert found.critical_loss == pytest.approx(loss, abs=6e-7)
     for side, stable in ((-1e-6, True), (1e-6, False)):
-        assert LineVerdict(loop, Line(loss=found.critical_loss + side)).is_stable is stable
+        assert LineVerdict(loop, LossyLine(loss=found.critical_loss + side)).is_stable is stable
     limits = found.longest_loss
     assert limits is not None and limits.stable >= runs[0]
     settles(found._maps, 60, most=limits.stable)
@@ -332,7 +332,7 @@ def test_verdicts_hold_for_loops_of_all_kinds(name: str) -> None:
     ],
 )
 def test_what_is_not_judged_is_never_stable(changes: Any, line: Any, reason: str) -> None:
-    found = LineVerdict(replace(PAPER, **changes), Line(**line))
+    found = LineVerdict(replace(PAPER, **changes), LossyLine(**line))
     assert found.reason == reason and found.rows == (("over this line", f"not judged: {reason}"),)
     assert found.worst_case is None and found.longest_loss is None and not found.is_stable
     assert math.isnan(found.mean_square) and math.isnan(found.critical_loss)
@@ -340,10 +340,12 @@ def test_what_is_not_judged_is_never_stable(changes: Any, line: Any, reason: str
 
 
 def test_losses_without_a_longest_run_have_no_worst_case() -> None:
-    found = LineVerdict(PAPER, Line(loss=0.1))
+    found = LineVerdict(PAPER, LossyLine(loss=0.1))
     assert found.worst_case is None and found.is_stable
     assert dict(found.rows)["worst case"] == "not judged: state the most samples lost in a row"
-    assert LineVerdict(PAPER, Line(loss=0.1, lost_in_a_row=1)).worst_case == worst_case(Maps(PAPER, 1.5e-3, 1.5e-3), 1)
+    assert LineVerdict(PAPER, LossyLine(loss=0.1, lost_in_a_row=1)).worst_case == worst_case(
+        Maps(PAPER, 1.5e-3, 1.5e-3), 1
+    )
 
 
 @pytest.mark.parametrize(
@@ -358,12 +360,12 @@ def test_losses_without_a_longest_run_have_no_worst_case() -> None:
 )
 def test_wrong_lines_are_refused(values: Any, text: str) -> None:
     with pytest.raises(ParameterError, match=text):
-        Line(**values)
+        LossyLine(**values)
 
 
 def test_a_constant_line_is_the_loop_itself() -> None:
     for loop, _ in KINDS.values():
-        found = LineVerdict(loop, Line())
+        found = LineVerdict(loop, LossyLine())
         assert found.worst_case is not None and found.worst_case.growth == pytest.approx(loop.spectral_radius, abs=1e-9)
         assert found.worst_case.stable is (loop.spectral_radius < 1.0)
         assert found.mean_square == pytest.approx(loop.spectral_radius**2, abs=1e-8)
@@ -385,7 +387,7 @@ def test_a_norm_of_maps_is_one_of_all_of_them() -> None:
 def test_regions_over_middle_and_half_width(columns: int, rows: int, counts: tuple[int, int, int]) -> None:
     """Proved, not decided, destabilised; of another program with delays within a period 109, 3 and 143."""
     middles, halves = np.linspace(2e-4, 4.8e-3, columns), np.linspace(0.0, 2.5e-3, rows)
-    worst, growth = LineVerdict(PAPER, Line()).regions(middles, halves)
+    worst, growth = LineVerdict(PAPER, LossyLine()).regions(middles, halves)
     found = tuple(int((worst == kind).sum()) for kind in (1, 0, -1))
     assert found[0] >= counts[0] and sum(found) == sum(counts) and found[2] == counts[2]
     assert (growth[worst == 1] < 1.0).all() and (np.isnan(worst) == (halves[:, None] > middles)).all()
@@ -398,22 +400,24 @@ def test_measured_delays_have_the_mean_square_of_their_distribution() -> None:
     loop = replace(KINDS["across a sample"][0], stiffness=1500.0, damping=40.0)
     for low, high in ((1.0e-3, 2.0e-3), (3.0e-3, 7.5e-3)):
         delays = low + (high - low) * (np.arange(20_000) + 0.5) / 20_000
-        found = LineVerdict(loop, Line.of_delays(delays, loop.period))
-        assert found.mean_square == pytest.approx(LineVerdict(loop, Line(jitter=(low, high))).mean_square, abs=1e-7)
+        found = LineVerdict(loop, LossyLine.of_delays(delays, loop.period))
+        assert found.mean_square == pytest.approx(
+            LineVerdict(loop, LossyLine(jitter=(low, high))).mean_square, abs=1e-7
+        )
         assert found.line.jitter == (delays[0], delays[-1]) and "(as measured, independent: x " in str(found.rows)
 
 
 def test_a_measured_delay_of_more_than_a_period_above_the_least_counts_as_lost() -> None:
-    line = Line.of_delays([2e-3, 1e-3, 6.1e-3, 1.5e-3], 5e-3, 0.1)
+    line = LossyLine.of_delays([2e-3, 1e-3, 6.1e-3, 1.5e-3], 5e-3, 0.1)
     assert line.jitter == (1e-3, 2e-3) and line.loss == pytest.approx(1.0 - 0.9 * 0.75)
     with pytest.raises(ParameterError, match="delays must not be empty"):
-        Line.of_delays([], 5e-3)
+        LossyLine.of_delays([], 5e-3)
 
 
 def test_the_line_of_several_loops_is_that_of_the_worst_and_unstable_outranks_not_judged() -> None:
     free, odd = replace(PAPER, stiffness=0.0), replace(PAPER, reason="friction is not linear")
     worse = replace(PAPER, stiffness=12_000.0)
-    good, bad = Line(jitter=(1e-3, 2e-3)), Line(jitter=(3e-3, 5e-3), loss=0.3)
+    good, bad = LossyLine(jitter=(1e-3, 2e-3)), LossyLine(jitter=(3e-3, 5e-3), loss=0.3)
     assert mean_square_line([free], good) == ""
     line = mean_square_line([PAPER, free], good)
     assert line == "line    delay 1 to 2 ms: stable in the mean square (x 0.770 a sample)"
@@ -425,7 +429,7 @@ def test_the_line_of_several_loops_is_that_of_the_worst_and_unstable_outranks_no
 def test_a_law_with_a_long_memory_is_not_judged() -> None:
     states = np.diag(np.ones(40), -1)
     law = LinearisedLaw(LinearController(states, np.eye(41)[0], -np.ones(41), np.asarray(-6000.0)), 6000.0, 80.0)
-    found = LineVerdict(replace(PAPER, law=law), Line(loss=0.1))
+    found = LineVerdict(replace(PAPER, law=law), LossyLine(loss=0.1))
     assert found.reason == "its law has a memory of more than 32 states" and found.worst_case is None
 
 
