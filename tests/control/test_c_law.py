@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from maglev_mj import (
     CLaw,
     Controller,
     ParameterError,
+    Recording,
     Scene,
     Start,
     check_law,
@@ -24,11 +27,17 @@ from maglev_mj import (
     hold,
     judge,
     linearise,
+    local_workers,
     param,
+    rebuild,
     run,
+    sweep,
+    verify,
+    write_run,
 )
 from maglev_mj.control.laws import c_law, probe
 from maglev_mj.scenes.wall_scene import others
+from maglev_mj.session.replay import ATTACHED, UserCode
 
 pytestmark = [pytest.mark.needs("own compiler"), pytest.mark.xdist_group("laws in C")]  # compiled once
 
@@ -322,3 +331,85 @@ def test_a_gain_cannot_have_the_name_of_the_hash() -> None:
 
         class Mine(CLaw, library=C):
             code: float = gain("")  # type: ignore[assignment]
+
+
+RIG = """
+from maglev_mj import CLaw, Scene, Start, figure, gain, hold, param
+from maglev_mj.scenes.wall_scene import others
+
+
+class Soft(CLaw, library="mine.c", symbol="soft", memory=8):
+    stiffness: float = gain("", "N/m")
+    damping: float = gain("", "N s/m")
+    share: float = gain("", "", default=0.3)
+
+
+@figure("mm", "deepest position", scale=1e3)
+def deepest(result):
+    return float(result.line.pose[:, 0].min())
+
+
+class Rig(Scene):
+    shown_axis, figures = "x", (deepest,)
+    duration: float = param("", "s", default=0.1, above=0.0, at_most=10.0)
+    stiffness: float = param("", "N/m", default=3000.0, live=True)
+
+    def start(self):
+        return Start(twist=(-0.05, 0, 0, 0, 0, 0), gravity=0.0)
+
+    def laws(self):
+        return [Soft(axes="x", stiffness=self.stiffness, damping=40.0), hold(self, others("x"))]
+"""
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    """Return the file of a scene with a law in C, which includes a header."""
+    tmp_path.joinpath("mine.c").write_text(f'#include "mine.h"\n{C.read_text()}')
+    tmp_path.joinpath("mine.h").write_text("/* for the board */\n")
+    tmp_path.joinpath("rig.py").write_text(RIG)
+    return tmp_path / "rig.py"
+
+
+def test_a_recording_contains_the_files_in_c(
+    rig: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (path,) = write_run(tmp_path_factory.mktemp("elsewhere") / "run.maglev", str(rig), plant="exact")
+    recording = Recording.load(path)
+    digest = recording.segments[0].setup["controller"]["laws"][0]["code"]
+    own = {name: data for name, data in recording.attachments.items() if f"/{digest}/" in name}
+    assert own == {f"source/{digest}/{name}": (rig.parent / name).read_bytes() for name in ("mine.c", "mine.h")}
+    monkeypatch.chdir(path.parent)
+    for name in ("mine.c", "mine.h", "rig.py"):
+        rig.with_name(name).unlink()
+    path.parent.joinpath("mine.c").write_text("not this one")
+    code = UserCode(ATTACHED, recording)
+    assert verify(recording, partial(rebuild, own=code)).same and not code.changed
+
+
+def test_a_recording_names_a_changed_file_in_c(rig: Path, tmp_path: Path) -> None:
+    (path,) = write_run(tmp_path / "run.maglev", str(rig), plant="exact")
+    assert not UserCode(f"{rig}:Rig", Recording.load(path)).changed
+    rig.with_name("mine.h").write_text("/* for another board */\n")
+    rig.write_text(RIG)
+    os.utime(rig, ns=(0, 0))  # a file is executed again once it has changed
+    assert UserCode(f"{rig}:Rig", Recording.load(path)).changed
+
+
+def test_cells_of_a_sweep_differ_by_the_files_in_c(rig: Path) -> None:
+    names = []
+    for text in ("", "/* changed */"):
+        rig.with_name("mine.h").write_text(text)
+        os.utime(rig, ns=(len(text), 0))
+        names.append(sweep(str(rig), {"stiffness": [1000.0]}, plant="exact").cells[0]["scene"])
+    assert names[0] != names[1]
+
+
+@pytest.mark.machine
+def test_workers_find_the_files_in_c(rig: Path) -> None:
+    results = [
+        sweep(str(rig), {"stiffness": [1000.0, 2000.0]}, plant="exact", workers=workers).results
+        for workers in (None, local_workers(2))
+    ]
+    assert results[0] == results[1], results[1]
+    assert all(result["deepest"] < 0.0 for result in results[0]), results[0]

@@ -7,12 +7,12 @@ import hashlib
 import json
 import math
 import os
+import re
 import shutil
 import signal
 import sys
-import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from functools import cache
 from pathlib import Path
@@ -23,6 +23,7 @@ import numpy as np
 from maglev_mj.control.laws import probe
 from maglev_mj.control.laws.base import AxisLaw
 from maglev_mj.errors import MaglevError, ParameterError, named
+from maglev_mj.files import temporary_folder
 from maglev_mj.frames import Array, Component
 from maglev_mj.keywords import checked, every_tick
 from maglev_mj.parameters import store
@@ -70,6 +71,24 @@ class _Source(NamedTuple):
                 return path.resolve()
         raise ParameterError(f"law {self.label}: {self.library} does not exist in {self.folder}")
 
+    def files(self) -> dict[str, bytes]:
+        """Return the files of the law by name: the library, or the C file with what it includes in quotes.
+
+        Raises:
+            ParameterError: If there is no such file.
+        """
+        first = self.path
+        files, left = dict[str, bytes](), [first]
+        for path in left:
+            name = path.relative_to(first.parent).as_posix()
+            if name not in files:
+                files[name] = path.read_bytes()
+                if first.suffix == ".c":
+                    included = re.findall(rb'^\s*#\s*include\s*"([^"]+)"', files[name], re.MULTILINE)
+                    beside = (path.parent / os.fsdecode(one) for one in included)
+                    left += [one for one in beside if one.is_file() and first.parent in one.parents]
+        return files
+
     @property
     def place(self) -> str:
         """Law, file and function, for messages."""
@@ -81,12 +100,14 @@ class _Loaded(NamedTuple):
 
     Attributes:
         function: The function.
-        digest: First 16 digits of the SHA-256 of its file.
+        files: Its files by name.
+        digest: First 16 digits of the SHA-256 of its files.
         words: Size of its memory [numbers of 8 bytes].
         buffer: Type of its memory.
     """
 
     function: Callable[..., None]
+    files: Mapping[str, bytes]
     digest: str
     words: int
     buffer: Any
@@ -117,7 +138,7 @@ class CLaw(AxisLaw):
 
     Args:
         axes: Names from AXES; all six by default.
-        code: Hash of the library file that is required, as a recording states it; the present one if empty.
+        code: Hash of the library, or of the C file and what it includes, that is required, as a recording states it.
 
     Raises:
         ParameterError: If a gain is outside its bounds, the file does not exist, is not compiled or not the required
@@ -172,10 +193,23 @@ class CLaw(AxisLaw):
             )
         store(self, code=loaded.digest)
 
+    @classmethod
+    def files(cls) -> dict[str, bytes]:
+        """Return the library by its name, or the C file and those that it includes in quotes, as they were loaded.
+
+        Empty for a base class without a library.
+
+        Raises:
+            ParameterError: If there is no such file.
+        """
+        if cls in _LOADED:
+            return dict(_LOADED[cls].files)
+        return {} if cls._source is None else cls._source.files()
+
     @every_tick
     def force(self, x: Component, v: Component, gains: Self, state: Any) -> Any:
         """Return the force on one axis, and its memory if it has one, as bytes or an array; see `AxisLaw`."""
-        function, _, words, buffer = _LOADED.get(type(self)) or _loaded(type(self), [gains._rows])
+        function, *_, words, buffer = _LOADED.get(type(self)) or _loaded(type(self), [gains._rows])
         if gains._packed is None or x.__class__ is not float or v.__class__ is not float:
             if shape := np.broadcast_shapes(np.shape(x), np.shape(v), gains._rows.shape[:-1]):
                 return self._forces(x, v, gains._rows, state, shape)
@@ -190,7 +224,7 @@ class CLaw(AxisLaw):
 
     def _forces(self, x: Any, v: Any, rows: Array, state: Any, shape: tuple[int, ...]) -> Any:
         """Return the forces on one axis of N devices, and their memories, (..., words): the function once for each."""
-        function, _, words, _ = _LOADED[type(self)]
+        function, *_, words, _ = _LOADED[type(self)]
         count = math.prod(shape)
         before = (
             np.frombuffer(state, np.uint64) if isinstance(state, bytes) else np.uint64(0) if state is None else state
@@ -205,6 +239,18 @@ class CLaw(AxisLaw):
             function(*each)
         result = forces.reshape(shape)
         return (result, memories) if words else result
+
+
+def digest_of(files: Mapping[str, bytes]) -> str:
+    """Return the first 16 digits of the SHA-256 of a law's files; see `CLaw.files`."""
+    parts = [part for name in sorted(files) for part in (name.encode(), b"\0", files[name], b"\0")]
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
+
+
+def files_of(things: Iterable[Any]) -> dict[str, Mapping[str, bytes]]:
+    """Return the files of those among some objects that are laws in C, by their hash; see `CLaw.files`."""
+    each = [files for one in things if isinstance(one, type) and issubclass(one, CLaw) and (files := one.files())]
+    return {digest_of(files): files for files in each}
 
 
 _LOADED: dict[type[CLaw], _Loaded] = {}
@@ -228,8 +274,7 @@ def _loaded(cls: type[CLaw], rows: Sequence[Array]) -> _Loaded:
             source = cls._source
             assert source is not None
             path, words = source.path, -(-source.memory // _DOUBLE)
-            data = path.read_bytes()
-            digest = hashlib.sha256(data).hexdigest()[:16]
+            digest = digest_of(files := source.files())
             library = _compiled(source.label, path, digest) if path.suffix == ".c" else path
             some = [part.reshape(math.prod(part.shape[:-1]), part.shape[-1])[:_MOST_ROWS].tolist() for part in rows]
             _probe(source, str(library), [row for part in some for row in part])
@@ -237,13 +282,8 @@ def _loaded(cls: type[CLaw], rows: Sequence[Array]) -> _Loaded:
                 function = probe.function_of(str(library), source.symbol)
             except (OSError, AttributeError) as error:
                 raise ParameterError(f"{source.place} cannot be loaded: {error}") from None
-            _LOADED[cls] = _Loaded(function, digest, words, ctypes.c_double * words)
+            _LOADED[cls] = _Loaded(function, files, digest, words, ctypes.c_double * words)
         return _LOADED[cls]
-
-
-@cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="maglev_mj_", ignore_cleanup_errors=True)
 
 
 @cache
@@ -266,7 +306,7 @@ def _compiled(label: str, path: Path, digest: str) -> Path:
             f"law {label}: {path.name} needs a C compiler ({', '.join(COMPILERS)}): install one, or name a library "
             f"compiled elsewhere"
         )
-    result = Path(_folder().name, f"{path.stem}_{digest}_{len(_LOADED)}.so")
+    result = temporary_folder() / f"{path.stem}.so"  # a library of one name is loaded once
     # in the folder of the file, so that messages have its name alone
     done = subprocess.run(
         [compiler, *FLAGS, path.name, "-o", str(result), "-lm"],
