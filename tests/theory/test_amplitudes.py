@@ -1,0 +1,83 @@
+"""Laws in fixed point: linearised at several amplitudes, as they have no slope at the smallest one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import AxisLaw, Controller, ParameterError, gain, linearise
+
+T, DELAY = 0.005, 0.0015
+INSIDE = np.array([-1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+class Fixed(AxisLaw):
+    """Spring and damper in fixed point: counts of 1 µm, a difference filtered with `>> 2`, force in 1/256 N."""
+
+    stiffness: float = gain("", "N/m", default=3000.0)
+    damping: float = gain("", "N s/m per sample rate", default=8000.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        count = np.floor(x * 1e6 + 0.5)
+        last, speed = (count, 0.0 * count) if state is None else state
+        speed = speed + np.floor(((count - last) * 256.0 - speed) / 4.0)
+        force = np.trunc(-gains.stiffness * count * 256.0 / 1e6) - np.trunc(gains.damping * speed / 1e6)
+        return force / 256.0, (count, speed)
+
+
+FIXED = Controller([Fixed(axes="x")], period=T)
+
+
+def test_gains_by_amplitude_are_those_computed_without_the_package() -> None:
+    """Stiffness and damping as in a loop over samples, with 64 random positions within a count."""
+    random, found = np.random.default_rng(0), []
+    for amplitude in (1e-7, 1e-6, 1e-5, 1e-4, 1e-3):
+        random.uniform(0.0, 1e-6)  # of a single position, before
+        poses = np.tile(INSIDE, (64, 1))
+        poses[:, 0] += random.uniform(0.0, 1e-6, 64)
+        each = linearise(FIXED, poses, axes="x", amplitude=amplitude)
+        assert all((near.amplitude == amplitude).all() for near in each)
+        means = (float(np.mean([getattr(near, name)[0, 0] for near in each])) for name in ("stiffness", "damping"))
+        found.append(tuple(round(mean, 2) for mean in means))
+    assert found == [(3051.76, 0.0), (3051.76, 0.0), (4492.19, 1.95), (3272.09, 27.34), (3034.06, 37.38)]
+
+
+@pytest.mark.parametrize(("amplitude", "stiffness"), [(1e-5, 4492.1875), (1e-4, 3271.484375), (1e-3, 3034.1796875)])
+def test_a_resolution_gives_the_mean_over_a_count(amplitude: float, stiffness: float) -> None:
+    poses = INSIDE + np.eye(6)[0] * 1e-6 * (np.arange(0.5, 64.0) / 64.0)[:, None]
+    mean = np.mean([near.response[:20] for near in linearise(FIXED, poses, amplitude=amplitude)], axis=0)
+    (near,) = linearise(FIXED, INSIDE, amplitude=amplitude, resolution=1e-6)
+    np.testing.assert_allclose(near.response, mean[: len(near.response)], rtol=0.0, atol=1e-9 * np.abs(mean).max())
+    assert near.stiffness[0, 0] == pytest.approx(stiffness, rel=1e-12) and (near.pose == INSIDE).all()
+
+
+def test_a_linear_law_is_the_same_at_any_amplitude() -> None:
+    """That of a law with memory, to the rounding of a difference of forces."""
+
+    class Filtered(AxisLaw):
+        def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+            speed = 0.0 if state is None else state
+            speed = speed + 0.3 * (v - speed)
+            return -3000.0 * x - 40.0 * speed, speed
+
+    controller = Controller([Filtered(axes="x")], period=T)
+    (least,) = linearise(controller, INSIDE)
+    for amplitude in (1e-5, 1e-3):
+        (near,) = linearise(controller, INSIDE, amplitude=amplitude, resolution=1e-6)
+        assert near.stiffness[0, 0] == pytest.approx(least.stiffness[0, 0], rel=1e-6)
+        assert near.damping[0, 0] == pytest.approx(least.damping[0, 0], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "message"),
+    [
+        ({"amplitude": 0.0}, "amplitude must be above 0 m, rad"),
+        ({"amplitude": [1e-3] * 3}, "amplitude must "),
+        ({"resolution": -1e-6}, "resolution must be at least 0 m, rad"),
+    ],
+)
+def test_wrong_sizes_are_refused(sizes: Any, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        linearise(FIXED, INSIDE, **sizes)
