@@ -75,6 +75,7 @@ class Linearised(Result):
     Attributes:
         pose: Pose [m, rad], (6,).
         amplitude: Displacement from which the response was computed, and for which it holds [m, rad], (6,).
+        resolution: Resolution of the laws over which it is a mean [m, rad]; 0 for none.
         period: Sample period [s].
         response: Wrench at sample j after a unit displacement at sample 0 alone, (M, 6, 6): [j, to, from].
         jumps: True for axes on which the wrench or its slope is discontinuous at the pose, (6,).
@@ -83,6 +84,7 @@ class Linearised(Result):
 
     pose: Array
     amplitude: Array
+    resolution: float
     period: float
     response: Array
     jumps: Mask
@@ -374,7 +376,7 @@ def linearise(
     for first in range(0, len(rest), _POSES_AT_ONCE):
         some = slice(first, first + _POSES_AT_ONCE)
         difference = np.moveaxis(rows[:, some, 1:] - rows[:, some, :1], [0, 3], [1, 2])  # [pose, j, to, from]
-        both = []
+        both = list[Array]()
         for copies in (places, len(moves) + places):
             response = np.zeros((*difference.shape[:2], 6, 6))
             steps = change[some, 1 + copies, chosen]
@@ -382,7 +384,8 @@ def linearise(
             response = response.reshape(-1, count, *response.shape[1:]).mean(axis=1)
             both.append(response * np.eye(6) if alone else response)
         up, down = both
-        linearised += _near(bases[first // count : (first + _POSES_AT_ONCE) // count], size, period, up, down, back)
+        some = slice(first // count, (first + _POSES_AT_ONCE) // count)
+        linearised += _near(bases[some], up, down, back, amplitude=size, resolution=resolution, period=period)
     length = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
     return [replace(near, response=near.response[:length]) for near in linearised]
 
@@ -400,7 +403,7 @@ def is_ours(item: Any) -> bool:
     return bool(item.__module__.partition(".")[0] == "maglev_mj")
 
 
-def _near(poses: Array, size: Array, period: float, up: Array, down: Array, back: float) -> Iterator[Linearised]:
+def _near(poses: Array, up: Array, down: Array, back: float, **sizes: Any) -> Iterator[Linearised]:
     """Yield the linearisation at each pose from the responses to a displacement and to that times -back, per unit."""
     finite = np.asarray(np.isfinite(up).all(axis=(1, 2)) & np.isfinite(down).all(axis=(1, 2)))
     up, down = (np.where(finite[:, None, None], one, 0.0) for one in (up, down))
@@ -416,8 +419,7 @@ def _near(poses: Array, size: Array, period: float, up: Array, down: Array, back
     response = np.where(np.abs(response) > least, response, 0.0)
     settled = np.asarray(finite & ~response[:, -_SAMPLES_OF_ZERO:].any(axis=(1, 2)))
     for parts in zip(poses, response, jumps, settled, strict=True):
-        kept = {"response": parts[1], "jumps": parts[2], "settled": parts[3]}
-        yield Linearised(pose=parts[0], amplitude=size, period=period, **kept)
+        yield Linearised(pose=parts[0], response=parts[1], jumps=parts[2], settled=parts[3], **sizes)
 
 
 class _Responses:

@@ -77,6 +77,38 @@ class _LoopState(NamedTuple):
         return axes, state, f"{self.spectral_radius:.4f}", word
 
 
+class AtAmplitude(NamedTuple):
+    """Closed loop of a law in fixed point for motion of one amplitude.
+
+    Attributes:
+        axis: Name of the axis.
+        amplitude: Displacement [m, rad].
+        stiffness: Mean stiffness over the positions within a count [N/m, N m/rad].
+        damping: Mean damping over them [N s/m, N m s/rad].
+        spectral_radius: Spectral radius; 1 for a law without stiffness and damping.
+        judged: False within a few counts, where each such law rings or rests.
+    """
+
+    axis: str
+    amplitude: float
+    stiffness: float
+    damping: float
+    spectral_radius: float
+    judged: bool
+
+    def __str__(self) -> str:
+        gains = f"{self.stiffness:.4g} {unit_of('N/m', self.axis)}, {self.damping:.3g} {unit_of('N s/m', self.axis)}"
+        word = _word(self.spectral_radius < 1.0 - RELATIVE_ROUNDING)
+        verdict = f"{word}, {radius_text(self.spectral_radius)}{', within its resolution' * (not self.judged)}"
+        return f"{self.axis}, motion of {amplitude_text(self.amplitude, self.axis)}: {gains}, {verdict}"
+
+
+def amplitude_text(amplitude: float, axis: str) -> str:
+    """Return an amplitude [m, rad] with its unit."""
+    scale, prefix = (1e3, "m") if amplitude >= 1e-3 else (1e6, "µ")
+    return f"{scale * amplitude:.3g} {prefix}{unit_of('m', axis)}"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verdict(NoTruthValue, Result):
     """Stability verdict on a controller, with its worst closed loop.
@@ -130,6 +162,8 @@ class Verdict(NoTruthValue, Result):
 
     def _headline(self) -> str:
         pose = pose_text(self.pose) if self.axes else ""
+        if self.loop is not None and self.loop.at_amplitude:
+            pose = f"{pose}, motion of {amplitude_text(self.loop.at_amplitude, self.loop.axis)}"
         worst = f"in {' and '.join(self.acting)}" * bool(self.acting) if self.stated else pose
         worst = ", ".join(filter(None, (worst, "held by the scene's hand" * self.in_hand)))
         return f"{self} (worst {worst})" if worst else str(self)
@@ -208,9 +242,10 @@ class Verdict(NoTruthValue, Result):
     def remarks(self) -> tuple[str, ...]:
         """Axes that were not computed, limits of the verdict, and number of skipped poses by reason, one line each."""
         skipped = [f"{count} pose{'s' * (count > 1)} skipped: {reason}" for count, reason in self._skipped()]
+        amplitudes = sorted(self.amplitudes, key=lambda one: -one.spectral_radius)
         linear = [self.range] * bool(self.range)
         linear += [f"{' and '.join(self.loops.partial)} as declared, without the rest"] * bool(self.loops.partial)
-        return (*self._not_computed(), *linear, *skipped)
+        return (*self._not_computed(), *map(str, amplitudes), *linear, *skipped)
 
     def _not_computed(self) -> Iterator[str]:
         for reason in dict.fromkeys(self.doubts.values()):
@@ -220,6 +255,18 @@ class Verdict(NoTruthValue, Result):
         for reason in dict.fromkeys(loop.reason for loop in self.loops if loop.reason and loop.axis in others):
             axes = ", ".join(loop.axis for loop in self.loops if loop.reason == reason and loop.axis in others)
             yield f"not computed on {axes}{f': {reason}' * (reason not in named)}"
+
+    @cached_property
+    def amplitudes(self) -> tuple[AtAmplitude, ...]:
+        """Loops of laws in fixed point, which have no slope at the smallest motion; () for other laws."""
+        each = [one for one in self.loops if one.at_amplitude and one.hand is None]
+        poles = poles_of(computed := [replace(one, reason="") for one in each])
+        return tuple(
+            AtAmplitude(
+                one.axis, one.at_amplitude, one.stiffness, one.damping + 0.0, radius_of(same, own), not one.reason
+            )
+            for one, same, own in zip(each, computed, poles, strict=True)
+        )
 
     @property
     def _unjudged(self) -> str:
@@ -519,7 +566,10 @@ def doubts_of(loops: Loops, unstable: bool) -> dict[str, str]:
     for index, doubt in loops.doubts.items():
         if doubt.reason:
             slow = not unstable and not doubt.void and reasons[AXES[index]] == doubt.reason
-            result[AXES[index]] = f"{'stable for slower motion only: ' * slow}{doubt.reason}"
+            judged = [loop for loop in loops if loop.at_amplitude and not loop.reason and loop.axis == AXES[index]]
+            larger = not unstable and bool(judged)
+            only = "stable for slower motion only: " * slow + "stable for larger motion only: " * larger
+            result[AXES[index]] = f"{only}{doubt.reason}"
     return result
 
 
