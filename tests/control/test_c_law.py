@@ -413,3 +413,9 @@ def test_workers_find_the_files_in_c(rig: Path) -> None:
     ]
     assert results[0] == results[1], results[1]
     assert all(result["deepest"] < 0.0 for result in results[0]), results[0]
+
+
+def test_a_law_in_fixed_point_is_judged_as_its_twin() -> None:
+    verdicts = [judge(Controller([law], period=0.005), delay=0.0015) for law in both("fixed")]
+    assert verdicts[0].amplitudes == verdicts[1].amplitudes and len(verdicts[0].amplitudes) == 4
+    assert verdicts[0].as_json() == verdicts[1].as_json()

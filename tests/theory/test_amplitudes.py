@@ -7,7 +7,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AxisLaw, Controller, ParameterError, gain, linearise
+from maglev_mj import (
+    AxisLaw,
+    Controller,
+    ExactPlant,
+    Hold,
+    ParameterError,
+    Timing,
+    diagnose,
+    drive,
+    gain,
+    judge,
+    linearise,
+)
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.wall_scene import hold, others
 
 T, DELAY = 0.005, 0.0015
 INSIDE = np.array([-1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -81,3 +95,78 @@ def test_a_linear_law_is_the_same_at_any_amplitude() -> None:
 def test_wrong_sizes_are_refused(sizes: Any, message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         linearise(FIXED, INSIDE, **sizes)
+
+
+FAST, SHORT = 1e-3, 5e-4
+
+
+def controller(damping: float) -> Controller:
+    rest = Hold.critically_damped(others("x"), period=FAST, delay=SHORT)
+    return Controller([Fixed(axes="x", damping=damping), rest], period=FAST)
+
+
+def left_after(damping: float, speed: float) -> float:
+    """Return the amplitude of the motion that is left after 3 s under a constant force of 3 N [m]."""
+    positions = list[float]()
+    around: Any = {"gravity": (-3.0 / 0.7, 0.0, 0.0), "pose": INSIDE, "twist": (speed, *[0.0] * 5)}
+    with ExactPlant(Timing(period=FAST, delay=SHORT), **around) as plant:
+        drive(plant, controller(damping), 4000, observe=lambda sample, _: positions.append(sample.position[0]))
+    return 0.5 * float(np.ptp(positions[3000:]))
+
+
+def test_a_law_in_fixed_point_is_never_stable() -> None:
+    """Enough damping: stable for larger motion, and what is left is within two counts."""
+    verdict = judge(controller(30_000.0), delay=SHORT)
+    reason = "stable for larger motion only: dead band: the force changes in steps of 1 µm alone"
+    assert verdict.stable is None and verdict.doubts == {"x": reason} and reason in str(verdict)
+    rows = {round(1e6 * one.amplitude): one for one in verdict.amplitudes}
+    assert [*rows] == [1, 10, 100, 400]
+    assert [one.judged for one in rows.values()] == [False, True, True, True]
+    assert [one.spectral_radius < 1.0 for one in rows.values()] == [False, True, True, True]
+    assert (round(rows[10].stiffness), round(rows[10].damping, 1)) == (5273, 13.7)
+    assert max(left_after(30_000.0, speed) for speed in (0.05, 5e-4)) < 2e-6
+
+
+def test_a_law_that_rings_for_small_motion_is_unstable() -> None:
+    """Too little damping of small motion: a limit cycle of several counts, whatever the amplitude at first."""
+    verdict = judge(controller(8000.0), delay=SHORT)
+    assert verdict.stable is False and verdict.loop is not None and verdict.loop.at_amplitude == pytest.approx(1e-5)
+    assert verdict.headline.endswith("motion of 10 µm)")
+    assert {round(1e6 * one.amplitude): one.spectral_radius < 1.0 for one in verdict.amplitudes} == {
+        1: False,
+        10: False,
+        100: True,
+        400: True,
+    }
+    assert verdict.remarks[1] == "x, motion of 10 µm: 4492 N/m, 0.391 N s/m, unstable, spectral radius 1.003"
+    for speed in (0.05, 5e-4):
+        assert 5e-6 < left_after(8000.0, speed) < 2e-5
+
+
+class Counted(Drop):
+    """Drop on a law in fixed point."""
+
+    def laws(self) -> list[Any]:
+        return [Fixed(axes="z", stiffness=self.stiffness, damping=100.0 * self.damping), hold(self, others("z"))]
+
+
+def test_a_scene_is_diagnosed_at_the_worst_amplitude() -> None:
+    scene = Counted(stiffness=3000.0, damping=80.0, period=FAST, delay=SHORT)
+    verdict, text = judge(scene), str(diagnose(scene))
+    assert verdict.stable is False and verdict.axes == ("z",)
+    assert round(verdict.gains[0]) == 4492 and "4492.19 N/m" in text
+    assert "law linearised at the worst pose for motion of 10 µm" in " ".join(text.split())
+    soft = verdict.loops.grown
+    assert soft is not None and verdict.loop is not None
+    assert soft(verdict.loop, 0.5).stiffness == pytest.approx(0.5 * verdict.loop.stiffness, rel=0.2)
+
+
+def test_counts_that_are_too_small_to_see_are_none() -> None:
+    """A linear law rounds, too: its steps are at each position."""
+
+    class Plain(AxisLaw):
+        def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+            return -3000.0 * x - 60.0 * v
+
+    verdict = judge(Controller([Plain(axes="x")], period=FAST), delay=SHORT)
+    assert verdict.stable is True and verdict.amplitudes == ()
