@@ -49,6 +49,11 @@ ROUNDING_OF_RESPONSE = 1e-9
 _NONLINEAR_RESPONSE = 1e-2
 """Difference of the responses to both sides that marks a jump of the force or of its slope, relative to the largest."""
 
+_SMALL_COUNTS = 30.0
+"""Amplitude in counts up to which a law in fixed point is compared with ten times the amplitude, above with a tenth."""
+_RESIDUE = 3.0
+"""Largest ratio of the forces left after displacements in the ratio of 10 that is a residue: an integrator has 10."""
+
 # -- realisation; responses are accurate to 1e-9 of their largest value
 _LEAST_SINGULAR_VALUE = 1e-7
 """Least singular value of a state, relative to the largest: smaller ones are rounding."""
@@ -352,18 +357,28 @@ def linearise(
     rest = np.atleast_2d(numbers("poses", poses, shape="(6,) or (P, 6)"))
     each = [controller] * len(rest) if isinstance(controller, Controller) else controller
     chosen, period = list(axis_indices(axes)), each[0].period
-    n = len(chosen)
-    phases = (
-        np.arange(0.5, _PHASES) / _PHASES
-        if number("resolution", resolution, at_least=0.0, unit="m, rad")
-        else np.zeros(1)
-    )
-    bases, count = rest, len(phases)
-    rest, each = np.repeat(rest, count, axis=0), [one for one in each for _ in phases]
-    rest[:, chosen] += np.tile(resolution * phases, len(bases))[:, None]
+    number("resolution", resolution, at_least=0.0, unit="m, rad")
     size, back = np.minimum(_LARGEST_DISPLACEMENT, _LARGEST_SPEED * period), 0.5
     if amplitude is not None:
         size, back = six("amplitude", numbers("amplitude", amplitude, above=0.0, unit="m, rad")), 1.0
+    around: Any = {"poses": rest, "chosen": chosen, "back": back, "resolution": float(resolution)}
+    linearised = _linearised(each, size=size, **around)
+    if resolution and not all(near.settled.all() for near in linearised):
+        ratio = np.where(size > _SMALL_COUNTS * resolution, 0.1, 10.0)
+        others = _linearised(each, size=ratio * size, **around)
+        linearised = [_without_residue(near, other) for near, other in zip(linearised, others, strict=True)]
+    length = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
+    return [replace(near, response=near.response[:length]) for near in linearised]
+
+
+def _linearised(
+    each: Sequence[Controller], *, poses: Array, chosen: list[int], size: Array, back: float, resolution: float
+) -> list[Linearised]:
+    """Return each controller's linearisation at its pose, for displacements by `size` and by -back times that."""
+    phases, period, n = np.arange(0.5, _PHASES) / _PHASES if resolution else np.zeros(1), each[0].period, len(chosen)
+    count = len(phases)
+    rest, each = np.repeat(poses, count, axis=0), [one for one in each for _ in phases]
+    rest[:, chosen] += np.tile(resolution * phases, len(poses))[:, None]
     alone = all(map(acts_on_each_axis_alone, {id(one): one for one in each}.values()))
     places = np.zeros(n, dtype=int) if alone else np.arange(n)  # of the displaced copies, by axis
     moves = np.zeros((1 if alone else n, 6))
@@ -385,9 +400,26 @@ def linearise(
             both.append(response * np.eye(6) if alone else response)
         up, down = both
         some = slice(first // count, (first + _POSES_AT_ONCE) // count)
-        linearised += _near(bases[some], up, down, back, amplitude=size, resolution=resolution, period=period)
-    length = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
-    return [replace(near, response=near.response[:length]) for near in linearised]
+        linearised += _near(poses[some], up, down, back, amplitude=size, resolution=resolution, period=period)
+    return linearised
+
+
+def _without_residue(near: Linearised, other: Linearised) -> Linearised:
+    """Return a linearisation without what a filter in fixed point keeps for good, as its last step rounds to none.
+
+    The force left at the end hardly depends on the amplitude then; that of an integrator is proportional to it.
+
+    Args:
+        near: The linearisation.
+        other: One at another amplitude.
+    """
+    left, beside = (np.abs(one.response[-1]) * one.amplitude for one in (near, other))
+    if (np.maximum(left, beside) > _RESIDUE * np.minimum(left, beside)).any():
+        return near
+    steps = np.abs(np.diff(near.response, axis=0)) > ROUNDING_OF_RESPONSE * np.abs(near.response).max()
+    response = near.response.copy()
+    response[1 + int(np.flatnonzero(steps.any(axis=(1, 2))).max(initial=0)) :] = 0.0
+    return replace(near, response=response, settled=np.ones(len(AXES), dtype=np.bool_))
 
 
 def acts_on_each_axis_alone(controller: Controller) -> bool:

@@ -86,7 +86,7 @@ class AtAmplitude(NamedTuple):
         stiffness: Mean stiffness over the positions within a count [N/m, N m/rad].
         damping: Mean damping over them [N s/m, N m s/rad].
         spectral_radius: Spectral radius; 1 for a law without stiffness and damping.
-        judged: False within a few counts, where each such law rings or rests.
+        judged: False within a few counts, where each such law rings or rests, and for negative stiffness.
     """
 
     axis: str
@@ -99,7 +99,7 @@ class AtAmplitude(NamedTuple):
     def __str__(self) -> str:
         gains = f"{self.stiffness:.4g} {unit_of('N/m', self.axis)}, {self.damping:.3g} {unit_of('N s/m', self.axis)}"
         word = _word(self.spectral_radius < 1.0 - RELATIVE_ROUNDING)
-        verdict = f"{word}, {radius_text(self.spectral_radius)}{', within its resolution' * (not self.judged)}"
+        verdict = f"{word}, {radius_text(self.spectral_radius)}{' (not judged)' * (not self.judged)}"
         return f"{self.axis}, motion of {amplitude_text(self.amplitude, self.axis)}: {gains}, {verdict}"
 
 

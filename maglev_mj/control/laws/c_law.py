@@ -15,6 +15,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from functools import cache
+from itertools import repeat
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -233,7 +234,10 @@ class CLaw(AxisLaw):
         gains = np.array(np.broadcast_to(rows, (*shape, rows.shape[-1])), order="C")
         forces = np.full(count, math.nan)
         sizes = (gains, _DOUBLE * gains.shape[-1]), (memories, _DOUBLE * words), (forces, _DOUBLE)
-        starts = [[array.ctypes.data + size * row for row in range(count)] for array, size in sizes]
+        starts = [
+            range(first := array.ctypes.data, first + count * size, size) if size else repeat(array.ctypes.data)
+            for array, size in sizes
+        ]
         positions, speeds = (np.broadcast_to(part, shape).ravel().tolist() for part in (x, v))
         for each in zip(positions, speeds, *starts):
             function(*each)
