@@ -354,12 +354,19 @@ def _by_amplitude(controller: Controller, found: Mapping[int, Doubt], pose: Arra
     for axis, doubt in found.items():
         if not doubt.resolution:
             continue
-        at, own = np.where(np.arange(len(AXES)) == axis, doubt.position, pose), {"resolution": doubt.resolution}
+        at, own = np.where(np.arange(len(AXES)) == axis, doubt.position, pose), in_use(doubt)
         sizes = [count * doubt.resolution for count in _COUNTS]
-        sizes = [*(size for size in sizes if size < _SHARE_OF_DEPTH * doubt.depth), _SHARE_OF_DEPTH * doubt.depth]
+        each = [*({**own, "amplitude": size} for size in sizes if size < own["amplitude"]), own]
         with suppress(TooManyCallsError):
-            result[axis] = [linearise(controller, at, axes=AXES[axis], amplitude=size, **own)[0] for size in sizes]
+            result[axis] = [linearise(controller, at, axes=AXES[axis], **one)[0] for one in each]
     return result
+
+
+def in_use(doubt: Doubt | None) -> dict[str, float]:
+    """Return amplitude and resolution at which laws in fixed point are linearised in use; empty for other laws."""
+    if doubt is None or not doubt.resolution:
+        return {}
+    return {"amplitude": _SHARE_OF_DEPTH * doubt.depth, "resolution": doubt.resolution}
 
 
 def _rests(probed: _Probed, pose: Array) -> list[Array]:

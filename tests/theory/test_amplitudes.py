@@ -172,3 +172,30 @@ def test_counts_that_are_too_small_to_see_are_none() -> None:
 
     verdict = judge(Controller([Plain(axes="x")], period=FAST), delay=SHORT)
     assert verdict.stable is True and verdict.amplitudes == ()
+
+
+class Truncated(Fixed):
+    """The same with a filter and a force that round towards zero: up to 3/256 count of speed is kept for good."""
+
+    integral: float = gain("", "N/m per sample", default=0.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        count = np.floor(x * 1e6 + 0.5)
+        last, speed, total = (count, 0.0 * count, 0.0 * count) if state is None else state
+        speed, total = speed + np.trunc(((count - last) * 256.0 - speed) / 4.0), total + count
+        force = -gains.stiffness * count * 256.0 - gains.damping * speed - gains.integral * total
+        return np.trunc(force / 1e6) / 256.0, (count, speed, total)
+
+
+@pytest.mark.parametrize("amplitude", [1e-5, 1e-4, 1e-3])
+def test_what_a_filter_keeps_is_no_integral_action(amplitude: float) -> None:
+    (near,) = linearise(Controller([Truncated(axes="x", damping=40_000.0)], period=FAST), INSIDE, amplitude=amplitude)
+    assert not near.settled[0]
+    around: Any = {"amplitude": amplitude, "resolution": 1e-6}
+    (near,) = linearise(Controller([Truncated(axes="x", damping=40_000.0)], period=FAST), INSIDE, **around)
+    assert near.settled.all() and len(near.response) < 64
+    step = 1.0 / 256.0 / amplitude  # of the force
+    assert near.stiffness[0, 0] == pytest.approx(3000.0, abs=2.0 * step)
+    assert near.damping[0, 0] == pytest.approx(40.0, rel=0.35 if amplitude < 5e-5 else 0.05)
+    (near,) = linearise(Controller([Truncated(axes="x", integral=256.0 * 300.0)], period=FAST), INSIDE, **around)
+    assert not near.settled[0] and near.response[-1, 0, 0] == pytest.approx(-300.0, abs=step)
