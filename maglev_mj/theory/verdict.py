@@ -177,8 +177,9 @@ class Verdict(NoTruthValue, Result):
         """Return a row for each combination of law states; without declared gains, the worst pose."""
         rows = [state.row() for state in self.states]
         method = "from the gains declared by the laws" if self.stated else "by numerical linearisation"
-        remarks = "\n".join([*self.held.lines, f"line above the table: worst axis; computed {method}", *self.remarks])
-        return Table("", ("axes", "state", "spectral radius", "verdict"), rows, remarks)
+        remarks = [*self.held.lines, f"line above the table: worst axis; computed {method}", *self.remarks]
+        remarks += map(str, sorted(self.amplitudes, key=lambda one: -one.spectral_radius))
+        return Table("", ("axes", "state", "spectral radius", "verdict"), rows, "\n".join(remarks))
 
     def __str__(self) -> str:
         if self.stable is None:
@@ -216,9 +217,10 @@ class Verdict(NoTruthValue, Result):
         return "" if shown is None else conditions_text(self.subject, shown.axes, [shown.period], [shown.delay])
 
     def as_json(self) -> dict[str, Any]:
-        """Return the verdict, ready for JSON."""
+        """Return the verdict, ready for JSON; amplitudes of laws in fixed point alone."""
         names = "stable", "spectral_radius", "axes", "acting", "pose", "stated", "states", "unjudged", "doubts"
-        more = "valid_to", "in_hand", "held", "leaves_after", "remarks"
+        more: tuple[str, ...] = ("valid_to", "in_hand", "held", "leaves_after", "remarks")
+        more += ("amplitudes",) * bool(self.amplitudes)
         return {name: plain(getattr(self, name)) for name in (*names, *more)}
 
     @property
@@ -242,10 +244,9 @@ class Verdict(NoTruthValue, Result):
     def remarks(self) -> tuple[str, ...]:
         """Axes that were not computed, limits of the verdict, and number of skipped poses by reason, one line each."""
         skipped = [f"{count} pose{'s' * (count > 1)} skipped: {reason}" for count, reason in self._skipped()]
-        amplitudes = sorted(self.amplitudes, key=lambda one: -one.spectral_radius)
         linear = [self.range] * bool(self.range)
         linear += [f"{' and '.join(self.loops.partial)} as declared, without the rest"] * bool(self.loops.partial)
-        return (*self._not_computed(), *map(str, amplitudes), *linear, *skipped)
+        return (*self._not_computed(), *linear, *skipped)
 
     def _not_computed(self) -> Iterator[str]:
         for reason in dict.fromkeys(self.doubts.values()):
