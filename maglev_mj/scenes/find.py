@@ -121,7 +121,8 @@ def line_of(error: BaseException) -> str | None:
     """Return the file and line of an error in a user's scene, or None."""
     location = None
     for frame, line in walk_tb(error.__traceback__):
-        if frame.f_globals.get("__name__", "").startswith(_OWN):
+        own = frame.f_globals.get("__name__", "").startswith(_OWN)
+        if own and not frame.f_code.co_filename.startswith("<"):  # a constructor made by a dataclass
             location = f"{Path(frame.f_code.co_filename).name}, line {line}"
     return location
 

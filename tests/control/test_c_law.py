@@ -36,6 +36,7 @@ from maglev_mj import (
     write_run,
 )
 from maglev_mj.control.laws import c_law, probe
+from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.wall_scene import others
 from maglev_mj.session.replay import ATTACHED, UserCode
 
@@ -363,6 +364,7 @@ class Rig(Scene):
     def laws(self):
         return [Soft(axes="x", stiffness=self.stiffness, damping=40.0), hold(self, others("x"))]
 """
+RIG_LAWS = '        return [Soft(axes="x", stiffness=self.stiffness, damping=40.0), hold(self, others("x"))]'
 
 
 @pytest.fixture
@@ -372,6 +374,13 @@ def rig(tmp_path: Path) -> Path:
     tmp_path.joinpath("mine.h").write_text("/* for the board */\n")
     tmp_path.joinpath("rig.py").write_text(RIG)
     return tmp_path / "rig.py"
+
+
+def test_an_error_names_the_line_of_the_scene(rig: Path) -> None:
+    rig.with_name("mine.c").write_text("void soft(double x) { x = ; }")
+    with pytest.raises(ParameterError, match=r"law Soft: mine.c does not compile: mine.c:1:27: error: ") as caught:
+        find_scene(str(rig))().controller()
+    assert line_of(caught.value) == f"rig.py, line {1 + RIG.splitlines().index(RIG_LAWS)}"
 
 
 def test_a_recording_contains_the_files_in_c(
