@@ -23,6 +23,7 @@ from maglev_mj import (
     Start,
     check_law,
     compare,
+    find_scene,
     gain,
     hold,
     judge,
