@@ -14,6 +14,7 @@ from maglev_mj import (
     Hold,
     ParameterError,
     Timing,
+    compare,
     diagnose,
     drive,
     gain,
@@ -201,3 +202,17 @@ def test_what_a_filter_keeps_is_no_integral_action(amplitude: float) -> None:
     assert near.damping[0, 0] == pytest.approx(40.0, rel=0.35 if amplitude < 5e-5 else 0.05)
     (near,) = linearise(Controller([Truncated(axes="x", integral=256.0 * 300.0)], period=FAST), INSIDE, **around)
     assert not near.settled[0] and near.response[-1, 0, 0] == pytest.approx(-300.0, abs=step)
+
+
+class FixedWall(Fixed):
+    """Below 0 alone."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        force, state = super().force(x, v, gains, state)
+        return force * (x < 0.0), state
+
+
+def test_a_comparison_has_the_stiffness_in_use() -> None:
+    scene = Drop(stiffness=3000.0, damping=8000.0, pulse=0.0, period=FAST, delay=SHORT)
+    columns = compare(scene, {"fixed": FixedWall}, phases=2).columns()
+    assert columns["stiffness"][0] == pytest.approx(3000.0, rel=0.02)
