@@ -5,6 +5,7 @@ Contents by topic; see `help(maglev_mj.NAME)`. Names are imported on first use.
 Laws, rendered by the controller:
 
     AxisLaw                  base of laws that act on each axis separately
+    CLaw                     base of laws that are a function in C, such as the firmware's
     Law                      base of any law
     gain                     declares a gain of an `AxisLaw`
     check_law                checks a law on one device and in a batch

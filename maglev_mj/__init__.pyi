@@ -22,6 +22,7 @@ from maglev_mj.control import Wall as Wall
 from maglev_mj.control import check_law as check_law
 from maglev_mj.control import gain as gain
 from maglev_mj.control.controller import Controller as Controller
+from maglev_mj.control.laws.c_law import CLaw as CLaw
 from maglev_mj.control.loop import drive as drive
 from maglev_mj.device import Device as Device
 from maglev_mj.errors import DivergenceError as DivergenceError

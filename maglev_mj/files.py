@@ -36,6 +36,17 @@ def write_text(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
+def temporary_folder() -> Path:
+    """Return a new folder that is removed when this process ends; one that is killed leaves it."""
+    import atexit  # imported here: rarely needed
+    import shutil
+    import tempfile
+
+    folder = tempfile.mkdtemp(prefix="maglev_mj_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)  # where a library is loaded, Windows keeps it
+    return Path(folder)
+
+
 @contextmanager
 def errors_named(path: Path) -> Iterator[None]:
     """Name the file in errors of this context: those of writing, such as onto a full disk, do not."""

@@ -72,7 +72,7 @@ class Like(Foreign):
 BAD = (Foreign(), [Foreign()], Like(), "no", 5, None, ["x"] * 6, [0.0], bytearray(b"0123456789abcdef"), float("nan"))
 
 
-def refusal(call: Any, code: CodeType | None = None, **arguments: Any) -> str:
+def refusal(call: Any, code: CodeType | None = None, /, **arguments: Any) -> str:
     """Return the message of a call that is refused for an argument, with effects noted; "" for any other."""
     with watched(code):
         try:

@@ -180,11 +180,17 @@ def attach_model(file: RecordingFile, model: str | Path) -> None:
 
 
 def attach_source(file: RecordingFile, definition: Any) -> None:
-    """Attach the source file of a user-defined class or function."""
+    """Attach the source file of a user-defined class or function, and the C files of a law in C."""
     is_user_defined = getattr(definition, "__module__", "maglev_mj").partition(".")[0] != "maglev_mj"
     if is_user_defined and (source := file_of(definition)) is not None:
         path, text = source
         file.attach(f"source/{hash_of(text)}/{path.name}", "text/x-python", text.encode())
+        from maglev_mj.control.laws.c_law import files_of  # loads ctypes
+
+        for digest, files in files_of([definition]).items():
+            if any(name.endswith(".c") for name in files):  # a compiled library is for one kind of machine
+                for name, data in files.items():
+                    file.attach(f"source/{digest}/{name}", "text/x-c", data)
 
 
 def scripted(setup: Setup) -> bool:

@@ -97,11 +97,32 @@ def text_of(cls: type[Scene]) -> str:
     return file[1]
 
 
+def hash_of_code(cls: type[Scene]) -> str:
+    """Return the hash of a scene's text and of the files of its laws in C.
+
+    Raises:
+        ParameterError: See `text_of`, or there is no such file.
+    """
+    return hash_of("\0".join([text_of(cls), *sorted(hashes_of_laws(cls))]))
+
+
+def hashes_of_laws(cls: type[Scene]) -> set[str]:
+    """Return the hashes of the files of the laws in C in a scene's module.
+
+    Raises:
+        ParameterError: If there is no such file.
+    """
+    from maglev_mj.control.laws.c_law import files_of  # loads ctypes
+
+    return {*files_of(vars(sys.modules[cls.__module__]).values())}
+
+
 def line_of(error: BaseException) -> str | None:
     """Return the file and line of an error in a user's scene, or None."""
     location = None
     for frame, line in walk_tb(error.__traceback__):
-        if frame.f_globals.get("__name__", "").startswith(_OWN):
+        own = frame.f_globals.get("__name__", "").startswith(_OWN)
+        if own and not frame.f_code.co_filename.startswith("<"):  # a constructor made by a dataclass
             location = f"{Path(frame.f_code.co_filename).name}, line {line}"
     return location
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, partial
 from itertools import islice
@@ -17,7 +18,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record
 from maglev_mj.device import Device
 from maglev_mj.errors import MaglevError, ParameterError, choice_message
-from maglev_mj.files import read_text
+from maglev_mj.files import read_text, temporary_folder
 from maglev_mj.frames import AXES, Array, Sample
 from maglev_mj.keywords import checked
 from maglev_mj.parameters import number, param
@@ -40,7 +41,7 @@ from maglev_mj.recording import (
 from maglev_mj.recording.sample import RunMetadata, check_setup, value_in
 from maglev_mj.recording.setup import ALLOW_HINT, MEASURED, rebuild_controller, rebuild_plant, refused
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
-from maglev_mj.scenes.find import SceneLike, defined_in, object_of_text, recorded_scene, text_of
+from maglev_mj.scenes.find import SceneLike, defined_in, hashes_of_laws, object_of_text, recorded_scene, text_of
 from maglev_mj.scenes.run import Begin, checked_phase, run
 from maglev_mj.session import SHOWN, TIME_SCALES, Snapshot, begin_scene, device_controller, next_scale
 from maglev_mj.versions import hash_of
@@ -85,10 +86,12 @@ class UserCode:
         named = {(scene, source) for scene, source in sources if isinstance(scene, str) and isinstance(source, str)}
         hashes, self._text, self._file = {source for _, source in named}, "", text
         for setup in setups:
-            hashes |= {name.rpartition("@")[2] for name in _own_names(setup)}
+            hashes |= {str(part["class"]).rpartition("@")[2] for part in _own_parts(setup)}
+        codes = {code for setup in setups for part in _own_parts(setup) if isinstance(code := part.get("code"), str)}
         self.scene: type[Scene] | None = None
         if self._attached is not None:
             self.changed = False
+            self._folder = _with_c_files(self._attached, codes) if codes else None
             for reference, source in named:
                 path, _, name = reference.rpartition(":")
                 self.scene = self(f"{Path(path).name}:{name}@{source}")
@@ -101,7 +104,8 @@ class UserCode:
                 self._text = read_text(Path(text))
             except (OSError, ValueError) as error:
                 raise ParameterError(f"scene {text!r} cannot be read: {error}") from None
-        self.changed = bool(hashes - {hash_of(self._text)})
+        present = hashes_of_laws(self.scene) if codes and self.scene is not None else set[str]()
+        self.changed = bool(hashes - {hash_of(self._text)} or (present and codes - present))
 
     def __call__(self, reference: str) -> Any:
         """Return a class or function by its reference, FILE:NAME@HASH."""
@@ -115,15 +119,28 @@ class UserCode:
         text = data.decode("utf-8", "replace")
         if hash_of(text) != digest:
             raise InvalidRecordingError(f"the recording does not contain the recorded version of {file!r}")
-        return object_of_text(text, name, file)
+        return object_of_text(text, name, file if self._folder is None else str(self._folder / file))
 
 
-def _own_names(setup: Setup) -> Iterator[str]:
-    """Yield the references of user code in a controller."""
+def _with_c_files(attachments: Mapping[str, bytes], codes: Collection[str]) -> Path:
+    """Return a folder with the C files of laws, in which their classes find them."""
+    folder = temporary_folder()
+    for prefix in (f"source/{code}/" for code in codes):
+        for name in (name for name in attachments if name.startswith(prefix)):
+            parts = name.removeprefix(prefix).split("/")
+            if all(re.fullmatch(r"\w[\w.+-]*", part) for part in parts):  # a file may contain anything
+                path = folder.joinpath(*parts)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(attachments[name])
+    return folder
+
+
+def _own_parts(setup: Setup) -> Iterator[Mapping[str, Any]]:
+    """Yield the descriptions of user code in a controller."""
     controller = setup.get("controller")
     controller = controller if isinstance(controller, dict) else {}
     parts = [*(laws if isinstance(laws := controller.get("laws"), list) else []), controller.get("velocity")]
-    yield from (part["class"] for part in parts if isinstance(part, dict) and "@" in str(part.get("class")))
+    yield from (part for part in parts if isinstance(part, dict) and "@" in str(part.get("class")))
 
 
 @checked(own="setup")

@@ -41,7 +41,7 @@ from maglev_mj.theory import stated_gains
 from maglev_mj.theory.critical import critical_ratios
 from maglev_mj.theory.linearise import linearise
 from maglev_mj.theory.loop import Bound, Doubt, Loop, Loops
-from maglev_mj.theory.read import loops_at, partial_laws, scene_doubts, scene_lag, with_doubt
+from maglev_mj.theory.read import in_use, loops_at, partial_laws, scene_doubts, scene_lag, with_doubt
 from maglev_mj.theory.verdict import Verdict, verdicts
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
@@ -430,7 +430,8 @@ class _AtRest:
         each, stated = [list[Loop]() for _ in indices], True
         if rows:
             order, controllers, poses = zip(*rows)
-            found = loops_at(controllers, self.scenes[0].axis_index, poses=poses, **self._around)
+            sizes: Any = in_use(self._doubts[indices[order[0]]])  # of equal laws with other gains
+            found = loops_at(controllers, self.scenes[0].axis_index, poses=poses, **self._around, **sizes)
             for row, loop in zip(order, found, strict=True):
                 each[row].append(loop)
             stated = found.stated

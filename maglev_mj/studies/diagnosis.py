@@ -37,7 +37,7 @@ from maglev_mj.theory.loop import Bound, Loop, Loops, StableDelays, StableRange,
 from maglev_mj.theory.loop_array import LinearisedLaw, PdLaw
 from maglev_mj.theory.remedies import MOST_DAMPING, Remedy, has_room, hidden_amplitude, short
 from maglev_mj.theory.two_rates import rates_of
-from maglev_mj.theory.verdict import Verdict, judge, margin_words, verdicts
+from maglev_mj.theory.verdict import Verdict, amplitude_text, judge, margin_words, verdicts
 
 if TYPE_CHECKING:
     from maglev_mj.studies.oscillation import Oscillation
@@ -487,7 +487,8 @@ def _of_scene(
         if len(loop.axes) == 1:
             own_law = loop.in_question.law
             memory = "with its memory, which scales with the stiffness and keeps its length in samples"
-        assumptions += [f"law linearised at the worst pose, {memory}", *[verdict.range] * bool(verdict.range)]
+        motion = f" for motion of {amplitude_text(loop.at_amplitude, axis)}" if loop.at_amplitude else ""
+        assumptions += [f"law linearised at the worst pose{motion}, {memory}", *[verdict.range] * bool(verdict.range)]
     elif not isinstance(loop.velocity, FiniteDifference | LowPass):
         own_law = PdLaw(loop.velocity or FiniteDifference())
         if not loop.on_host and damping:

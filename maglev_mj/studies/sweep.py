@@ -29,7 +29,15 @@ from maglev_mj.keywords import checked, with_period
 from maglev_mj.parameters import parsed_number
 from maglev_mj.result import Result, Table, capitalised, plain, with_unit
 from maglev_mj.scenes.batch import figures_together
-from maglev_mj.scenes.find import SceneLike, get_scene, object_of_text, reference_of, scene_from_reference, text_of
+from maglev_mj.scenes.find import (
+    SceneLike,
+    get_scene,
+    hash_of_code,
+    object_of_text,
+    reference_of,
+    scene_from_reference,
+    text_of,
+)
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.results import Figure, RunResult, figure_head, parameters_json, prefixed, scene_conditions
 from maglev_mj.scenes.run import chaos_warning, checked_phase, checked_plant, figures_of, run, sensitivity
@@ -37,7 +45,6 @@ from maglev_mj.scenes.scene import PLANTS, OneDevice, Scene
 from maglev_mj.scenes.stability_check import UNKNOWN, marks
 from maglev_mj.studies.cells import Study, Workers, chosen_workers, grid_columns
 from maglev_mj.studies.record import Cell, Record
-from maglev_mj.versions import hash_of
 
 MOST_CELLS = 100_000_000
 """Largest number of cells in a sweep."""
@@ -505,7 +512,7 @@ def _name(cls: type[Scene]) -> str:
     if _is_ours(cls):
         return reference_of(cls)
     reference = f"{Path(inspect.getfile(cls)).name}:{cls.__name__}" if _text(cls) else _import_path(cls)
-    return f"{reference}@{hash_of(text_of(cls))}"
+    return f"{reference}@{hash_of_code(cls)}"
 
 
 def _text(cls: type[Scene]) -> str | None:

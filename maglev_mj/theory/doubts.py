@@ -75,6 +75,15 @@ _BISECTIONS_OF_SIZE = 8
 """Bisections of that size: a decade to 1 %, so that a message has two digits."""
 
 
+# -- steps of the force of laws in fixed point
+_POINTS_OF_STEPS, _SPANS_OF_STEPS = 65, (1e-7, 8e-7, 6.4e-6, 5.12e-5, 4.096e-4)
+"""Positions in a search of steps, and distances that they cover [m]: counts of 10 nm to 0.1 mm."""
+_FEWEST_STEPS, _LEAST_STEP = 3, 2
+"""Fewest steps in such a distance, and least number of positions between two: a law without counts has one at each."""
+_BISECTIONS_OF_STEP = 8
+"""Bisections of the position of a step: to 0.2 % of a count, printed with two digits."""
+
+
 def reached_speed(reach: ArrayLike) -> Array:
     """Return the speed on each axis [m/s, rad/s], (6,), that crosses a range of motion in the time of a fall."""
     far = np.asarray(reach, dtype=np.float64)
@@ -349,7 +358,12 @@ def _probed(
         beyond = not kinds[row]
         limit = Bound(float(sizes[row]) / period, beyond)
         unit = 1e3 * x[row], unit_of("mm", AXES[axis])
-        if jump[row]:
+        resolution = _resolution(devices, row, float(x[row])) if jump[row] or reasons[row] else 0.0
+        if resolution:
+            size = f"{1e6 * resolution:.2g} µ{unit_of('m', AXES[axis])}"
+            reason = f"dead band: the force changes in steps of {size} alone"
+            result.append(Doubt(limit, reason, True, (), float(x[row]), float(depth[row]), resolution))
+        elif jump[row]:
             what = "the weight" if loads[axis] else "a load"
             force = f"{jump[row]:.3g} {unit_of('N', AXES[axis])} at {round(unit[0], 6):z.3g} {unit[1]}"
             result.append(Doubt(limit, f"{what} is carried by a jump of force, {force}", True))
@@ -362,6 +376,30 @@ def _probed(
             reason = f"the {what} changes above {up_to(limit, period, AXES[axis])}"
             result.append(Doubt(limit, reason if small else "", rests=(float(x[row]),) * (row < count)))
     return result
+
+
+def _resolution(devices: _Devices, row: int, x: float) -> float:
+    """Return the least distance between steps of the force at rest, of a law in fixed point; 0 for another law."""
+    pair = devices.pairs[row]
+    grid = devices.of([pair] * _POINTS_OF_STEPS)
+    grid.samples, grid._calls = SAMPLES_AT_REST, [0]
+    for span in SCALE[pair[1]] * np.array(_SPANS_OF_STEPS):
+        positions = x + span * np.linspace(0.0, 1.0, _POINTS_OF_STEPS)
+        forces = grid.held(positions)
+        steps = np.flatnonzero(np.diff(forces))
+        if len(steps) < _FEWEST_STEPS:
+            continue
+        if np.diff(steps).min() < _LEAST_STEP:
+            return 0.0
+        some = devices.of([pair] * len(steps))
+        some.samples, some._calls = SAMPLES_AT_REST, grid._calls
+        low, high = positions[steps], positions[steps + 1]
+        for _ in range(_BISECTIONS_OF_STEP):
+            middle = 0.5 * (low + high)
+            before = some.held(middle) == forces[steps]
+            low, high = np.where(before, middle, low), np.where(before, high, middle)
+        return float(np.diff(low).min())
+    return 0.0
 
 
 def up_to(limit: Bound, period: float, axis: str) -> str:

@@ -18,7 +18,7 @@ from maglev_mj.control.stack import stacked_controller
 from maglev_mj.errors import MaglevError, TooManyCallsError, named, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.keywords import checked
-from maglev_mj.parameters import axis_indices, numbers
+from maglev_mj.parameters import axis_indices, number, numbers, six
 from maglev_mj.plants.hand import Hand, transition
 from maglev_mj.result import Result, Table, conditions_text, radius_text
 from maglev_mj.spec import INERTIA
@@ -40,12 +40,19 @@ _SAMPLES_OF_ZERO = 8
 """Samples of zero at the end of a response that has decayed: a law may answer late, or at every few samples alone."""
 _MOST_CALLS = 50_000
 """Largest number of calls of one controller; a time would refuse it on a busy machine alone."""
-_POSES_AT_ONCE = 128
+_PHASES = 64
+"""Positions within one count of a law with a resolution: a mean to 1 %."""
+_POSES_AT_ONCE = 2 * _PHASES
 """Poses whose responses are computed at once; limits memory alone."""
 ROUNDING_OF_RESPONSE = 1e-9
 """Response that is zero, relative to the largest one: rounding of a difference of forces by 0.1 µm."""
 _NONLINEAR_RESPONSE = 1e-2
 """Difference of the responses to both sides that marks a jump of the force or of its slope, relative to the largest."""
+
+_SMALL_COUNTS = 30.0
+"""Amplitude in counts up to which a law in fixed point is compared with ten times the amplitude, above with a tenth."""
+_RESIDUE = 3.0
+"""Largest ratio of the forces left after displacements in the ratio of 10 that is a residue: an integrator has 10."""
 
 # -- realisation; responses are accurate to 1e-9 of their largest value
 _LEAST_SINGULAR_VALUE = 1e-7
@@ -72,6 +79,8 @@ class Linearised(Result):
 
     Attributes:
         pose: Pose [m, rad], (6,).
+        amplitude: Displacement from which the response was computed, and for which it holds [m, rad], (6,).
+        resolution: Resolution of the laws over which it is a mean [m, rad]; 0 for none.
         period: Sample period [s].
         response: Wrench at sample j after a unit displacement at sample 0 alone, (M, 6, 6): [j, to, from].
         jumps: True for axes on which the wrench or its slope is discontinuous at the pose, (6,).
@@ -79,6 +88,8 @@ class Linearised(Result):
     """
 
     pose: Array
+    amplitude: Array
+    resolution: float
     period: float
     response: Array
     jumps: Mask
@@ -305,7 +316,12 @@ class StateSpace(LinearController):
 
 @checked
 def linearise(
-    controller: Controller | Sequence[Controller], poses: ArrayLike, *, axes: str | Sequence[str] = AXES
+    controller: Controller | Sequence[Controller],
+    poses: ArrayLike,
+    *,
+    axes: str | Sequence[str] = AXES,
+    amplitude: ArrayLike | None = None,
+    resolution: float = 0.0,
 ) -> list[Linearised]:
     """Return a controller's linearisation at each pose.
 
@@ -315,13 +331,18 @@ def linearise(
     of the wrenches is the impulse response, for any laws and estimator. Braking pulses are ignored, because they are of
     finite duration.
 
+    A law in fixed point has no response to 0.1 µm. With an amplitude the displacements are that to both sides, and the
+    response is the mean of both; with a resolution, the mean over 64 positions within one count, too.
+
     Args:
         controller: The controller, with laws for one device, or one for each pose, of equal period; none is changed.
         poses: Poses [m, rad], (P, 6) or (6,).
         axes: Names of the displaced axes; the response to the others is zero.
+        amplitude: Displacement to both sides, a number or one for each axis [m, rad], (6,); None for the smallest.
+        resolution: Resolution of the laws on the displaced axes [m, rad]; 0 for one position alone.
 
     Raises:
-        ParameterError: If `controller` is not a Controller, or the poses have another shape.
+        ParameterError: If `controller` is not a Controller, the poses have another shape, or a size is not above 0.
         TooManyCallsError: If a controller would be called more than 50 000 times.
         MaglevError: If a law fails at a pose.
 
@@ -336,13 +357,33 @@ def linearise(
     rest = np.atleast_2d(numbers("poses", poses, shape="(6,) or (P, 6)"))
     each = [controller] * len(rest) if isinstance(controller, Controller) else controller
     chosen, period = list(axis_indices(axes)), each[0].period
-    n = len(chosen)
-    size = np.minimum(_LARGEST_DISPLACEMENT, _LARGEST_SPEED * period)
+    number("resolution", resolution, at_least=0.0, unit="m, rad")
+    size, back = np.minimum(_LARGEST_DISPLACEMENT, _LARGEST_SPEED * period), 0.5
+    if amplitude is not None:
+        size, back = six("amplitude", numbers("amplitude", amplitude, above=0.0, unit="m, rad")), 1.0
+    around: Any = {"poses": rest, "chosen": chosen, "back": back, "resolution": float(resolution)}
+    linearised = _linearised(each, size=size, **around)
+    if resolution and not all(near.settled.all() for near in linearised):
+        ratio = np.where(size > _SMALL_COUNTS * resolution, 0.1, 10.0)
+        others = _linearised(each, size=ratio * size, **around)
+        linearised = [_without_residue(near, other) for near, other in zip(linearised, others, strict=True)]
+    length = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
+    return [replace(near, response=near.response[:length]) for near in linearised]
+
+
+def _linearised(
+    each: Sequence[Controller], *, poses: Array, chosen: list[int], size: Array, back: float, resolution: float
+) -> list[Linearised]:
+    """Return each controller's linearisation at its pose, for displacements by `size` and by -back times that."""
+    phases, period, n = np.arange(0.5, _PHASES) / _PHASES if resolution else np.zeros(1), each[0].period, len(chosen)
+    count = len(phases)
+    rest, each = np.repeat(poses, count, axis=0), [one for one in each for _ in phases]
+    rest[:, chosen] += np.tile(resolution * phases, len(poses))[:, None]
     alone = all(map(acts_on_each_axis_alone, {id(one): one for one in each}.values()))
     places = np.zeros(n, dtype=int) if alone else np.arange(n)  # of the displaced copies, by axis
     moves = np.zeros((1 if alone else n, 6))
     moves[places, chosen] = size[chosen]
-    shift = np.concatenate([np.zeros((1, 6)), moves, -0.5 * moves])
+    shift = np.concatenate([np.zeros((1, 6)), moves, -back * moves])
     still = np.repeat(rest[:, None], len(shift), axis=1)
     moved = still + shift
     rows = _Responses(each, still, moved).rows()
@@ -350,15 +391,35 @@ def linearise(
     for first in range(0, len(rest), _POSES_AT_ONCE):
         some = slice(first, first + _POSES_AT_ONCE)
         difference = np.moveaxis(rows[:, some, 1:] - rows[:, some, :1], [0, 3], [1, 2])  # [pose, j, to, from]
-        both = []
+        both = list[Array]()
         for copies in (places, len(moves) + places):
             response = np.zeros((*difference.shape[:2], 6, 6))
             steps = change[some, 1 + copies, chosen]
             response[..., chosen] = difference[..., copies] / steps[:, None, None]
+            response = response.reshape(-1, count, *response.shape[1:]).mean(axis=1)
             both.append(response * np.eye(6) if alone else response)
-        linearised += _near(rest[some], period, *both)
-    length = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
-    return [replace(near, response=near.response[:length]) for near in linearised]
+        up, down = both
+        some = slice(first // count, (first + _POSES_AT_ONCE) // count)
+        linearised += _near(poses[some], up, down, back, amplitude=size, resolution=resolution, period=period)
+    return linearised
+
+
+def _without_residue(near: Linearised, other: Linearised) -> Linearised:
+    """Return a linearisation without what a filter in fixed point keeps for good, as its last step rounds to none.
+
+    The force left at the end hardly depends on the amplitude then; that of an integrator is proportional to it.
+
+    Args:
+        near: The linearisation.
+        other: One at another amplitude.
+    """
+    left, beside = (np.abs(one.response[-1]) * one.amplitude for one in (near, other))
+    if (np.maximum(left, beside) > _RESIDUE * np.minimum(left, beside)).any():
+        return near
+    steps = np.abs(np.diff(near.response, axis=0)) > ROUNDING_OF_RESPONSE * np.abs(near.response).max()
+    response = near.response.copy()
+    response[1 + int(np.flatnonzero(steps.any(axis=(1, 2))).max(initial=0)) :] = 0.0
+    return replace(near, response=response, settled=np.ones(len(AXES), dtype=np.bool_))
 
 
 def acts_on_each_axis_alone(controller: Controller) -> bool:
@@ -374,25 +435,23 @@ def is_ours(item: Any) -> bool:
     return bool(item.__module__.partition(".")[0] == "maglev_mj")
 
 
-def _near(poses: Array, period: float, up: Array, down: Array) -> Iterator[Linearised]:
-    """Yield the linearisation at each pose from the responses to a displacement and to minus half of it, per unit."""
+def _near(poses: Array, up: Array, down: Array, back: float, **sizes: Any) -> Iterator[Linearised]:
+    """Yield the linearisation at each pose from the responses to a displacement and to that times -back, per unit."""
     finite = np.asarray(np.isfinite(up).all(axis=(1, 2)) & np.isfinite(down).all(axis=(1, 2)))
     up, down = (np.where(finite[:, None, None], one, 0.0) for one in (up, down))
     root = np.sqrt(np.asarray(INERTIA))
     weight = 1.0 / np.outer(root, root)
-    # exact to second order in the displacement
-    response = (up + 2.0 * down) / 3.0
+    response = (back * up + down) / (1.0 + back)  # exact to second order in the displacement
     gap = np.abs(up - down)
     largest = (weight * np.abs(response)).max(axis=(1, 2))
     jumps = np.asarray((weight * gap).max(axis=(1, 2)) > _NONLINEAR_RESPONSE * largest)
     # a response that shrinks with the displacement, such as the creep of a bristle, vanishes in the limit
-    least = np.maximum(
-        ROUNDING_OF_RESPONSE * largest[:, None, None] / weight, np.where(jumps[:, None, None], 0.0, 2.0 * gap)
-    )
+    vanishing = np.where(jumps[:, None, None] | (back == 1.0), 0.0, 2.0 * gap)
+    least = np.maximum(ROUNDING_OF_RESPONSE * largest[:, None, None] / weight, vanishing)
     response = np.where(np.abs(response) > least, response, 0.0)
     settled = np.asarray(finite & ~response[:, -_SAMPLES_OF_ZERO:].any(axis=(1, 2)))
     for parts in zip(poses, response, jumps, settled, strict=True):
-        yield Linearised(pose=parts[0], period=period, response=parts[1], jumps=parts[2], settled=parts[3])
+        yield Linearised(pose=parts[0], response=parts[1], jumps=parts[2], settled=parts[3], **sizes)
 
 
 class _Responses:

@@ -164,12 +164,18 @@ class Doubt(NamedTuple):
         reason: Reason not to judge the axis; empty for none.
         void: True if the linearisation describes the laws not even for small motion.
         rests: Positions at which the laws carry the load, where they were probed [m, rad].
+        position: Position at which they were probed [m, rad].
+        depth: Depth of the motion there [m, rad].
+        resolution: Resolution of laws in fixed point [m, rad]; 0 for others.
     """
 
     valid_to: Bound
     reason: str = ""
     void: bool = False
     rests: tuple[float, ...] = ()
+    position: float = 0.0
+    depth: float = 0.0
+    resolution: float = 0.0
 
 
 class AtPose(NamedTuple):
@@ -310,6 +316,13 @@ class Loop:
         """Return the fields without those that are their default."""
         values = {item.name: (getattr(self, item.name), item.default) for item in fields(self)}
         return {name: value for name, (value, default) in values.items() if value is not default and value != default}
+
+    @property
+    def at_amplitude(self) -> float:
+        """Amplitude of the motion for which a law in fixed point was linearised [m, rad]; 0 for another law."""
+        if self.linear is None or not self.linear.near.resolution:
+            return 0.0
+        return float(self.linear.near.amplitude[AXES.index(self.axis)])
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 from itertools import compress, islice, product
 from os import PathLike
@@ -39,6 +40,10 @@ from maglev_mj.theory.two_rates import DeviceLaw, laws_on_device
 _KINDS_COMPARED = 4
 """Latest kinds of poses with which another pose is compared: fewer realise equal laws again, effort alone."""
 JUMPS, UNKNOWN = "discontinuous force", "controller memory exceeds 512 samples"
+_COUNTS, _SHARE_OF_DEPTH = (1.0, 10.0, 100.0), 0.9
+"""Amplitudes at which a law in fixed point is linearised, in counts and as a share of the depth: inside an edge."""
+_LEAST_COUNTS = 5.0
+"""Least amplitude that is judged, in counts: within one count every law of counts rings, or rests."""
 _UNDECLARED = "a law with walls on the device needs declared gains: define gains()"
 """Reasons why a loop cannot be judged."""
 
@@ -179,7 +184,10 @@ def grown_of(scene: Any, around: Mapping[str, Any]) -> Callable[[Loop, float], L
             ]
             return same[0].in_hand(loop.hand) if same else loop
         own: Any = {**around, "inertia": numbers("inertia", around["inertia"])}
-        return loops_at([controller], AXES.index(loop.axes[0]), poses=[loop.pose or ZERO], **own)[0].in_hand(loop.hand)
+        near, axis = loop.linear.near, AXES.index(loop.axes[0])
+        if near.resolution:
+            own |= {"amplitude": near.amplitude[axis], "resolution": near.resolution}
+        return loops_at([controller], axis, poses=[loop.pose or ZERO], **own)[0].in_hand(loop.hand)
 
     return grown
 
@@ -295,11 +303,13 @@ class _Probed(NamedTuple):
 
     Attributes:
         doubts: What probes found, by index of the axis.
+        counts: Laws in fixed point linearised at one count and more, by index of the axis.
         grid: Laws linearised at poses; empty if no axis can be judged.
         regions: Indices of axes with a region of discontinuous force.
     """
 
     doubts: Mapping[int, Doubt]
+    counts: Mapping[int, Sequence[Linearised]]
     grid: Sequence[Linearised] = ()
     regions: Collection[int] = ()
 
@@ -316,7 +326,10 @@ def probed_at(
         load: Constant external force [N, N m], (6,).
         poses: Poses of each [m, rad], (P, 6); None for all, those at edges, and those at which a law carries a load.
     """
-    result = [_Probed(one) for one in doubts(controllers, pose=pose, reach=reach, load=load)]
+    each = doubts(controllers, pose=pose, reach=reach, load=load)
+    result = [
+        _Probed(one, _by_amplitude(controller, one, pose)) for controller, one in zip(controllers, each, strict=True)
+    ]
     some = [index for index, one in enumerate(result) if sum(doubt.void for doubt in one.doubts.values()) < len(AXES)]
     own = [controllers[index] for index in some]
     if not own:
@@ -333,6 +346,27 @@ def probed_at(
     for index, grid, regions in zip(some, grids, _regions(own, grids)):
         result[index] = result[index]._replace(grid=grid, regions=regions)
     return result
+
+
+def _by_amplitude(controller: Controller, found: Mapping[int, Doubt], pose: Array) -> dict[int, Sequence[Linearised]]:
+    """Return laws in fixed point linearised at one count, at some more, and at the depth of the motion, by axis."""
+    result = dict[int, Sequence[Linearised]]()
+    for axis, doubt in found.items():
+        if not doubt.resolution:
+            continue
+        at, own = np.where(np.arange(len(AXES)) == axis, doubt.position, pose), in_use(doubt)
+        sizes = [count * doubt.resolution for count in _COUNTS]
+        each = [*({**own, "amplitude": size} for size in sizes if size < own["amplitude"]), own]
+        with suppress(TooManyCallsError):
+            result[axis] = [linearise(controller, at, axes=AXES[axis], **one)[0] for one in each]
+    return result
+
+
+def in_use(doubt: Doubt | None) -> dict[str, float]:
+    """Return amplitude and resolution at which laws in fixed point are linearised in use; empty for other laws."""
+    if doubt is None or not doubt.resolution:
+        return {}
+    return {"amplitude": _SHARE_OF_DEPTH * doubt.depth, "resolution": doubt.resolution}
 
 
 def _rests(probed: _Probed, pose: Array) -> list[Array]:
@@ -361,10 +395,11 @@ def _linearised(pose: Array, body: Array, reach: Array, around: Mapping[str, Any
     jumps: list[Array] = []
     unknown: list[Array] = []
     reasons: dict[int, str] = {}
-    found, grid, regions = probed
+    found, _, grid, regions = probed
     void = {axis for axis, doubt in found.items() if doubt.void}
     if len(void) == len(AXES):
         items = [_not_judged(axis, found[axis].reason, body, around) for axis in range(len(AXES))]
+        items += _loops_of_counts(probed, body, around)
         return Loops(tuple(items), False, pose, doubts=found, reach=reach)
     kinds: list[_Kind] = []
     for near in grid:
@@ -395,8 +430,22 @@ def _linearised(pose: Array, body: Array, reach: Array, around: Mapping[str, Any
     valid = [loop for loop in loops + unstable if not void.intersection(loop.axes)]
     items = [_loop(one, body, around) for one in _distinct_loops(valid)]
     items += [_not_judged(axis, reason, body, around) for axis, reason in sorted(reasons.items())]
+    items += _loops_of_counts(probed, body, around)
     skipped = _distinct(jumps), _distinct(unknown), _distinct([loop.near.pose for loop in away])
     return Loops(tuple(items), False, pose, *skipped, doubts=found, reach=reach)
+
+
+def _loops_of_counts(probed: _Probed, body: Array, around: Mapping[str, Any]) -> list[Loop]:
+    """Return the loops of laws in fixed point, those within a few counts not judged."""
+    items = []
+    for axis, each in probed.counts.items():
+        one, doubt = slice(axis, axis + 1), probed.doubts[axis]
+        for near in each:
+            at = _at_pose(near, (axis,), near.scaled(body)[:, one, one], [])
+            small = near.amplitude[axis] < _LEAST_COUNTS * near.resolution
+            reason = doubt.reason if small or at.unstable_equilibrium else "" if at.system or at.settles else UNKNOWN
+            items.append(replace(_loop(at, body, around), reason=reason))
+    return items
 
 
 class _Kind(NamedTuple):
@@ -523,6 +572,7 @@ def loops_at(
     hand: Hand | None = None,
     device: tuple[float, float] = (DEVICE_PERIOD, DEVICE_DELAY),
     driver_lag: float = 0.0,
+    **sizes: float,
 ) -> Loops:
     """Return the loop of one axis with all of its laws active, for each controller.
 
@@ -537,6 +587,7 @@ def loops_at(
         hand: The hand on the axis; None for a free flotor.
         device: See `judge`.
         driver_lag: See `judge`.
+        sizes: Amplitude and resolution of a linearisation, see `linearise`.
 
     Raises:
         MaglevError: If a law fails at a pose.
@@ -563,7 +614,7 @@ def loops_at(
             items.append(Loop(**own, **around))
         found = Loops(tuple(items))
     else:
-        found = Loops(tuple(_along(controllers, axis, poses, inertia, around)), False)
+        found = Loops(tuple(_along(controllers, axis, poses, inertia, around, sizes)), False)
     return found if hand is None else found.replace(hand=hand)
 
 
@@ -596,19 +647,24 @@ def _nothing(reason: str, start: Array, body: Array, around: Mapping[str, Any]) 
 
 
 def _along(
-    controllers: Sequence[Controller], axis: int, poses: ArrayLike, inertia: Array, around: Mapping[str, Any]
+    controllers: Sequence[Controller],
+    axis: int,
+    poses: ArrayLike,
+    inertia: Array,
+    around: Mapping[str, Any],
+    sizes: Mapping[str, float],
 ) -> list[Loop]:
     """Return the loop of one axis for each controller, by linearisation at its pose."""
     clocks: list[Any] = [{"period": controller.period, **around} for controller in controllers]
     try:
-        linear = linearise(controllers, poses, axes=AXES[axis])
+        linear = linearise(controllers, poses, axes=AXES[axis], **sizes)
     except TooManyCallsError as error:
         return [_not_judged(axis, str(error), inertia, clock) for clock in clocks]
     one, previous = slice(axis, axis + 1), list[AtPose]()
     result = []
     for near, clock in zip(linear, clocks, strict=True):
         at = _at_pose(near, (axis,), near.scaled(inertia)[:, one, one], previous)
-        reason = JUMPS if near.jumps[axis] else "" if at.system or at.settles else UNKNOWN
+        reason = JUMPS if near.jumps[axis] and not sizes else "" if at.system or at.settles else UNKNOWN
         loop = _not_judged(axis, reason, inertia, clock) if reason else _loop(at, inertia, clock)
         result.append(loop)
     return result

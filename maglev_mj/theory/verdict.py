@@ -77,6 +77,38 @@ class _LoopState(NamedTuple):
         return axes, state, f"{self.spectral_radius:.4f}", word
 
 
+class AtAmplitude(NamedTuple):
+    """Closed loop of a law in fixed point for motion of one amplitude.
+
+    Attributes:
+        axis: Name of the axis.
+        amplitude: Displacement [m, rad].
+        stiffness: Mean stiffness over the positions within a count [N/m, N m/rad].
+        damping: Mean damping over them [N s/m, N m s/rad].
+        spectral_radius: Spectral radius; 1 for a law without stiffness and damping.
+        judged: False within a few counts, where each such law rings or rests, and for negative stiffness.
+    """
+
+    axis: str
+    amplitude: float
+    stiffness: float
+    damping: float
+    spectral_radius: float
+    judged: bool
+
+    def __str__(self) -> str:
+        gains = f"{self.stiffness:.4g} {unit_of('N/m', self.axis)}, {self.damping:.3g} {unit_of('N s/m', self.axis)}"
+        word = _word(self.spectral_radius < 1.0 - RELATIVE_ROUNDING)
+        verdict = f"{word}, {radius_text(self.spectral_radius)}{' (not judged)' * (not self.judged)}"
+        return f"{self.axis}, motion of {amplitude_text(self.amplitude, self.axis)}: {gains}, {verdict}"
+
+
+def amplitude_text(amplitude: float, axis: str) -> str:
+    """Return an amplitude [m, rad] with its unit."""
+    scale, prefix = (1e3, "m") if amplitude >= 1e-3 else (1e6, "µ")
+    return f"{scale * amplitude:.3g} {prefix}{unit_of('m', axis)}"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verdict(NoTruthValue, Result):
     """Stability verdict on a controller, with its worst closed loop.
@@ -130,6 +162,8 @@ class Verdict(NoTruthValue, Result):
 
     def _headline(self) -> str:
         pose = pose_text(self.pose) if self.axes else ""
+        if self.loop is not None and self.loop.at_amplitude:
+            pose = f"{pose}, motion of {amplitude_text(self.loop.at_amplitude, self.loop.axis)}"
         worst = f"in {' and '.join(self.acting)}" * bool(self.acting) if self.stated else pose
         worst = ", ".join(filter(None, (worst, "held by the scene's hand" * self.in_hand)))
         return f"{self} (worst {worst})" if worst else str(self)
@@ -143,8 +177,9 @@ class Verdict(NoTruthValue, Result):
         """Return a row for each combination of law states; without declared gains, the worst pose."""
         rows = [state.row() for state in self.states]
         method = "from the gains declared by the laws" if self.stated else "by numerical linearisation"
-        remarks = "\n".join([*self.held.lines, f"line above the table: worst axis; computed {method}", *self.remarks])
-        return Table("", ("axes", "state", "spectral radius", "verdict"), rows, remarks)
+        remarks = [*self.held.lines, f"line above the table: worst axis; computed {method}", *self.remarks]
+        remarks += map(str, sorted(self.amplitudes, key=lambda one: -one.spectral_radius))
+        return Table("", ("axes", "state", "spectral radius", "verdict"), rows, "\n".join(remarks))
 
     def __str__(self) -> str:
         if self.stable is None:
@@ -182,9 +217,10 @@ class Verdict(NoTruthValue, Result):
         return "" if shown is None else conditions_text(self.subject, shown.axes, [shown.period], [shown.delay])
 
     def as_json(self) -> dict[str, Any]:
-        """Return the verdict, ready for JSON."""
+        """Return the verdict, ready for JSON; amplitudes of laws in fixed point alone."""
         names = "stable", "spectral_radius", "axes", "acting", "pose", "stated", "states", "unjudged", "doubts"
-        more = "valid_to", "in_hand", "held", "leaves_after", "remarks"
+        more: tuple[str, ...] = ("valid_to", "in_hand", "held", "leaves_after", "remarks")
+        more += ("amplitudes",) * bool(self.amplitudes)
         return {name: plain(getattr(self, name)) for name in (*names, *more)}
 
     @property
@@ -220,6 +256,18 @@ class Verdict(NoTruthValue, Result):
         for reason in dict.fromkeys(loop.reason for loop in self.loops if loop.reason and loop.axis in others):
             axes = ", ".join(loop.axis for loop in self.loops if loop.reason == reason and loop.axis in others)
             yield f"not computed on {axes}{f': {reason}' * (reason not in named)}"
+
+    @cached_property
+    def amplitudes(self) -> tuple[AtAmplitude, ...]:
+        """Loops of laws in fixed point, which have no slope at the smallest motion; () for other laws."""
+        each = [one for one in self.loops if one.at_amplitude and one.hand is None]
+        poles = poles_of(computed := [replace(one, reason="") for one in each])
+        return tuple(
+            AtAmplitude(
+                one.axis, one.at_amplitude, one.stiffness, one.damping + 0.0, radius_of(same, own), not one.reason
+            )
+            for one, same, own in zip(each, computed, poles, strict=True)
+        )
 
     @property
     def _unjudged(self) -> str:
@@ -519,7 +567,10 @@ def doubts_of(loops: Loops, unstable: bool) -> dict[str, str]:
     for index, doubt in loops.doubts.items():
         if doubt.reason:
             slow = not unstable and not doubt.void and reasons[AXES[index]] == doubt.reason
-            result[AXES[index]] = f"{'stable for slower motion only: ' * slow}{doubt.reason}"
+            judged = [loop for loop in loops if loop.at_amplitude and not loop.reason and loop.axis == AXES[index]]
+            larger = not unstable and bool(judged)
+            only = "stable for slower motion only: " * slow + "stable for larger motion only: " * larger
+            result[AXES[index]] = f"{only}{doubt.reason}"
     return result
 
 

@@ -262,7 +262,7 @@ DOUBTED: dict[Any, str] = {
     Fast: "damping changes above (4.9[0-9]|5) mm/s",
     Dahl: "hysteresis|direction|changes above",
     Ratchet: "hysteresis|direction",
-    Rounded: "jump of force|does not follow the smallest motion",
+    Rounded: "dead band: the force changes in steps of 5 µm alone",
     Timer: "number of samples at rest",
     Drag: "damping changes above",
     Random: "does not repeat",

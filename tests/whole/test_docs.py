@@ -70,7 +70,8 @@ def own_files(page: str) -> dict[str, str]:
 
     Blocks with a name in the first line.
     """
-    found = ((re.match(r"# (\w+\.py)\n", block), block) for _, block in blocks(page, "python"))
+    heads = {"python": r"# (\w+\.py)\n", "c": r"/\* (\w+\.[ch]) \*/\n"}
+    found = ((re.match(head, block), block) for language, head in heads.items() for _, block in blocks(page, language))
     return {match[1]: block for match, block in found if match}
 
 
@@ -164,8 +165,9 @@ def run_page(page: str, thinned: bool = True) -> PageRun:
 
 
 def shared(page: str) -> list[pytest.MarkDecorator]:
-    """Return the mark by which one worker runs all tests of a page."""
-    return [pytest.mark.xdist_group(page)]
+    """Return the marks of the tests of a page: one worker runs them all, and a page with a file in C is compiled."""
+    compiled = any(name.endswith(".c") for name in own_files(page)) if page in PAGES else False
+    return [pytest.mark.xdist_group(page), *[pytest.mark.needs("own compiler")] * compiled]
 
 
 RUNNING = [page for page in PAGES if code_of(page)]

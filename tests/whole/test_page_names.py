@@ -137,6 +137,7 @@ PRODUCTS = {
     "plan.json": "plan of a sweep",
     "run.csv.json": "units beside an export to CSV",
     "source/HASH/FILE.py": "attachment of a recording",
+    "source/HASH/FILE.c": "attachment of a recording",
     "uv.lock": "lock file of another installer",
 }
 """Names that look like a path and that no command of their page spells out, each with what it is."""
