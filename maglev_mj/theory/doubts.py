@@ -76,7 +76,7 @@ _BISECTIONS_OF_SIZE = 8
 
 
 # -- steps of the force of laws in fixed point
-_POINTS_OF_STEPS, _SPANS_OF_STEPS = 65, (1e-7, 8e-7, 6.4e-6, 5.12e-5, 4.096e-4)
+_POINTS_OF_STEPS, _SPANS_OF_STEPS = 65, 1e-7 * 8.0 ** np.arange(5)
 """Positions in a search of steps, and distances that they cover [m]: counts of 10 nm to 0.1 mm."""
 _FEWEST_STEPS, _LEAST_STEP = 3, 2
 """Fewest steps in such a distance, and least number of positions between two: a law without counts has one at each."""
