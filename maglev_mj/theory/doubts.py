@@ -383,7 +383,7 @@ def _resolution(devices: _Devices, row: int, x: float) -> float:
     pair = devices.pairs[row]
     grid = devices.of([pair] * _POINTS_OF_STEPS)
     grid.samples, grid._calls = SAMPLES_AT_REST, [0]
-    for span in SCALE[pair[1]] * np.array(_SPANS_OF_STEPS):
+    for span in SCALE[pair[1]] * _SPANS_OF_STEPS:
         positions = x + span * np.linspace(0.0, 1.0, _POINTS_OF_STEPS)
         forces = grid.held(positions)
         steps = np.flatnonzero(np.diff(forces))
