@@ -41,7 +41,7 @@ from maglev_mj.theory.verdict import Verdict, amplitude_text, judge, margin_word
 
 if TYPE_CHECKING:
     from maglev_mj.studies.log_gains import LogGains
-    from maglev_mj.studies.oscillation import Motion, Oscillation
+    from maglev_mj.studies.oscillation import LoggedMotion, Oscillation
 
 _APART = 0.02  # largest distance of measured and judged frequency, relative
 _NAMES = (
@@ -82,7 +82,7 @@ class Diagnosis(NoTruthValue, Result):
     reach: float = RANGE[2]
     subject: str = field(default="loop", repr=False)
     line: LineVerdict | None = None
-    samples: Motion | None = field(default=None, repr=False)
+    samples: LoggedMotion | None = field(default=None, repr=False)
     stated: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     @property
@@ -545,7 +545,9 @@ def _of_scene(
     return {**result, **stated}, of_scene
 
 
-def _of_recording(path: Path, values: dict[str, Any]) -> tuple[Oscillation, dict[str, Any], tuple[str, ...], Motion]:
+def _of_recording(
+    path: Path, values: dict[str, Any]
+) -> tuple[Oscillation, dict[str, Any], tuple[str, ...], LoggedMotion]:
     """Return the oscillation of a recording, the values that its file states, notes and samples."""
     from maglev_mj.studies.oscillation import read_oscillation  # slow
 

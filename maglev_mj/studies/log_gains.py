@@ -27,7 +27,7 @@ from maglev_mj.studies.device_fit import (
     Ring,
     independent,
 )
-from maglev_mj.studies.oscillation import Motion, Oscillation, is_white, reversals
+from maglev_mj.studies.oscillation import LoggedMotion, Oscillation, is_white, reversals
 from maglev_mj.theory.boundary import boundary_of, first_end, flattened, maxima, spans
 from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.loop_array import LoopArray
@@ -183,7 +183,7 @@ class _Told(NamedTuple):
 
 
 def gains_from_log(
-    motion: Motion, loop: Loop, seen: Oscillation, *, target: float, stated: Mapping[str, float]
+    motion: LoggedMotion, loop: Loop, seen: Oscillation, *, target: float, stated: Mapping[str, float]
 ) -> LogGains:  # fmt: skip
     """Return device and gains from the motion under a known law.
 
@@ -209,7 +209,7 @@ def gains_from_log(
         return LogGains(**common, refused=str(refusal))
 
 
-def _check_loop(motion: Motion, loop: Loop) -> None:
+def _check_loop(motion: LoggedMotion, loop: Loop) -> None:
     """Refuse loops whose device is not the one that the log shows."""
     if loop.hand is not None:
         raise _Refused("a hand holds the device, and gains must hold when it lets go: ring it free")
@@ -235,7 +235,7 @@ def _quantum(position: Array) -> float:
     return step if np.abs(steps / step - np.rint(steps / step)).max() < 0.05 else 0.0
 
 
-def _commands(motion: Motion, loop: Loop) -> tuple[Array, float]:
+def _commands(motion: LoggedMotion, loop: Loop) -> tuple[Array, float]:
     """Return the forces of the commands (N,), and that before the first; NaN if it is unknown."""
     if motion.command is not None:
         return motion.command, motion.before
@@ -250,7 +250,7 @@ def _commands(motion: Motion, loop: Loop) -> tuple[Array, float]:
     return (np.where(motion.usable, force, 0.0) if walled else force), motion.before
 
 
-def _told(motion: Motion, loop: Loop, own_damping: float | None, quantum: float) -> _Told:
+def _told(motion: LoggedMotion, loop: Loop, own_damping: float | None, quantum: float) -> _Told:
     """Return the fit of the longest usable run, from the first start at which only the sensor's noise is left."""
     force, before = _commands(motion, loop)
     bounds = np.flatnonzero(np.diff(np.pad(motion.usable.astype(int), 1)))
@@ -278,7 +278,13 @@ def _told(motion: Motion, loop: Loop, own_damping: float | None, quantum: float)
 
 
 def _fitted(
-    motion: Motion, span: tuple[int, int], force: Array, before: float, loop: Loop, own: float | None, quantum: float
+    motion: LoggedMotion,
+    span: tuple[int, int],
+    force: Array,
+    before: float,
+    loop: Loop,
+    own: float | None,
+    quantum: float,
 ) -> _Told:
     """Return the fit from a start to an end, with the commands before it as far as they are known."""
     (start, end), known = span, math.isfinite(before)

@@ -57,7 +57,7 @@ class Oscillation(NamedTuple):
     damage: str = ""
 
 
-class Motion(NamedTuple):
+class LoggedMotion(NamedTuple):
     """Samples of the main axis of a recording, without a gap in time.
 
     Attributes:
@@ -227,7 +227,7 @@ def _check(fit: _Fit, x: Array, turns: list[int], step: float) -> None:
         raise ParameterError(f"position must oscillate with one pole (got {reason}); record motion inside the wall")
 
 
-def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any], tuple[str, ...], Motion]:
+def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any], tuple[str, ...], LoggedMotion]:
     """Return the oscillation in a recording or table, on its main axis, and what the file states of its loop.
 
     Time and pose of a table are chosen by their names; without a unit, they are SI.
@@ -250,12 +250,12 @@ def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any], tup
     log = read_log(path, si=True)
     time, position = log.tick * log.period, log.parts["position"][:, log.axis]
     seen = find_oscillation(time, position, period=log.period)
-    motion = Motion(position, log.period, np.ones(len(time), dtype=np.bool_), source=Path(path).name)
+    motion = LoggedMotion(position, log.period, np.ones(len(time), dtype=np.bool_), source=Path(path).name)
     motion = _longest(time, motion)
     return seen, {"inertia": None} if log.axis > 2 else {}, (f"{log.taken}; axis {AXES[log.axis]}",), motion
 
 
-def _longest(time: Array, motion: Motion) -> Motion:
+def _longest(time: Array, motion: LoggedMotion) -> LoggedMotion:
     """Return the part of a motion without gaps that has the longest usable run."""
     starts = np.flatnonzero(np.abs(np.diff(time, prepend=-np.inf) - motion.period) > 0.01 * motion.period)
     parts = [slice(first, last) for first, last in pairwise([*starts.tolist(), len(time)])]
@@ -275,7 +275,7 @@ def _longest(time: Array, motion: Motion) -> Motion:
     return motion._replace(**cut)
 
 
-def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any], Motion]:
+def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any], LoggedMotion]:
     """Return the oscillation on the main axis in the longest segment, and its loop as far as it is stated.
 
     A sample is usable in a wall, if the axis has one, while neither a limit nor a pulse acts on it.
@@ -308,7 +308,7 @@ def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any], Mo
             stated |= _stated_device(laws_on_device(controller, plant.timing.device).get(axis))
         stated |= _stated_law(controller, axis)
     applied, known = segment.applied[:, axis], segment.time[0] < metadata.period and segment.before is None
-    motion = Motion(position, metadata.period, usable, edge=edges[0] if len(edges) == 1 else math.nan)
+    motion = LoggedMotion(position, metadata.period, usable, edge=edges[0] if len(edges) == 1 else math.nan)
     if applied.any():
         motion = motion._replace(command=applied, before=float(metadata.before[axis]) if known else math.nan)
     elif motion.edge == motion.edge and known and not usable[0]:  # of no contact yet

@@ -17,7 +17,7 @@ from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import Mode
 from maglev_mj.studies.log_gains import LogGains, gains_from_log
-from maglev_mj.studies.oscillation import Motion, find_oscillation
+from maglev_mj.studies.oscillation import LoggedMotion, find_oscillation
 from maglev_mj.theory.loop import Loop
 from maglev_mj.theory.two_rates import DeviceLaw
 from tests.studies.exact_log import Vector
@@ -44,7 +44,7 @@ def gains_of(
     around = Loop(
         **{"stiffness": stiffness, "damping": damping, "period": device.period, "delay": 0.0, "inertia": 1.0} | loop
     )
-    motion = Motion(log, device.period, np.ones(len(log), dtype=np.bool_))
+    motion = LoggedMotion(log, device.period, np.ones(len(log), dtype=np.bool_))
     return gains_from_log(motion, around, seen, target=target, stated=stated or {})
 
 
@@ -197,7 +197,7 @@ def test_a_wrong_stiffness_is_named() -> None:
 
 def test_short_and_small_logs_are_refused() -> None:
     log = log_of(QUIET, *GAINS, np.random.default_rng(0), 150)
-    motion = Motion(log[:40], 0.005, np.ones(40, dtype=np.bool_))
+    motion = LoggedMotion(log[:40], 0.005, np.ones(40, dtype=np.bool_))
     around = Loop(stiffness=GAINS[0], damping=GAINS[1], period=0.005, delay=0.0, inertia=1.0)
     seen = find_oscillation(0.005 * np.arange(len(log)), log, period=0.005)
     assert "half cycles, and five are needed" in gains_from_log(motion, around, seen, target=2.0, stated={}).refused
