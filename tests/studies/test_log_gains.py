@@ -83,14 +83,14 @@ def test_thirty_hidden_devices() -> None:
 
 @pytest.mark.study
 def test_intervals_hold() -> None:
-    """95 % of them: 92.5 % leaves three standard errors of 400 or more intervals."""
+    """95 % of them, less three standard errors of 60 devices whose three intervals are correlated."""
     rng, inside = np.random.default_rng(95), list[bool]()
-    for _ in range(150):
+    for _ in range(60):
         device = hidden(rng)._replace(friction=0.0)
         found = gains_of(device, *(one := ring(device, rng))[:2], one[2])
         true = {"mass": device.body["mass"], "delay": device.delay, "own damping": device.body["own"]}
         inside += [found.values[name].low <= true[name] <= found.values[name].high for name in true if found.values]
-    assert len(inside) > 300 and np.mean(inside) > 0.92
+    assert len(inside) > 120 and np.mean(inside) > 0.87
 
 
 @pytest.mark.parametrize("target", [1.5, 4.0])
