@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from contextlib import suppress
 from functools import partial
-from typing import Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from maglev_mj.cli.declare import Parser, Shared, count, number_option, option
-from maglev_mj.cli.options import Json, Picture, add_device, add_parameters, chosen, range_of, scene_word, stated
+from maglev_mj.cli.options import Json, add_device, add_parameters, chosen, pictures_to, range_of, scene_word, stated
 from maglev_mj.cli.output import write_result
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import MEASURED_MOTIONS
@@ -16,6 +16,9 @@ from maglev_mj.scenes.names import scene_names
 from maglev_mj.studies.diagnosed_loops import DiagnosedLoop
 from maglev_mj.studies.diagnosis import diagnose as diagnose_loop
 from maglev_mj.theory.line import LossyLine
+
+if TYPE_CHECKING:
+    from maglev_mj.pictures import PictureFolder
 
 _SOURCES = {
     "stiffness": "from the scene or recording, else required",
@@ -56,6 +59,9 @@ def _stated_values(options: argparse.Namespace) -> dict[str, Any]:
     return own | {name: getattr(loop, name) for name in stated(options, DiagnosedLoop)}
 
 
+_Files: TypeAlias = Annotated[
+    "PictureFolder | None", pictures_to("output folder for the chart, and for the gains from a log as a C header")
+]
 _StatedLoop: TypeAlias = Annotated[dict[str, Any], Shared(_add_loop, _stated_values)]
 
 
@@ -90,12 +96,17 @@ def diagnose(
     line: Annotated[LossyLine | None, Shared(_add_line, _stated_line)] = None,
     loop: _StatedLoop,
     json: Json = None,
-    pictures: Picture,
+    pictures: _Files,
 ) -> int:
     """Say why a wall shakes, how far each value is from the boundary, and which change helps most.
 
     For a wall, a spring or a controller with stiffness and damping on one axis, of any mass or inertia. The exit status
     is 0 for an unstable wall too; `stable` in the JSON is the verdict.
     """
-    write_result(json, diagnose_loop(what, on_axis=on_axis, line=line, **loop), pictures)
+    result = diagnose_loop(what, on_axis=on_axis, line=line, **loop)
+    gains, written = result.from_log, []
+    if pictures is not None and gains is not None and not gains.refused:
+        written.append(pictures.path("gains", "h"))
+        written[0].write_text(gains.header(), encoding="utf-8")
+    write_result(json, result, pictures, written)
     return 0

@@ -40,14 +40,15 @@ from maglev_mj.theory.two_rates import rates_of
 from maglev_mj.theory.verdict import Verdict, amplitude_text, judge, margin_words, verdicts
 
 if TYPE_CHECKING:
-    from maglev_mj.studies.oscillation import Oscillation
+    from maglev_mj.studies.log_gains import LogGains
+    from maglev_mj.studies.oscillation import LoggedMotion, Oscillation
 
 _APART = 0.02  # largest distance of measured and judged frequency, relative
 _NAMES = (
     *("loop", "stable", "spectral_radius", "frequency", "doubling_time", "critical_stiffness", "damping_range"),
     *("critical_delay", "stable_delays", "rate_range", "rate_in_periods", "best", "remedies", "ineffective"),
     *("passive_damping", "amplitude_limit", "hum", "assumptions", "measured", "remarks", "valid_to", "held"),
-    *("leaves_after", "line"),
+    *("leaves_after", "line", "from_log"),
 )
 """Figures in the JSON."""
 
@@ -67,6 +68,8 @@ class Diagnosis(NoTruthValue, Result):
         reach: Range of motion of the axis [m, rad].
         subject: Name of the scene or recording, for charts.
         line: Verdict over a line whose delay varies or that loses samples; None without one.
+        samples: Samples of the recording; None without one.
+        stated: Inertia and own damping as far as they are stated with a recording.
     """
 
     loop: DiagnosedLoop
@@ -79,6 +82,8 @@ class Diagnosis(NoTruthValue, Result):
     reach: float = RANGE[2]
     subject: str = field(default="loop", repr=False)
     line: LineVerdict | None = None
+    samples: LoggedMotion | None = field(default=None, repr=False)
+    stated: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     @property
     def pictures(self) -> Mapping[str, str]:
@@ -182,6 +187,21 @@ class Diagnosis(NoTruthValue, Result):
     def held(self) -> Held:
         """Verdict free and in each hand."""
         return held_of(self.loop.loop_in_question, reach=[self.reach] * len(AXES), own=self.scene_hand)
+
+    @cached_property
+    def from_log(self) -> LogGains | None:
+        """Device and gains from the recording, or why it does not tell them; None without one."""
+        if self.samples is None or self.measured is None:
+            return None
+        from maglev_mj.studies.log_gains import gains_from_log  # slow
+
+        return gains_from_log(
+            self.samples,
+            self.loop.loop_in_question,
+            self.measured,
+            target=self.loop.target,
+            stated={**self.stated, "quantum": self.loop.quantum},
+        )
 
     @property
     def leaves_after(self) -> float | None:
@@ -288,7 +308,8 @@ class Diagnosis(NoTruthValue, Result):
             title = f"No change needed: critical over requested stiffness is at least {self.loop.target:g}"
         found = Table(title, head, remedies, "\n".join(notes))
         over = [Table(f"Line: {self.line.setting}", ("verdict", ""), self.line.rows)] if self.line else []
-        title, below = f"{self.setting}: {self.motion}", [*over, found]
+        log = [] if self.from_log is None else [self.from_log.table()]
+        title, below = f"{self.setting}: {self.motion}", [*over, found, *log]
         return Table(title, ("stable for", ""), rows, str(self.held), below=below, warnings=self.warnings)
 
     def _notes(self) -> Iterable[str]:
@@ -380,7 +401,7 @@ def diagnose(
     measured: Oscillation | None = None
     remarks, stated, taken = tuple[str, ...](), values, tuple[str, ...]()
     if recorded:
-        measured, values, taken = _of_recording(Path(scene), values)
+        measured, values, taken, of_scene["samples"] = _of_recording(Path(scene), values)
     if "device" in stated and (scene is None or recorded):
         hardware = Device.load(stated["device"])
         own = {"period": hardware.period, "delay": hardware.delay, "mass": hardware.mass}
@@ -406,7 +427,11 @@ def diagnose(
     if measured is not None:
         loop, measured, how = _explained(loop, measured, given, assumptions)
         remarks = (*taken, _seen(Path(scene), measured), *how)
-        of_scene["subject"] = Path(scene).stem
+        known = {"inertia": loop.body if {"mass", "inertia"} & given else 0.0, "own_damping": loop.own_damping}
+        of_scene |= {
+            "subject": Path(scene).stem,
+            "stated": {name: value for name, value in known.items() if value or name in given},
+        }
     elif values.get("delay") is None:
         others = [loop.trial(delay=share * loop.period) for share in (0.0, 0.5, 1.0, 2.0)]
         words = ["stable" if one.whole.spectral_radius < 1.0 else "unstable" for one in others]
@@ -520,11 +545,13 @@ def _of_scene(
     return {**result, **stated}, of_scene
 
 
-def _of_recording(path: Path, values: dict[str, Any]) -> tuple[Oscillation, dict[str, Any], tuple[str, ...]]:
-    """Return the oscillation of a recording, the values that its file states, or those in their place, and notes."""
+def _of_recording(
+    path: Path, values: dict[str, Any]
+) -> tuple[Oscillation, dict[str, Any], tuple[str, ...], LoggedMotion]:
+    """Return the oscillation of a recording, the values that its file states, notes and samples."""
     from maglev_mj.studies.oscillation import read_oscillation  # slow
 
-    seen, known, taken = read_oscillation(path)
+    seen, known, taken, motion = read_oscillation(path)
     if values.get("mass") is not None or values.get("inertia") is not None:
         known = {name: value for name, value in known.items() if name not in ("mass", "inertia")}
     if values.get("cutoff") is not None:
@@ -533,7 +560,7 @@ def _of_recording(path: Path, values: dict[str, Any]) -> tuple[Oscillation, dict
     if known.get("stiffness") is None or known.get("damping") is None:
         if not known.get("device_stiffness"):
             raise ParameterError(f"stiffness and damping of the law must be given to explain {_seen(path, seen)}")
-    return seen, known, taken
+    return seen, known, taken, motion
 
 
 def _seen(path: Path, seen: Oscillation) -> str:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control import Controller, FiniteDifference, LowPass
 from maglev_mj.device import Device, lag_of
 from maglev_mj.errors import MaglevError, ParameterError, refuse_mask
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.parameters import SAMPLE_PERIOD, common_shape, number, numbers
 from maglev_mj.plants.hand import Hand
 from maglev_mj.recording import Recording
@@ -56,6 +57,28 @@ class Oscillation(NamedTuple):
     damage: str = ""
 
 
+class LoggedMotion(NamedTuple):
+    """Samples of the main axis of a recording, without a gap in time.
+
+    Attributes:
+        position: Positions [m, rad], (N,).
+        period: Sample period [s].
+        usable: True for samples in one contact state without saturation, (N,).
+        command: Recorded forces of the commands [N, N m], (N,); None if the law gives them.
+        before: Command in effect before the first one [N, N m]; NaN if unknown.
+        edge: Edge of the wall that acts in usable samples alone [m, rad]; NaN for a law that acts everywhere.
+        source: Name of the file.
+    """
+
+    position: Array
+    period: float
+    usable: Mask
+    command: Array | None = None
+    before: float = math.nan
+    edge: float = math.nan
+    source: str = "log"
+
+
 class _Fit(NamedTuple):
     pole: complex
     amplitude: float
@@ -89,7 +112,7 @@ def find_oscillation(
     valid = np.ones(len(x), dtype=np.bool_) if usable is None else np.asarray(usable, dtype=np.bool_)
     common_shape("position and usable", x.shape, valid.shape)
     ends = np.flatnonzero(~valid[1:] | ~valid[:-1] | (np.abs(np.diff(times) - step) > 0.01 * step)) + 1
-    runs = [(run, _reversals(run)) for run in np.split(x, ends)]
+    runs = [(run, reversals(run)) for run in np.split(x, ends)]
     if (most := max(len(turns) for _, turns in runs) - 1) < _HALF_CYCLES:
         where = "" if usable is None else " in one contact state without saturation"
         gaps = _gaps(times, step)
@@ -131,7 +154,7 @@ def _gaps(times: Array, step: float) -> str:
     return ", ".join(gaps[:_NAMED]) + more
 
 
-def _reversals(x: Array) -> list[int]:
+def reversals(x: Array) -> list[int]:
     """Return the indices of alternating extremes, without those of noise and the ends."""
     band, sign, best, turns = _BAND * float(np.ptp(x)) if len(x) else 0.0, 1.0, 0, []
     for index, value in enumerate(x.tolist()):
@@ -168,10 +191,10 @@ def _fit(run: Array, turns: list[int]) -> _Fit:
     slopes = np.column_stack([parts, index * wave.real, -index * wave.imag])  # by mean, amplitude and log of the pole
     error = residual * math.sqrt(max(float(np.linalg.pinv(slopes.T @ slopes)[3, 3]), 0.0))
     misfit = residual / max(float(np.std(wave.real)), 1e-300)
-    return _Fit(pole, float(np.abs(wave).max()), residual, misfit, error, _is_white(rest))
+    return _Fit(pole, float(np.abs(wave).max()), residual, misfit, error, is_white(rest))
 
 
-def _is_white(rest: Array) -> bool:
+def is_white(rest: Array) -> bool:
     """Return True for a residual without correlation from sample to sample: noise, not another motion."""
     power = max(float(rest @ rest), 1e-300)
     largest = max(abs(float(rest[lag:] @ rest[:-lag])) for lag in range(1, min(_LAGS, len(rest) - 1) + 1)) / power
@@ -204,14 +227,14 @@ def _check(fit: _Fit, x: Array, turns: list[int], step: float) -> None:
         raise ParameterError(f"position must oscillate with one pole (got {reason}); record motion inside the wall")
 
 
-def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any], tuple[str, ...]]:
+def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any], tuple[str, ...], LoggedMotion]:
     """Return the oscillation in a recording or table, on its main axis, and what the file states of its loop.
 
     Time and pose of a table are chosen by their names; without a unit, they are SI.
 
     Returns:
-        The oscillation, values of `DiagnosedLoop` by name, and what a table was taken for, in words. An inertia of None
-        is that of a rotary axis of unknown inertia.
+        The oscillation, values of `DiagnosedLoop` by name, what a table was taken for, in words, and the samples. An
+        inertia of None is that of a rotary axis of unknown inertia.
 
     Raises:
         ParameterError: If the file cannot be read, or contains no oscillation.
@@ -220,16 +243,39 @@ def read_oscillation(path: str | Path) -> tuple[Oscillation, dict[str, Any], tup
         recording = Recording.load(path)
         recording.require_samples(path)
         try:
-            seen, stated = _of_recording(recording)
+            seen, stated, motion = _of_recording(recording)
         except ParameterError as error:
             raise ParameterError(f"{error}" + f"; {recording.damage}" * bool(recording.damage)) from None
-        return seen._replace(damage=recording.damage), stated, ()
+        return seen._replace(damage=recording.damage), stated, (), motion._replace(source=Path(path).name)
     log = read_log(path, si=True)
-    seen = find_oscillation(log.tick * log.period, log.parts["position"][:, log.axis], period=log.period)
-    return seen, {"inertia": None} if log.axis > 2 else {}, (f"{log.taken}; axis {AXES[log.axis]}",)
+    time, position = log.tick * log.period, log.parts["position"][:, log.axis]
+    seen = find_oscillation(time, position, period=log.period)
+    motion = LoggedMotion(position, log.period, np.ones(len(time), dtype=np.bool_), source=Path(path).name)
+    motion = _longest(time, motion)
+    return seen, {"inertia": None} if log.axis > 2 else {}, (f"{log.taken}; axis {AXES[log.axis]}",), motion
 
 
-def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:
+def _longest(time: Array, motion: LoggedMotion) -> LoggedMotion:
+    """Return the part of a motion without gaps that has the longest usable run."""
+    starts = np.flatnonzero(np.abs(np.diff(time, prepend=-np.inf) - motion.period) > 0.01 * motion.period)
+    parts = [slice(first, last) for first, last in pairwise([*starts.tolist(), len(time)])]
+
+    def most(part: slice) -> int:
+        return max(len(run) for run in np.split(motion.usable[part], np.flatnonzero(~motion.usable[part])))
+
+    best = max(parts, key=most)
+    command = None if motion.command is None else motion.command[best]
+    before = motion.before if best.start == 0 else math.nan
+    cut: dict[str, Any] = {
+        "position": motion.position[best],
+        "usable": motion.usable[best],
+        "command": command,
+        "before": before,
+    }
+    return motion._replace(**cut)
+
+
+def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any], LoggedMotion]:
     """Return the oscillation on the main axis in the longest segment, and its loop as far as it is stated.
 
     A sample is usable in a wall, if the axis has one, while neither a limit nor a pulse acts on it.
@@ -239,6 +285,7 @@ def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:
     axis = AXES.index(metadata.axis)
     position = segment.position[:, axis]
     contacts = [normal * (position - edge) <= 0.0 for index, normal, edge in metadata.faces if index == axis]
+    edges = [edge for index, _, edge in metadata.faces if index == axis]
     usable = np.logical_or.reduce(contacts) if contacts else np.ones(len(position), dtype=np.bool_)
     usable &= (segment.applied == segment.command)[:, axis] & (segment.applied_pulse[:, axis] == 0.0)
     seen = find_oscillation(segment.time, position, period=metadata.period, usable=usable)
@@ -260,7 +307,13 @@ def _of_recording(recording: Recording) -> tuple[Oscillation, dict[str, Any]]:
             stated |= _stated_hand(plant.given.get("hand"), axis, stated)
             stated |= _stated_device(laws_on_device(controller, plant.timing.device).get(axis))
         stated |= _stated_law(controller, axis)
-    return seen, stated
+    applied, known = segment.applied[:, axis], segment.time[0] < metadata.period and segment.before is None
+    motion = LoggedMotion(position, metadata.period, usable, edge=edges[0] if len(edges) == 1 else math.nan)
+    if applied.any():
+        motion = motion._replace(command=applied, before=float(metadata.before[axis]) if known else math.nan)
+    elif motion.edge == motion.edge and known and not usable[0]:  # of no contact yet
+        motion = motion._replace(before=0.0)
+    return seen, stated, _longest(segment.time, motion)
 
 
 def _stated_hand(hand: Hand | None, axis: int, stated: Mapping[str, Any]) -> dict[str, Any]:

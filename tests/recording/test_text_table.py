@@ -691,7 +691,7 @@ def test_diagnose_chooses_by_name_and_says_what_the_table_was_taken_for(
     recording = import_table(tmp_path / "rig.csv", {"time": "2", "rx" if rotary else "z": "3"}, mass=0.3)
     recording.save(tmp_path / "rig.maglev")
     assert "rig.csv: ; and decimal comma, time in ms, " in Recording.load(tmp_path / "rig.maglev").events[0]
-    _, stated, _ = read_oscillation(tmp_path / "rig.maglev")
+    _, stated, *_ = read_oscillation(tmp_path / "rig.maglev")
     assert stated == ({"inertia": None} if rotary else {"mass": 0.3})
 
 

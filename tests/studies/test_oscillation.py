@@ -222,7 +222,7 @@ def test_a_recording_states_its_loop(name: str, tmp_path: Path) -> None:
     changes: dict[str, Any] = {"stiffness": 6000.0, "damping": 20.0, "pulse": 0.0, "duration": 1.0}
     scene = Drop(**changes | {"period": 0.001, "delay": 0.001} | LAWS[name])
     record_run(scene, plant="exact").save(tmp_path / "run.maglev")
-    seen, stated, _ = read_oscillation(tmp_path / "run.maglev")
+    seen, stated, *_ = read_oscillation(tmp_path / "run.maglev")
     on, base = ("device_", {"device_damping": 20.0}) if "wall_on" in LAWS[name] else ("", {"damping": 20.0})
     base |= {"mass": 0.7, "delay": 0.001, "period": 0.001, f"{on}stiffness": 6000.0, **LAWS[name]}
     assert {key: stated[key] for key in base if key != "wall_on"} == {
@@ -258,7 +258,7 @@ def test_the_driver_lag_of_a_recording_is_in_its_loop(
     record_run(scene, plant="mujoco" if plant == "mujoco" else "exact").save(tmp_path / "run.maglev")
     if plant == "device":  # which is not rebuilt
         monkeypatch.setattr("maglev_mj.studies.oscillation.rebuild_plant", lambda setup: None)
-    _, stated, _ = read_oscillation(tmp_path / "run.maglev")
+    _, stated, *_ = read_oscillation(tmp_path / "run.maglev")
     assert stated["driver_lag"] == lag
     found = diagnose(tmp_path / "run.maglev")
     assert found.loop.driver_lag == lag and "the loop as given explains the oscillation" in found.remarks
