@@ -27,6 +27,7 @@ from maglev_mj.plants import SampledPlant, Sensor
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.plants.trace import PassivityObserver, Trace, actuator_work
 from maglev_mj.recording import setup
+from maglev_mj.scenes import find_scene
 from maglev_mj.spec import GRAVITY, INERTIA
 from tests.all_of import (
     IDEAL,
@@ -35,6 +36,7 @@ from tests.all_of import (
     MOTIONS,
     PERIOD,
     PLANTS,
+    SCENES,
     SENSORS,
     START,
     TIMING,
@@ -132,6 +134,14 @@ def test_a_public_class_without_a_name_or_with_that_of_another_is_an_error(kind:
 def test_every_law_and_velocity_estimate_of_the_package_is_rebuilt_from_a_recording() -> None:
     for slot, parts in (("laws", itertools.chain(*LAWS.values())), ("velocity", VELOCITIES)):
         assert {*map(type, parts)} <= {*setup._TYPES[slot]} and not {Law, AxisLaw, Friction} & {*setup._TYPES[slot]}
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_recording_of_a_scene_of_the_package_rebuilds_its_laws(scene: str) -> None:
+    """Others are code of a user, which replay does not execute."""
+    made = find_scene(scene)()
+    foreign = {type(law).__name__ for law in made.laws()} - {law.__name__ for law in setup._TYPES["laws"]}
+    assert not foreign, f"move {foreign} to control/laws, with a line in control/__init__.pyi"
 
 
 def test_every_plant_of_the_package_is_listed() -> None:
