@@ -29,6 +29,7 @@ from maglev_mj.control import (
 )
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.laws.velocity import Estimator
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.lazy import public
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
@@ -85,10 +86,20 @@ _SPECIAL: Mapping[str, list[Law]] = {
     "Bias": [],
 }
 """Laws with more than the gains of `FRICTION`, or beside others."""
-LAWS: Mapping[str, list[Law]] = {
-    one.__name__: _SPECIAL[one.__name__] if one.__name__ in _SPECIAL else [one(**FRICTION)]
-    for one in public(control, Law)
-}
+
+
+def _smallest(law: type[Law]) -> list[Law]:
+    """Return the smallest instance of a law, beside the others that it needs."""
+    if law.__name__ in _SPECIAL:
+        return _SPECIAL[law.__name__]
+    try:
+        return [law(**FRICTION)]
+    except ParameterError as error:
+        error.add_note(f"give {law.__name__} other gains in _SPECIAL of tests/all_of.py")
+        raise
+
+
+LAWS: Mapping[str, list[Law]] = {law.__name__: _smallest(law) for law in public(control, Law)}
 _SET: Mapping[str, dict[str, Any]] = {"LowPass": {"cutoff": 80.0}, "Window": {"samples": 4}}
 VELOCITIES: list[Estimator] = [one(**_SET.get(one.__name__, {})) for one in public(control, Estimator)]
 _MANY = ("StickSlip", "LowPass"), ("Wall", "Window"), ("LuGre", "AdaptiveWindow")

@@ -351,6 +351,11 @@ def seen(seed: int) -> Device:
     return device.change("sensor", directions=directions, offsets=offsets, **moved)
 
 
+def test_every_kind_of_sensor_is_among_the_random_devices() -> None:
+    (kinds,) = (item.choices for item in device_module.SensorSection.parameters() if item.name == "kind")
+    assert {seen(seed).sensor.kind for seed in range(2)} == {*kinds}, "draw a device of each kind in `seen`"
+
+
 @pytest.mark.parametrize("seed", [*range(40), -1])
 def test_no_pose_of_the_range_is_out_of_range_of_the_sensor(seed: int) -> None:
     """The limit follows from range and geometry: poses of the range are within it, poses outside the envelope soon not.

@@ -337,7 +337,7 @@ def program_parser() -> Parser:
     command.required = False
     for title, group in GROUPS.items():
         parser.add_argument_group(title, "\n".join(f"  {name:<16}{row.summary}" for name, row in group.items()))
-    parser.add_argument_group("scenes, each short for run SCENE", f"  {' '.join(BUILT_IN)}")
+    parser.add_argument_group("scenes, each short for run SCENE", "\n".join(wrapped(" ".join(BUILT_IN))))
     return parser
 
 

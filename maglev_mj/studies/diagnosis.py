@@ -480,7 +480,7 @@ def _of_scene(
         scene: The scene, its class or its name.
         on_axis: Name of the axis; None for all.
         values: Stated values. Those of parameters of the scene change it, unless a parameter of the loop with that name
-            is of another kind or unit, or the hand.
+            is of another kind or unit, or the hand; a name is always that of the scene.
         assumptions: Receives what was assumed, in words.
 
     Raises:
@@ -490,7 +490,12 @@ def _of_scene(
 
     found, kinds = get_scene(scene), {item.name: (item.kind, item.unit) for item in DiagnosedLoop.parameters()}
     named = [item for item in found.parameters() if item.name in values and item.name != "hand"]
-    same = [item.name for item in named if kinds.get(item.name, (item.kind, item.unit)) == (item.kind, item.unit)]
+    same = [
+        item.name
+        for item in named
+        if kinds.get(item.name, (item.kind, item.unit)) == (item.kind, item.unit)
+        or (item.kind is str and isinstance(values[item.name], str))  # the name of a law, where the loop takes one
+    ]
     found = found.replace(**{name: values[name] for name in same})
     stated = {name: value for name, value in values.items() if name not in same or name == "device"}
     loops = Loop.of(found, hand="none" if "hand" in stated else None)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control import AdaptiveWindow
 from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws.velocity import Estimator
 from maglev_mj.control.stack import stacked_controller
 from maglev_mj.errors import MaglevError, TooManyCallsError
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
@@ -125,7 +125,7 @@ def doubts(
         'the weight is carried by a jump of force, 12 N at 0 mm'
     """
     far, chosen = np.asarray(reach, dtype=np.float64), list(axes)
-    if isinstance(estimator := controllers[0].velocity, AdaptiveWindow):
+    if isinstance(estimator := controllers[0].velocity, Estimator) and not is_linear(estimator):
         reason = f"the velocity estimator {type(estimator).__name__} is not linear"
         return [dict.fromkeys(chosen, Doubt(Bound(0.0), reason, True)) for _ in controllers]
     loads = np.zeros(len(AXES)) if load is None else np.asarray(load, dtype=np.float64)

@@ -37,17 +37,16 @@ _Six = c_double * 6
 def _declared(struct: str) -> list[tuple[str, Any]]:
     """Return the fields of a structure, as the header declares them."""
     header = (FOLDER / "maglev_firmware.h").read_text(encoding="utf-8")
-    kinds: dict[str, Any] = {
-        "uint64_t": c_uint64,
-        "double": c_double,
-        "uint32_t": c_uint32,
-        "uint8_t": c_uint8,
-        "bool": c_bool,
-    }
-    counts = {"": 0, "MAGLEV_KEY": 32, "MAGLEV_SPOTS": 6, "MAGLEV_COILS": 6, "16": 16, "36": 36}
+    whole = {f"{sign}int{bits}_t": f"c_{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+    names = {**whole, "bool": "c_bool", "float": "c_float", "double": "c_double"}
+    kinds: dict[str, Any] = {name: getattr(ctypes, of) for name, of in names.items()}
+    sizes = {"MAGLEV_KEY": 32, "MAGLEV_SPOTS": 6, "MAGLEV_COILS": 6}
     (text,) = re.findall(rf"struct {struct} \{{\n(.*?)\}};", header, re.DOTALL)
     declared = re.findall(r"^    (\w+) (\w+)(?:\[(\w+)\])?;", text, re.MULTILINE)
-    return [(name, kinds[kind] * counts[count] if count else kinds[kind]) for kind, name, count in declared]
+    return [
+        (name, kinds[kind] * (sizes.get(count) or int(count)) if count else kinds[kind])
+        for kind, name, count in declared
+    ]
 
 
 class _Profile(ctypes.Structure):

@@ -148,35 +148,45 @@ def test_numpy_alone_reads_the_cycles(failed: Failed) -> None:
     assert cycles.dtype.itemsize == journal.RECORD.itemsize
 
 
+END = ')\n"""Values of a device cycle'
 STORED = Path(__file__).with_name("fault.maglev")
 """Last eight cycles of a flight, written before values could be added to a cycle."""
 
 
+def changed(module: ModuleType, *changes: tuple[str, str]) -> Any:
+    """Return a module made again of its source, with texts replaced."""
+    source = Path(str(module.__file__)).read_text(encoding="utf-8")
+    for old, new in changes:
+        source = source.replace(old, new)
+    again = ModuleType(module.__name__)
+    exec(compile(source, str(module.__file__), "exec"), vars(again))
+    return again
+
+
+def original(*changes: tuple[str, str]) -> Any:
+    """Return the journal without the values of STATE in a cycle, none of which `STORED` has, changed."""
+    source = Path(str(journal.__file__)).read_text(encoding="utf-8")
+    since = source.partition('CyclePart("latency"')[2].partition("\n")[2].partition(END)[0]
+    return changed(journal, (since + END, END), *changes)
+
+
 def test_a_stored_file_is_read_and_would_be_written_the_same() -> None:
-    stored = journal.open_journal(STORED)
+    stored, then = journal.open_journal(STORED), original()
     fixed = {name: stored.header[name] for name in ("dtype", "cycle", "format", "version", "units", "checksums")}
-    assert fixed.items() <= json.loads(journal.header()).items()
+    assert fixed.items() <= json.loads(then.header()).items()
     cycles = stored.records[stored.kinds == journal.CYCLE].view(np.dtype(stored.header["cycle"]))
     flat = [[value for part in cycle.tolist() for value in np.ravel(part).tolist()] for cycle in cycles]
-    assert b"".join(journal.PACK_CYCLE(*values) for values in flat) == cycles.tobytes() and len(flat) == 8
+    assert b"".join(then.PACK_CYCLE(*values) for values in flat) == cycles.tobytes() and len(flat) == 8
     run = journal.open_journal(ROOT / "tests/golden/recordings/drop-exact.maglev")
     samples = run.records[run.kinds == journal.SAMPLE]
     flat = [[value for part in sample.tolist()[2:] for value in np.ravel(part).tolist()] for sample in samples]
-    assert b"".join(journal.PACK_SAMPLE(*values) for values in flat) == samples.tobytes()
+    assert b"".join(then.PACK_SAMPLE(*values) for values in flat) == samples.tobytes()
 
     record = load_fault(STORED)
     assert record.faults == "COIL_NOT_FOLLOWING" and record.tick == 22 and record.period == 0.005
     assert record.values["state"].tolist() == [1.0] * 7 + [2.0] and np.isnan(record.six("pose")[-1]).all()
     assert all((cycles[name] == record.values[name]).all() for name in ("time", "width", "delay", "latency"))
     assert (cycles["held"] == record.six("held")).all()
-
-
-def changed(module: ModuleType, old: str = "", new: str = "") -> Any:
-    """Return a module made again of its source, with a change."""
-    source = Path(str(module.__file__)).read_text(encoding="utf-8")
-    again = ModuleType(module.__name__)
-    exec(compile(source.replace(old, new), str(module.__file__), "exec"), vars(again))
-    return again
 
 
 @pytest.mark.parametrize(
@@ -201,7 +211,7 @@ def test_a_value_of_state_is_recorded_by_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     lines = "".join(f"    CyclePart({part}),\n" for part in parts)
-    newer = changed(journal, ')\n"""Values of a device cycle', f'{lines})\n"""Values of a device cycle')
+    newer = original((END, lines + END))
     stored = load_fault(STORED)
     monkeypatch.setattr(fault, "journal", newer)
     monkeypatch.setattr(recording, "journal", newer)
@@ -227,11 +237,11 @@ def test_a_value_of_state_is_recorded_by_one_line(
 
 def test_a_cycle_shorter_than_a_sample_is_padded() -> None:
     width = next(part for part in journal.CYCLE_PARTS if part.name == "width")
-    shorter = changed(journal, f'    CyclePart("width", "<f8", "s", "{width.text}"),\n')
+    shorter, then = original((f'    CyclePart("width", "<f8", "s", "{width.text}"),\n', "")), original()
     header = json.loads(shorter.header())
-    assert header["dtype"] == json.loads(journal.header())["dtype"] and shorter.RECORD == journal.RECORD
+    assert header["dtype"] == json.loads(then.header())["dtype"] and shorter.RECORD == then.RECORD
     assert dict(zip(*header["cycle"].values())).popitem() == ("spare0", "<f8")
-    assert np.dtype(header["cycle"]).itemsize == len(shorter.PACK_CYCLE(4, *range(42))) == journal.RECORD.itemsize
+    assert np.dtype(header["cycle"]).itemsize == len(shorter.PACK_CYCLE(4, *range(42))) == then.RECORD.itemsize
     content = shorter.open_journal(STORED)
     assert content.cycles(len(content.records), 8)["latency"].tolist() == load_fault(STORED).values["latency"].tolist()
 
@@ -258,7 +268,7 @@ def test_a_cycle_that_cannot_be_read_is_named(names: list[str], formats: list[st
     head = json.dumps(header).encode().ljust(len(line)) + b"\n"
     path = tmp_path / "changed.maglev"
     block = rest[: rest.rindex((journal.CHECKSUM).to_bytes(4, "little"))]
-    path.write_bytes(head + block + journal.Seal(head)(block))
+    path.write_bytes(head + block + original().Seal(head)(block))
     with pytest.raises(InvalidRecordingError, match=says):
         load_fault(path)
 

@@ -25,13 +25,15 @@ from maglev_mj.bridge.preflight import LinkReport, _critical_delay
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.frames import Command
+from maglev_mj.scenes import BUILT_IN
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import device_controller
 from maglev_mj.spec import INERTIA
 from tests.bridge.slow_lines import SHAPES, ChangedLaw, fly
 from tests.sweeps import sweep
 
-FLOWN = ("joystick", "drop", "press", "table", "box", "corner", "stick-slip", "six-axes", "wall")
+FLOWN = tuple(name for name in BUILT_IN if find_scene(name)().laws())
+"""Scenes with laws."""
 RATES = [200, pytest.param(1000, marks=pytest.mark.study)]
 """Rates of flights: each kind flies at 200 Hz in the suite."""
 

@@ -96,9 +96,13 @@ GUARDED: list[tuple[Callable[[Rig], None], str]] = [
 """For each guard, in order: the injected error, and its message."""
 
 
-@pytest.mark.parametrize("index", range(len(Rig().plant.guards)))
+def test_every_guard_has_its_fault_in_the_list() -> None:
+    names = [getattr(check, "func", check) for _, check in Rig().plant.guards]
+    assert len(GUARDED) == len(names), f"give each guard a row in GUARDED, in this order: {names}"
+
+
+@pytest.mark.parametrize("index", range(len(GUARDED)))
 def test_each_guard_detects_its_fault_and_no_other_guard_does(index: int) -> None:
-    assert len(GUARDED) == len(Rig().plant.guards)
     prepare, message = GUARDED[index]
     for guarded in (True, False):
         rig = Rig(pose=CENTRE)

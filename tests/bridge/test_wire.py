@@ -347,6 +347,21 @@ def test_nothing_that_follows_from_the_messages_is_stale() -> None:
         assert path.read_text(encoding="utf-8") == text, f"{path.relative_to(ROOT)} is stale: make protocol"
 
 
+LAYOUTS = {5: 0x81FF3F54}
+"""CRC-32 of the names and types of all messages, by version of the protocol."""
+
+
+def test_messages_change_with_the_version_alone() -> None:
+    """A device in use speaks the messages of its version."""
+    bodies = (*wire.BODIES, WallMessage)
+    declared = [
+        f"{body.__name__} {name} {on.gap} {on.kind}" for body in bodies for name, on in wire.layout(body).items()
+    ]
+    found = zlib.crc32(" ".join(declared).encode())
+    advice = f"raise VERSION in bridge/wire.py, then LAYOUTS here: {{{VERSION}: 0x{found:08X}}} if it is unreleased"
+    assert LAYOUTS.get(VERSION) == found, f"the messages are not those of version {VERSION}: {advice}"
+
+
 UNITS = [unit for unit in FORMATS if unit not in ("bytes", "zeros")]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from inspect import isfunction
@@ -25,6 +26,8 @@ from maglev_mj.session.replay import record_run
 from tests.all_of import FORMATS
 from tests.processes import run_here
 from tests.recorded import load, made, messages_in
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 class Content(NamedTuple):
@@ -118,8 +121,15 @@ def _mcap(path: Path) -> Content:
 
 
 READERS: Mapping[str, Callable[[Path], Content]] = {"csv": _csv, "parquet": _parquet, "npz": _npz, "mcap": _mcap}
-assert {*READERS, "wav"} == {*FORMATS}
 """Plain readers of other programs; a sound holds one force alone, and is heard in `test_sound`."""
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_every_format_has_a_plain_reader_and_is_named_where_recordings_are_converted(kind: str) -> None:
+    assert kind in READERS or kind == "wav", f"give {kind} a reader in READERS of {__name__}"
+    for page in ("howto/record.md", "reference/recording.md"):
+        (line,) = re.findall(r"convert run\.maglev run\..*# or .*", (DOCS / page).read_text(encoding="utf-8"))
+        assert re.search(rf"\.{kind}\b", line), f"name .{kind} in docs/{page}: {line}"
 
 
 @pytest.fixture(params=["scene", "stick-slip", "press, cut"])

@@ -261,7 +261,8 @@ def test_line_endings_of_a_transfer_as_text_are_undone(whole: bytes, tmp_path: P
     assert part.ticks == full.ticks
     same_so_far(part, full)
     part = read(zeroed(converted, 200_000, 204_096), tmp_path)
-    assert part is not None and part.damage.startswith("line endings") and "wrong checksum" in part.damage
+    assert part is not None and part.ticks < full.ticks  # where the zeros lie in a record depends on its size
+    assert re.match(r"line endings .*undone.*; .*(wrong checksum|zeros from record)", part.damage), part.damage
     same_so_far(part, full)
 
 

@@ -17,6 +17,7 @@ from maglev_mj.plants import ExactPlant
 from maglev_mj.result import number_text, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.names import scene_names
+from maglev_mj.scenes.stick_slip import Pull
 from maglev_mj.studies.diagnosed_loops import DiagnosedLoop
 from maglev_mj.studies.diagnosis import Diagnosis
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
@@ -287,6 +288,14 @@ def test_a_scene_takes_its_own_parameters_on_the_command_line(name: str, capsys:
     own: dict[str, Any] = {"wall_on": "device", "stiffness": 6e4, "damping": 200.0, "device_rate": 8e3}
     same = diagnose(name, on_axis="z", **own, friction=0.1, hand="arm")
     assert repr(same.loop) == repr(found.loop)
+
+
+def test_the_law_of_a_scene_is_named_and_a_wrong_name_is_refused_as_one(capsys: pytest.CaptureFixture[str]) -> None:
+    named, made = diagnose("stick-slip", law="dahl"), diagnose(Pull(law="dahl"))
+    assert repr(named.loop) == repr(made.loop) and named.assumptions == made.assumptions
+    assert main("diagnose stick-slip --law dahl".split()) == 0
+    assert main("diagnose stick-slip --law nosuch".split()) == 2
+    assert "law must be one of stick-slip, spring-reset" in capsys.readouterr().err
 
 
 def test_a_scene_is_diagnosed_on_its_worst_axis() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -18,7 +18,9 @@ from maglev_mj.scenes.stability_check import stability_warning, wall_loops
 from maglev_mj.studies.compare import _chosen, _with_law, sweep_laws
 from maglev_mj.theory.doubts import doubts
 from maglev_mj.theory.loop import Doubt
+from maglev_mj.theory.loop_array import is_linear
 from maglev_mj.theory.verdict import judge, stability
+from tests.all_of import VELOCITIES
 
 
 class Own(AxisLaw):
@@ -465,14 +467,19 @@ def test_declared_gains_are_the_linear_part_of_a_law() -> None:
 class Windowed(Drop):
     """Drop with an estimator that is not linear."""
 
+    estimator: ClassVar[Any] = AdaptiveWindow()
+
     def velocity_estimator(self) -> Any:
-        return AdaptiveWindow()
+        return self.estimator
 
 
-def test_an_estimator_that_is_not_linear_is_judged_nowhere() -> None:
+@pytest.mark.parametrize("estimator", [one for one in VELOCITIES if not is_linear(one)])
+def test_an_estimator_that_is_not_linear_is_judged_nowhere(estimator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Windowed, "estimator", estimator)
     verdict, warning = stability(Windowed()), stability_warning(Windowed())
     assert verdict.stable is None and verdict.unjudged == AXES
-    assert warning is not None and warning.endswith("rz: the velocity estimator AdaptiveWindow is not linear")
+    reason = f"rz: the velocity estimator {type(estimator).__name__} is not linear"
+    assert warning is not None and warning.endswith(reason)
 
 
 def test_diagnose_says_for_which_motion_it_holds() -> None:

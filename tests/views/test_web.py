@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from multiprocessing import Pipe
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -40,14 +41,17 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, REWIND_ACTIONS, Session, Snapshot
 from maglev_mj.session.access import ListenError, check_origin, listen
+from maglev_mj.session.actions import SCENE_PREFIX, actions
 from maglev_mj.session.pacing import FrameClock, Pacer
 from maglev_mj.session.replay import ACTIONS
+from maglev_mj.views.page import panel
 from maglev_mj.views.page.live import contact, knob
 from maglev_mj.views.page.page import Endpoint, Page, PageServer
 from maglev_mj.views.page.panel import Choice, Control, Slider, control, drawn, ticks
 from maglev_mj.views.page.stage import Grab, solid
 from maglev_mj.views.readings import Chart, Charts, Curve
 from maglev_mj.views.viewer_process import SILENCE, Glide, RemoteSession
+from maglev_mj.views.window.keys import _KEYS
 from tests.interop.test_teleoperation import BALL, follow
 from tests.processes import PATIENCE, started
 from tests.views.test_watching import ViewerHere
@@ -444,6 +448,21 @@ def test_a_read_only_page_has_neither_hand_nor_sliders() -> None:
         assert page._grab is None and page._panel._controls == [] and not page._stage.knob._impl.drag_cb
     with page_of() as (page, _):
         assert page._grab is not None and len(page._panel._controls) > 5 and page._stage.knob._impl.drag_cb
+
+
+def test_every_action_has_a_key_and_a_button_of_its_own() -> None:
+    """Else the first free key of a scene's switches is bound to it, another one in each scene."""
+    session = Session("joystick")
+    own = {name for name in session.actions if name not in actions(Joystick) and not name.startswith(SCENE_PREFIX)}
+    own |= {*ACTIONS, "next", "back"}
+    bound, shown = {key.action for key in _KEYS}, {name for row in panel._ROWS.values() for name in row}
+    assert own - bound == {"resume from here"}, "give each action a line in _KEYS of window/keys.py"
+    others = {"next scene": "a list", "rewind": "a slider", EMERGENCY_STOP: "beside the banner"}
+    assert own - shown == {*others}, "give each action a button in _ROWS of page/panel.py"
+    page = (Path(__file__).parents[2] / "docs/reference/viewer.md").read_text(encoding="utf-8")
+    table = page.partition("## Keys")[2].partition("## Readings")[0]
+    named = {*re.findall(r"[^\s,|]+", table)}
+    assert {key.name.split()[0] for key in _KEYS} - named == {"Esc"}, "name each key in docs/reference/viewer.md"
 
 
 def test_the_page_of_a_recording_has_a_time_slider_and_a_button_per_action() -> None:

@@ -22,7 +22,8 @@ def test_a_command_says_what_it_said(name: str) -> None:
     group, found = name.split("/")[0], as_kept(outcome(cases()[name]))
     lines = differences(group, kept_once(group)[name], found)
     failed = [*found["stdout"], *found["stderr"]] if found["status"] != kept_once(group)[name]["status"] else []
-    assert not lines, f"{len(lines)} differences:\n" + "\n".join([*lines[:10], *failed])
+    advice = f"if they are wanted: python -m tests.golden.make {group}"
+    assert not lines, f"{len(lines)} differences, {advice}:\n" + "\n".join([*lines[:10], *failed])
 
 
 def test_keys_pressed_at_random_have_the_same_effects() -> None:
