@@ -118,7 +118,7 @@ class _Loaded(NamedTuple):
 class CLaw(AxisLaw):
     """Law with independent axes whose force is a function in C, such as the firmware's own.
 
-    The function has the form
+    The function has the form ::
 
         void step(double x, double v, const double *gains, void *memory, double *force);
 
@@ -127,11 +127,10 @@ class CLaw(AxisLaw):
     belongs to the caller and is aligned for a double, so that one function serves all axes and devices, and a run can
     be repeated, rewound and replayed; a static variable is refused.
 
-    Class keywords:
-        library: Shared library, or a .c file, which the system's compiler builds once per process, with
-            -ffp-contract=off. A relative path is looked for beside the file of the class, then on the path of imports.
-        symbol: Name of the function; "step" by default.
-        memory: Size of its memory [bytes]; 0 by default.
+    A class states in its first line `library`, a shared library or a .c file, which the system's compiler builds once
+    per process, with ``-ffp-contract=off``; `symbol`, the name of the function, "step" by default; and `memory`, the
+    size of its memory [bytes], 0 by default. A relative path of the library is looked for beside the file of the
+    class, then on the path of imports.
 
     Before its first use in a process the law runs some thousand samples in a process of its own: a crash, an endless
     loop, a write outside the memory or a force that is not finite is an error there. A crash on a path that these
