@@ -97,6 +97,7 @@ def quotes(page: str) -> Iterator[tuple[int, list[str], str]]:
 
 
 LONG = {
+    ("docs/howto/c_law.md", 1),
     ("docs/howto/compare.md", 0),
     ("docs/howto/compare.md", 1),
     ("docs/howto/fly.md", 0),

@@ -354,10 +354,10 @@ def _probe(source: _Source, library: str, rows: Sequence[Sequence[float]]) -> No
         raise ParameterError(f"{source.place} does not return within {_PROBE_TIMEOUT:g} s") from None
     if probe.ANSWER in done.stdout:
         reason = done.stdout.partition(probe.ANSWER)[2].partition("\n")[0].strip()
-    elif -done.returncode == getattr(signal, "SIGPROF", None):
-        reason = f"does not return within {_PROBE_TIME:g} s of processor time"
     elif done.returncode < 0:
-        reason = f"crashes: {signal.Signals(-done.returncode).name}"
+        ended = signal.Signals(-done.returncode).name
+        slow = f"does not return within {_PROBE_TIME:g} s of processor time"
+        reason = slow if ended.endswith("PROF") else f"crashes: {ended}"
     else:
         reason = f"ends its process, exit code {done.returncode:#x}"
     if reason:
