@@ -200,7 +200,7 @@ def test_the_scene_of_ones_own_is_made_as_the_page_says(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "maglev_mj", "render", "shaft.py", "--out", "shaft.png", "--width", "0.003"]
     command += ["--size", "320x200"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "wrote shaft.png\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "  wrote shaft.png\n", "")
     picture = imread(tmp_path / "shaft.png")
     assert picture.shape[:2] == (200, 320) and len(np.unique(picture.reshape(200 * 320, -1), axis=0)) > 400  # colours
 
