@@ -22,7 +22,7 @@ demo: $(DEMO)  ## drop the flotor: a summary here, pictures in figures/
 	  '  $(BIN)/maglev-mj press --out figures        a hand hits the wall' \
 	  '  $(BIN)/maglev-mj stick-slip --out figures   pulled out of friction' \
 	  '  $(BIN)/maglev-mj map --hand arm             the stiffest wall in a hand' \
-	  '  $(BIN)/maglev-mj drop --record drop.maglev    a recording, for analyse, replay and convert' \
+	  '  $(BIN)/maglev-mj drop --record a.maglev       a recording, for analyse, replay and convert' \
 	  '  $(BIN)/maglev-mj drop --help                height, gains, rate, delay'
 
 # tests start programs over and over, which compile the package each time where byte code is not kept
