@@ -68,7 +68,7 @@ def renewed(words: Sequence[str]) -> list[str] | None:
 
 def note(words: Sequence[str], new: Sequence[str]) -> str:
     """Return the note on an old line."""
-    return f"maglev-mj: {words[0]} has another name now: maglev-mj {shlex.join(new)}"
+    return f"maglev-mj: {words[0]} was renamed to: maglev-mj {shlex.join(new)}"
 
 
 def _parts(words: Sequence[str]) -> list[_Part]:

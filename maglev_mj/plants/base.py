@@ -191,13 +191,13 @@ class SampledPlant(ABC):
         """Release the device again, from another pose and twist, as a new plant with otherwise equal arguments.
 
         Samples, trace and state are then bit for bit those of the new plant, for a fraction of its cost: with MuJoCo,
-        a new one compiles and allocates. The sensor starts anew, the first hand force is back, opened coils are
+        a new one compiles and allocates. The sensor is restarted, the first hand force is back, opened coils are
         connected, and the trace is empty. A hand that remembers, such as a `SpringHand` with a rise time, is the same
         object, as it would be in the new plant. Changes to `device.model` from outside stay.
 
         Args:
             pose: Pose at release [m, rad], of the shape of the first one.
-            twist: Velocity at release [m/s, rad/s], likewise.
+            twist: Velocity at release [m/s, rad/s], of the same shape.
             timing: Sample period, delay and phase, in place of those so far.
 
         Raises:

@@ -173,7 +173,7 @@ class _Refused(Exception):
     """Reason why a log does not tell the device."""
 
 
-class _Told(NamedTuple):
+class _Identified(NamedTuple):
     """Fit of a log that only the sensor's noise separates from it, with its independent samples and noise."""
 
     fit: DeviceFit
@@ -203,8 +203,8 @@ def gains_from_log(
     try:
         _check_loop(motion, loop)
         quantum = stated.get("quantum") or _quantum(motion.position)
-        told = _told(motion, loop, stated.get("own_damping"), quantum)
-        return LogGains(**common, **_designed(told, loop, seen, target, stated.get("inertia")))
+        identified = _identify(motion, loop, stated.get("own_damping"), quantum)
+        return LogGains(**common, **_designed(identified, loop, seen, target, stated.get("inertia")))
     except _Refused as refusal:
         return LogGains(**common, refused=str(refusal))
 
@@ -250,7 +250,7 @@ def _commands(motion: LoggedMotion, loop: Loop) -> tuple[Array, float]:
     return (np.where(motion.usable, force, 0.0) if walled else force), motion.before
 
 
-def _told(motion: LoggedMotion, loop: Loop, own_damping: float | None, quantum: float) -> _Told:
+def _identify(motion: LoggedMotion, loop: Loop, own_damping: float | None, quantum: float) -> _Identified:
     """Return the fit of the longest usable run, from the first start at which only the sensor's noise is left."""
     force, before = _commands(motion, loop)
     bounds = np.flatnonzero(np.diff(np.pad(motion.usable.astype(int), 1)))
@@ -267,9 +267,9 @@ def _told(motion: LoggedMotion, loop: Loop, own_damping: float | None, quantum: 
     refusals: list[_Refused] = []
     for index, start in enumerate(starts[:_STARTS]):
         try:
-            told = _fitted(motion, (start, end), force, before, loop, own_damping, quantum)
+            identified = _fitted(motion, (start, end), force, before, loop, own_damping, quantum)
             if index == 0:
-                return told
+                return identified
             if index + _MARGIN < len(starts):  # what acted before may still do so a little
                 return _fitted(motion, (starts[index + _MARGIN], end), force, before, loop, own_damping, quantum)
         except _Refused as refusal:
@@ -285,24 +285,24 @@ def _fitted(
     loop: Loop,
     own: float | None,
     quantum: float,
-) -> _Told:
+) -> _Identified:
     """Return the fit from a start to an end, with the commands before it as far as they are known."""
     (start, end), known = span, math.isfinite(before)
     if known or start > LONGEST_DELAY:
         command = np.concatenate([[before], force[:end]]) if known else force[:end]
         return _checked(Ring(motion.position[start:end], command, True, loop.period), loop, own, quantum)
     later = start + LONGEST_DELAY + 1
-    told = _checked(Ring(motion.position[later:end], force[start:end], True, loop.period), loop, own, quantum)
+    identified = _checked(Ring(motion.position[later:end], force[start:end], True, loop.period), loop, own, quantum)
     if start:
-        return told
+        return identified
     with_start = Ring(motion.position[:end], force[:end], False, loop.period)  # a constant command before it
     other = _checked(with_start, loop, own, quantum)
-    if float(other.best.squares[0] - told.best.squares[0]) > _BEFORE * later * told.noise**2:
+    if float(other.best.squares[0] - identified.best.squares[0]) > _BEFORE * later * identified.noise**2:
         raise _Refused("its first samples are no release: log the release from its first sample")
     return other
 
 
-def _checked(ring: Ring, loop: Loop, own: float | None, quantum: float) -> _Told:
+def _checked(ring: Ring, loop: Loop, own: float | None, quantum: float) -> _Identified:
     """Return the fit of a ring, or refuse it if its residual is not that of a sensor."""
     travel = float(np.ptp(ring.position))
     fit, best = DeviceFit(ring, own, _EXACT * travel).fitted(reversals(ring.position))
@@ -325,7 +325,7 @@ def _checked(ring: Ring, loop: Loop, own: float | None, quantum: float) -> _Told
     size, m = f"{1e6 * noise:.3g}", unit_of("m", loop.axis)
     if moved:
         raise _Refused(
-            f"the fit leaves {size} µ{m} that is no noise of a sensor: another force acts (hand, stop, flexible mode "
+            f"the fit leaves {size} µ{m} that is not sensor noise: another force acts (hand, stop, flexible mode "
             "or saturation), or a gain is not the stated one"
         )
     if noise > max(_MISFIT * float(np.std(ring.position)), quantum):
@@ -333,14 +333,16 @@ def _checked(ring: Ring, loop: Loop, own: float | None, quantum: float) -> _Told
             f"the fit leaves {size} µ{m}, more than {_MISFIT:.0%} of the motion: ring it with a larger amplitude, and "
             "see that no other force acts"
         )
-    return _Told(fit, best, count, noise)
+    return _Identified(fit, best, count, noise)
 
 
-def _designed(told: _Told, loop: Loop, seen: Oscillation, target: float, inertia: float | None) -> dict[str, Any]:
+def _designed(
+    identified: _Identified, loop: Loop, seen: Oscillation, target: float, inertia: float | None
+) -> dict[str, Any]:
     """Return fields of `LogGains`: intervals, ratio over the region and gains; or refuse a region that is too wide."""
-    fit, best, count, noise = told
+    fit, best, count, noise = identified
     period, rotary = loop.period, loop.axis.startswith("r")
-    (mass, *_), near = _bodies(told, INTERVAL), fit.region(best, INTERVAL, count)
+    (mass, *_), near = _bodies(identified, INTERVAL), fit.region(best, INTERVAL, count)
     name = "inertia" if rotary else "mass"
     values = {
         name: Interval(float(1.0 / best.inverse[0]), float(mass.min()), float(mass.max())),
@@ -348,7 +350,7 @@ def _designed(told: _Told, loop: Loop, seen: Oscillation, target: float, inertia
         "own damping": _spread(near.rate / period / near.inverse),
     }
     friction, error = fit.friction(near)
-    reach = _slack(told, near, INTERVAL) * error
+    reach = _slack(identified, near, INTERVAL) * error
     unknown = []
     if (friction - reach).min() > 0.0:
         values["friction"] = Interval(
@@ -378,7 +380,7 @@ def _designed(told: _Told, loop: Loop, seen: Oscillation, target: float, inertia
         unknown.append(f"a hand that adds {name}, counted as the device: state the {name}")
     if fit.own_damping is None:
         unknown.append("a hand that adds damping, counted as the device: state --own-damping")
-    mass, delays, dampings = _bodies(told, REGION)
+    mass, delays, dampings = _bodies(identified, REGION)
     around = replace(loop, driver_lag=0.0).array(inertia=mass, delay=delays, own_damping=dampings)
     _check_pole(around, loop, seen)
     present = boundary_of(around, np.full(len(mass), loop.damping)) / loop.stiffness
@@ -395,18 +397,18 @@ def _spread(values: Array) -> Interval:
     return Interval(float(values[0]), float(values.min()), float(values.max()))
 
 
-def _slack(told: _Told, points: Points, deviance: float) -> Array:
+def _slack(identified: _Identified, points: Points, deviance: float) -> Array:
     """Return by how many standard errors at unit noise a linear value may differ at points of a region, (P,)."""
-    fit, best, count, noise = told
+    fit, best, count, noise = identified
     left = np.maximum(deviance - count * np.log(points.squares / best.squares[0]), 0.0)
     return np.asarray(noise * np.sqrt(left * len(fit.ring.position) / count))
 
 
-def _bodies(told: _Told, deviance: float) -> tuple[Array, Array, Array]:
+def _bodies(identified: _Identified, deviance: float) -> tuple[Array, Array, Array]:
     """Return masses, delays and own dampings at the ends of a region, (P,) each, the best first."""
-    fit, best, count, _ = told
+    fit, best, count, _ = identified
     found = fit.region(best, deviance, count)
-    reach = _slack(told, found, deviance) * found.error
+    reach = _slack(identified, found, deviance) * found.error
     inverse = np.concatenate([found.inverse[:1], *(np.maximum(found.inverse + sign * reach, 1e-3 * found.inverse)
                                                     for sign in (-1.0, 1.0))])  # fmt: skip
     delay, rate = (np.concatenate([part[:1], part, part]) for part in (found.delay, found.rate))

@@ -64,7 +64,7 @@ MOST_SAMPLES_AS_STATES = 16
 _MOST_STATES, _MOST_ROWS = 24, 64
 """Most states, and rows of the Hankel matrix, of which the states need one each; limits effort."""
 INTEGRATOR_POLE = 1e-7
-"""Distance from 1 of a pole that integrates: a slower decay than in 1e7 samples is none."""
+"""Distance from 1 of a pole that integrates: a decay slower than in 1e7 samples counts as integration."""
 
 
 def pose_text(pose: Sequence[float] | Array) -> str:

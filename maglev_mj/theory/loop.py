@@ -36,7 +36,7 @@ _SAMPLES_OF_RESPONSE = 64
 _DEFECTIVE_VECTORS = 1e8
 """Condition number of eigenvectors that do not separate poles, as of a double integrator: half of the digits lost."""
 STILL = 1e-6
-"""Static stiffness that is none, relative to the response: a difference of forces that cancel."""
+"""Static stiffness that counts as zero, relative to the response: a difference of forces that cancel."""
 _DOUBLE_POLE = 1e-8
 """Distance from 1 of the mean of a double pole: each is accurate to half of the digits, their mean to nearly all."""
 

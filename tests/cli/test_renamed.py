@@ -117,7 +117,7 @@ def test_an_old_line_gives_what_its_new_line_gives_and_a_note(
 ) -> None:
     status, out, errors, written = outcome(old, files, here / "old", monkeypatch, capsys)
     told, _, errors = errors.partition("\n")
-    assert told == f"maglev-mj: {old.split()[0]} has another name now: maglev-mj {new}"
+    assert told == f"maglev-mj: {old.split()[0]} was renamed to: maglev-mj {new}"
     assert (status, out, errors, written) == outcome(new, files, here / "new", monkeypatch, capsys)
     assert new.split()[0] in COMMANDS and renewed(shlex.split(new)) is None
 

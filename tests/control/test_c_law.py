@@ -40,6 +40,7 @@ from maglev_mj.control.laws import c_law, probe
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.wall_scene import others
 from maglev_mj.session.replay import ATTACHED, UserCode
+from tests.theory.test_amplitudes import Fixed
 
 pytestmark = [pytest.mark.needs("own compiler"), pytest.mark.xdist_group("laws in C")]  # compiled once
 
@@ -91,24 +92,10 @@ class CFixed(CLaw, library=C.name, symbol="fixed", memory=12):
     damping: float = gain("", "N s/m per sample rate")
 
 
-class PyFixed(AxisLaw):
-    """Spring and damper in fixed point."""
-
-    stiffness: float = gain("", "N/m")
-    damping: float = gain("", "N s/m per sample rate")
-
-    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
-        count = np.floor(x * 1e6 + 0.5)
-        last, speed = (count, 0.0 * count) if state is None else state
-        speed = speed + np.floor(((count - last) * 256.0 - speed) / 4.0)
-        force = np.trunc(-gains.stiffness * count * 256.0 / 1e6) - np.trunc(gains.damping * speed / 1e6)
-        return force / 256.0, (count, speed)
-
-
 TWINS = {
     "wall": (CWall, PyWall, {"stiffness": 3000.0, "damping": 40.0}),
     "soft": (CSoft, PySoft, {"stiffness": 3000.0, "damping": 40.0}),
-    "fixed": (CFixed, PyFixed, {"stiffness": 3000.0, "damping": 8000.0}),
+    "fixed": (CFixed, Fixed, {"stiffness": 3000.0, "damping": 8000.0}),
 }
 twins = pytest.mark.parametrize("kind", TWINS)
 
