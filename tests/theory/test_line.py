@@ -276,8 +276,9 @@ LOSSES = [
 ]
 
 
+@pytest.mark.parametrize("sequences", [60, *STUDY])
 @pytest.mark.parametrize(("values", "loss", "runs"), [*LOSSES[:3], *further(*LOSSES[3:])])
-def test_limits_of_lost_samples(values: Any, loss: float, runs: tuple[int, int | None]) -> None:
+def test_limits_of_lost_samples(values: Any, loss: float, runs: tuple[int, int | None], sequences: int) -> None:
     loop = loop_of(*values)
     found = LineVerdict(loop, LossyLine())
     assert found.critical_loss == pytest.approx(loss, abs=6e-7)
@@ -285,7 +286,7 @@ def test_limits_of_lost_samples(values: Any, loss: float, runs: tuple[int, int |
         assert LineVerdict(loop, LossyLine(loss=found.critical_loss + side)).is_stable is stable
     limits = found.longest_loss
     assert limits is not None and limits.stable >= runs[0]
-    settles(found._maps, 60, most=limits.stable)
+    settles(found._maps, sequences, most=limits.stable)
     if runs[1] is None:
         assert (
             limits.unstable is None and limits.words == f"{MOST_IN_A_ROW} proved stable (searched to {MOST_IN_A_ROW})"
@@ -301,8 +302,9 @@ def _runs_of(sequence: Sequence[float | None]) -> list[str]:
     return "".join("." if delay is None else " " for delay in [*sequence, *sequence]).split() or [""]
 
 
+@pytest.mark.parametrize("sequences", [60, *STUDY])
 @pytest.mark.parametrize("name", KINDS)
-def test_verdicts_hold_for_loops_of_all_kinds(name: str) -> None:
+def test_verdicts_hold_for_loops_of_all_kinds(name: str, sequences: int) -> None:
     """What is proved settles in random sequences, what is not stable grows in the exact plant."""
     kind, (low, high) = KINDS[name]
     decided = []
@@ -312,7 +314,7 @@ def test_verdicts_hold_for_loops_of_all_kinds(name: str) -> None:
         found = worst_case(maps, most)
         decided.append(found.stable)
         if found.stable:
-            settles(maps, 60, most)
+            settles(maps, sequences, most)
         elif found.stable is False:
             grows(loop, found)
         else:
