@@ -97,7 +97,7 @@ def _read_table(file: Path, options: TableOptions) -> tuple[Recording, str]:
     import numpy as np
 
     from maglev_mj.device import Device
-    from maglev_mj.parameters import parsed_number
+    from maglev_mj.parameters import parsed_number, read_file
     from maglev_mj.plants.coils import CoilMap
     from maglev_mj.recording.table import import_table
 
@@ -113,6 +113,7 @@ def _read_table(file: Path, options: TableOptions) -> tuple[Recording, str]:
     if options.inertia is not None:
         body["inertia"] = [parsed_number("inertia", part) for part in options.inertia.split(",")]
     if "mass" not in body:
+        read_file("log", file, len, read=Path.read_bytes)  # a missing file is the first thing to say
         raise ParameterError("mass or device must be given; analyse compares the mass with the motion")
     table: dict[str, Any] = {name: getattr(options, name) for name in ("rate", "resample", "encoding", "skip")}
     table |= {"separator": options.separator, "decimal": options.decimal, "hold": options.join == "hold"}

@@ -235,7 +235,8 @@ analyse run.maglev --json run.maglev                | must not overwrite the rec
 convert run.maglev run.maglev --to npz              | out must not overwrite the recording
 convert run.maglev . --to npz                       | out must be a file in an existing folder
 convert none.maglev none.csv                        | 'none.maglev' cannot be read: No such file
-convert none.csv none.maglev --mass 1               | 'none.csv'
+convert none.csv none.maglev --mass 1               | log 'none.csv' cannot be read: No such file or directory
+convert none.csv none.maglev                        | log 'none.csv' cannot be read: No such file or directory
 convert run.maglev run                              | format of out must be one of maglev, npz, mcap, csv
 convert run.maglev run.csv --to ods                 | format of out must be one of maglev, npz, mcap, csv
 convert run.maglev run.csv --units time=s           | units applies to a text table, not to a recording (got
